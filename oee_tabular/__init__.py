@@ -1,0 +1,106 @@
+"""Off-environment evaluation, exactly.
+
+A policy was made in a simulator; given a few logged transitions from the target environment, what return will it get
+there, and how sure are we? For finite MDPs this package answers with exact linear algebra and certified convex programs.
+
+>>> import oee_tabular as oee
+>>> simulator = oee.tasks.gridworld(4, slip=0.3)
+>>> target = oee.tasks.gridworld(4, slip=0.1)
+>>> log = oee.sample_episodes(target, oee.uniform_policy(target), 50, horizon=50, seed=0)
+>>> problem = oee.Problem(simulator, log, horizon=50)
+>>> expert = oee.tasks.gridworld_expert(4)
+>>> round(oee.estimators.OffEnvironment()(problem, expert).value, 1)
+-2.9
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# name -> module; imported on first use, so that "import oee_tabular" and "oee --help" stay quick
+_EXPORTS = {
+    "FiniteMDP": "mdp",
+    "uniform_policy": "mdp",
+    "mix": "mdp",
+    "policy_value": "exact",
+    "state_values": "exact",
+    "action_values": "exact",
+    "occupancy": "exact",
+    "optimal_policy": "exact",
+    "Transitions": "data",
+    "sample_episodes": "simulate",
+    "sample_transitions": "simulate",
+    "record_episodes": "tasks",
+    "density_ratio": "ratio",
+    "transition_ratio": "ratio",
+    "true_ratio": "ratio",
+    "RatioFit": "ratio",
+    "TransitionRatio": "ratio",
+    "Problem": "estimators",
+    "Estimate": "estimators",
+    "evaluate": "report",
+    "Report": "report",
+}
+_MODULES = ("data", "estimators", "exact", "mdp", "plots", "ratio", "report", "simulate", "tasks")
+
+if TYPE_CHECKING:
+    from oee_tabular import data, estimators, exact, mdp, plots, ratio, report, simulate, tasks
+    from oee_tabular.data import Transitions
+    from oee_tabular.estimators import Estimate, Problem
+    from oee_tabular.exact import action_values, occupancy, optimal_policy, policy_value, state_values
+    from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+    from oee_tabular.ratio import RatioFit, TransitionRatio, density_ratio, transition_ratio, true_ratio
+    from oee_tabular.report import Report, evaluate
+    from oee_tabular.simulate import sample_episodes, sample_transitions
+    from oee_tabular.tasks import record_episodes
+
+__all__ = [
+    "Estimate",
+    "FiniteMDP",
+    "Problem",
+    "RatioFit",
+    "Report",
+    "TransitionRatio",
+    "Transitions",
+    "action_values",
+    "data",
+    "density_ratio",
+    "estimators",
+    "evaluate",
+    "exact",
+    "mdp",
+    "mix",
+    "occupancy",
+    "optimal_policy",
+    "plots",
+    "policy_value",
+    "ratio",
+    "record_episodes",
+    "report",
+    "sample_episodes",
+    "sample_transitions",
+    "simulate",
+    "state_values",
+    "tasks",
+    "transition_ratio",
+    "true_ratio",
+    "uniform_policy",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _EXPORTS:
+        value = getattr(importlib.import_module(f"oee_tabular.{_EXPORTS[name]}"), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f"oee_tabular.{name}")
+    else:
+        raise AttributeError(f"module 'oee_tabular' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

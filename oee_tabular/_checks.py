@@ -1,0 +1,114 @@
+"""Checks of arguments: each error names the argument, the place, the rule and the value found."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+SUM_TOLERANCE = 1e-8
+
+
+def place(name: str, index: tuple[int, ...]) -> str:
+    """``policy[3, 1]`` for ("policy", (3, 1))."""
+    return f"{name}[{', '.join(str(int(i)) for i in index)}]"
+
+
+def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None = None) -> Array:
+    """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
+    allowed = (ndim,) if isinstance(ndim, int) else ndim
+    if allowed is not None and array.ndim not in allowed:
+        rule = " or ".join(str(n) for n in allowed)
+        raise ValueError(f"{name} must have {rule} dimension(s); it has shape {array.shape}")
+    return array
+
+
+def require_finite(array: Array, name: str) -> None:
+    """Every entry is a finite number."""
+    bad = np.argwhere(~np.isfinite(array))
+    if bad.size:
+        first = tuple(bad[0])
+        raise ValueError(f"{place(name, first)} must be finite; it is {array[first]}")
+
+
+def require_nonnegative(array: Array, name: str) -> None:
+    """Every entry is a finite number, none below 0."""
+    require_finite(array, name)
+    bad = np.argwhere(array < 0)
+    if bad.size:
+        first = tuple(bad[0])
+        raise ValueError(f"{place(name, first)} must be nonnegative; it is {array[first]}")
+
+
+def require_sums_to_one(sums: Array, name: str) -> None:
+    """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the tolerance."""
+    bad = np.argwhere(~(np.abs(sums - 1.0) <= SUM_TOLERANCE))
+    if bad.size:
+        first = tuple(bad[0])
+        where = place(name, first) if first else name
+        more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
+        raise ValueError(
+            f"{where} must sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {float(sums[first]):.10g}{more}"
+        )
+
+
+def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
+    """``value`` as an array of ``shape``, nonnegative, with a total of 1."""
+    array = float_array(value, name)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}; it has shape {array.shape}")
+    require_nonnegative(array, name)
+    require_sums_to_one(np.asarray(array.sum()), name)
+    return array
+
+
+def number_in(value: Any, name: str, low: float, high: float, *, open_ends: bool = False) -> float:
+    """``value`` as a float in [low, high], or in (low, high)."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number; got {value!r}") from None
+    inside = low < number < high if open_ends else low <= number <= high
+    if not inside:
+        ends = f"({low:g}, {high:g})" if open_ends else f"[{low:g}, {high:g}]"
+        raise ValueError(f"{name} must be in {ends}; it is {number:g}")
+    return number
+
+
+def positive_integer(value: Any, name: str) -> int:
+    """``value`` as an int of at least 1."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} must be a positive integer; got {value!r}") from None
+    if number < 1:
+        raise ValueError(f"{name} must be a positive integer; it is {number}")
+    return number
+
+
+def optional_horizon(horizon: Any) -> int | None:
+    """None (the infinite sum) or a number of rewards of at least 1."""
+    return None if horizon is None else positive_integer(horizon, "horizon")
+
+
+def one_of(value: object, name: str, allowed: tuple[str, ...]) -> None:
+    """``value`` is one of the allowed words."""
+    if value not in allowed:
+        words = ", ".join(repr(word) for word in allowed)
+        raise ValueError(f"{name} must be one of {words}; got {value!r}")
+
+
+def freeze(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, no longer writable."""
+    array.flags.writeable = False
+    return array

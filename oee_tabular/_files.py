@@ -1,0 +1,106 @@
+"""Files are written whole or not at all; npz files are never pickles."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+KIND = "oee_tabular_kind"
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> Iterator[IO[bytes]]:
+    """A binary file to write, which appears under its name only once it is complete.
+
+    The bytes go to a temporary file in the same folder, are flushed to disk and moved over ``path`` in one step; an
+    error on the way leaves what stood there before.
+    """
+    target = Path(path)
+    if suffixes and target.suffix.lower() not in suffixes:
+        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {str(target)!r}")
+    handle = tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", suffix=".part", delete=False)
+    try:
+        with handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.chmod(handle.name, 0o666 & ~_umask())
+        os.replace(handle.name, target)
+    except BaseException:
+        Path(handle.name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write every file of ``contents`` into ``folder``, or none of them; what they replace stays until all are ready."""
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    staged: list[tuple[Path, Path]] = []
+    try:
+        for name, data in contents.items():
+            temporary = folder / f".{name}.part"
+            staged.append((temporary, folder / name))
+            temporary.write_bytes(data)
+        for temporary, target in staged:
+            os.replace(temporary, target)
+    except BaseException:
+        for temporary, _ in staged:
+            temporary.unlink(missing_ok=True)
+        if made:
+            folder.rmdir()
+        raise
+
+
+def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """An npz of plain arrays, marked with the kind of object that they make."""
+    with whole_file(path, (".npz",)) as handle:
+        np.savez_compressed(handle, allow_pickle=False, **{KIND: np.array(kind)}, **dict(arrays))
+
+
+def load_npz(path: str | os.PathLike[str], kind: str) -> dict[str, NDArray[Any]]:
+    """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds otherwise."""
+    arrays = read_npz(path)
+    found = npz_kind(arrays)
+    if found != kind:
+        raise ValueError(f"{str(path)!r} must hold a {kind}; it holds {found or 'none of our kinds'}")
+    return arrays
+
+
+def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Every array of an npz or npy file (the npy's under the name "array"); pickles are refused."""
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return {"array": loaded}
+        with loaded:
+            return {name: loaded[name] for name in loaded.files}
+    except (zipfile.BadZipFile, ValueError, EOFError) as error:
+        raise ValueError(f"{str(path)!r} must be an npz or npy file of plain arrays; {error}") from None
+
+
+def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
+    """What ``save_npz`` said the arrays are, None for other files."""
+    return str(arrays[KIND]) if KIND in arrays else None
+
+
+def render(write: Callable[[IO[bytes]], object]) -> bytes:
+    """What ``write`` puts into a binary file, as bytes."""
+    import io
+
+    buffer = io.BytesIO()
+    write(buffer)
+    return buffer.getvalue()

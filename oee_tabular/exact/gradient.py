@@ -1,0 +1,51 @@
+"""The derivative of J with respect to each transition probability, which carries sampling error from a model to J."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.exact.occupancy import occupancy
+from oee_tabular.exact.reweighted import Model
+from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
+from oee_tabular.mdp import check_policy
+
+
+def transition_gradient(model: Model, policy: Any, *, horizon: int | None = None) -> Array:
+    """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
+
+    sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
+    stands there only where rewards depend on s'. Defined up to a constant in each row (rows sum to 1).
+
+    Notes
+    -----
+    ``policy`` is stationary, (S, A). Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+    """
+    steps = _checks.optional_horizon(horizon)
+    pi = check_policy(policy, model)
+    gamma = model.discount
+    rows, columns = row_of_entry(model.transitions), model.transitions.indices
+    action_share = pi.reshape(-1)[rows]
+    start = rows // model.n_actions
+    pay = 0.0 if model.reward_data is None else model.reward_data
+    if steps is None:
+        values = state_values(model, pi)
+        visits = occupancy(model, pi, of="state") / (1.0 - gamma)
+        return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
+    kernel, rewards = policy_kernel(model, pi), policy_rewards(model, pi)
+    transposed = sparse.csr_array(kernel.T)
+    to_go = np.zeros((steps + 1, model.n_states))
+    for t in range(steps - 1, -1, -1):
+        to_go[t] = rewards + gamma * (kernel @ to_go[t + 1])
+    total = np.zeros(len(rows))
+    states, weight = model.initial, 1.0
+    for t in range(steps):
+        total += weight * states[start] * (pay + gamma * to_go[t + 1][columns])
+        states = transposed @ states
+        weight *= gamma
+    return np.asarray(total * action_share)

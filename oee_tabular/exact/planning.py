@@ -1,0 +1,57 @@
+"""Optimal policies by policy iteration, each policy evaluated exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.exact.values import action_values
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.policies import deterministic_policy
+
+
+def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
+    """A deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
+
+    Policy iteration (Puterman, Markov Decision Processes, 1994, section 6.4) with exact evaluation: an action is changed
+    only where another one is better by more than rounding, so it ends; of equally good actions the first is taken.
+    With a horizon, backward induction.
+
+    Raises
+    ------
+    ValueError
+        At discount 1 without a horizon, where a policy met on the way is not absorbed.
+    """
+    steps = _checks.optional_horizon(horizon)
+    if steps is not None:
+        return _backward_induction(mdp, steps)
+    states = np.arange(mdp.n_states)
+    actions = np.argmax(mdp.rewards, axis=1)
+    if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
+        uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
+        actions = _first_best(action_values(mdp, uniform))
+    while True:
+        q = action_values(mdp, deterministic_policy(actions, mdp.n_actions))
+        tolerance = 1e-11 * max(1.0, float(np.abs(q).max()))
+        better = q.max(axis=1) > q[states, actions] + tolerance
+        if not better.any():
+            # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
+            best = actions if mdp.discount == 1.0 else _first_best(q, tolerance)
+            return deterministic_policy(best, mdp.n_actions)
+        actions = np.where(better, _first_best(q, tolerance), actions)
+
+
+def _first_best(q: Array, tolerance: float = 0.0) -> _checks.IntArray:
+    return np.asarray(np.argmax(q >= q.max(axis=1, keepdims=True) - tolerance, axis=1))
+
+
+def _backward_induction(mdp: FiniteMDP, horizon: int) -> Array:
+    policy = np.zeros((horizon, mdp.n_states, mdp.n_actions))
+    value = np.zeros(mdp.n_states)
+    for t in range(horizon - 1, -1, -1):
+        q = mdp.rewards + mdp.discount * (mdp.transitions @ value).reshape(mdp.rewards.shape)
+        actions = _first_best(q)
+        policy[t] = deterministic_policy(actions, mdp.n_actions)
+        value = q[np.arange(mdp.n_states), actions]
+    return policy

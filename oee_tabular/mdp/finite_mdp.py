@@ -1,0 +1,350 @@
+"""A finite MDP on sparse rows.
+
+The model (S, A, P, r, mu_0, gamma) of the paper's Section III.A. Row ``s*A + a`` of ``transitions`` is P(. | s, a).
+Rewards are r(s), r(s, a) or r(s, a, s'); the last form belongs to the transition and is kept beside its expectation
+r(s, a) = sum_s' P(s' | s, a) r(s, a, s'), which never stands in for it where a transition is weighted.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Self, cast
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks, _files
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, canonical, find, row_of_entry, row_sums
+
+KIND = "finite_mdp"
+
+
+class FiniteMDP:
+    """A finite Markov decision process, checked when it is made and immutable afterwards.
+
+    Parameters
+    ----------
+    transitions : (S, A, S) array, or sparse of shape (S*A, S)
+        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1 (tolerance 1e-8).
+    rewards : (S,), (S, A) or (S, A, S) array, or sparse of shape (S*A, S)
+        r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
+        In a sparse one an absent entry is 0 on the support and undefined elsewhere.
+    initial : (S,) array
+        Distribution mu_0 of the first state.
+    discount : float in [0, 1]
+        gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states that pay nothing;
+        the functions that evaluate say so when it is not.
+    terminal_state : (S0,) integers, optional
+        For s below S0, the number of the environment's own states: where a transition that *terminates* on entering s
+        leads. By default s itself.
+
+    Attributes
+    ----------
+    n_states, n_actions : int
+    transitions : csr_array of shape (S*A, S), without explicit zeros
+    rewards : (S, A) expected reward
+    transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
+    initial, discount, terminal_state
+
+    Raises
+    ------
+    ValueError
+        With the argument, the place, the rule and the value found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> P = np.array([[[0.9, 0.1], [0.2, 0.8]], [[0.0, 1.0], [0.0, 1.0]]])
+    >>> mdp = FiniteMDP(P, np.array([1.0, 0.0]), np.array([1.0, 0.0]), 0.9)
+    >>> mdp
+    FiniteMDP(2 states, 2 actions, 6 transitions, rewards r(s, a), discount 0.9)
+    """
+
+    __slots__ = (
+        "_reward_data",
+        "discount",
+        "initial",
+        "n_actions",
+        "n_states",
+        "rewards",
+        "terminal_state",
+        "transition_rewards",
+        "transitions",
+    )
+
+    n_states: int
+    n_actions: int
+    transitions: sparse.csr_array
+    rewards: Array
+    transition_rewards: sparse.csr_array | None
+    initial: Array
+    discount: float
+    terminal_state: IntArray
+    _reward_data: Array | None
+
+    def __init__(
+        self, transitions: Any, rewards: Any, initial: Any, discount: float, *, terminal_state: Any = None
+    ) -> None:
+        matrix, n_states, n_actions = _transition_rows(transitions)
+        table, expected = _reward_table(rewards, matrix, n_states, n_actions)
+        data = None if table is None else align(table, matrix)[0]
+        if data is not None:
+            expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
+        if terminal_state is None:
+            terminal = np.arange(n_states, dtype=np.int64)
+        else:
+            terminal = _terminal_states(terminal_state, n_states)
+        values = {
+            "n_states": n_states,
+            "n_actions": n_actions,
+            "transitions": matrix,
+            "rewards": _checks.freeze(expected),
+            "transition_rewards": table,
+            "initial": _checks.freeze(_checks.distribution(initial, "initial", (n_states,))),
+            "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
+            "terminal_state": _checks.freeze(terminal),
+            "_reward_data": data,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"FiniteMDP is immutable; cannot set {name!r} (make a new one)")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"FiniteMDP is immutable; cannot delete {name!r}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (self._arguments(), self.terminal_state)
+
+    def __repr__(self) -> str:
+        form = "r(s, a)" if self.transition_rewards is None else "r(s, a, s')"
+        return (
+            f"FiniteMDP({self.n_states} states, {self.n_actions} actions, {self.transitions.nnz} transitions, "
+            f"rewards {form}, discount {self.discount:g})"
+        )
+
+    @property
+    def reward_data(self) -> Array | None:
+        """r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)."""
+        return self._reward_data
+
+    def absorbing(self) -> _checks.BoolArray:
+        """(S,) mask of the states that every action leads back to, with reward 0: where an episode is over."""
+        rows = row_of_entry(self.transitions)
+        stays = self.transitions.indices == rows // self.n_actions
+        leaves = np.zeros(self.n_states, dtype=np.bool_)
+        leaves[rows[~stays] // self.n_actions] = True
+        return ~leaves & np.all(self.rewards == 0.0, axis=1)
+
+    def with_transitions(self, new: Any) -> Self:
+        """The same MDP under other dynamics; r(s, a, s') is averaged again.
+
+        Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
+        """
+        matrix, n_states, n_actions = _transition_rows(new)
+        if (n_states, n_actions) != (self.n_states, self.n_actions):
+            raise ValueError(
+                f"transitions must be for {self.n_states} states and {self.n_actions} actions; "
+                f"they are for {n_states} and {n_actions}"
+            )
+        rewards: Any = self.rewards
+        if self.transition_rewards is not None:
+            _, defined = align(self.transition_rewards, matrix)
+            if not defined.all():
+                moves = [name_move(matrix, k, n_actions) for k in np.flatnonzero(~defined)[:3]]
+                raise ValueError(
+                    f"transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
+                    f"the first: {'; '.join(moves)}"
+                )
+            rewards = self.transition_rewards
+        return type(self)(matrix, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+
+    def with_rewards(self, rewards: Any) -> Self:
+        """The same dynamics with other rewards, in any of the constructor's forms."""
+        return type(self)(self.transitions, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+
+    def with_discount(self, discount: float) -> Self:
+        """The same MDP with another discount."""
+        rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
+        return type(self)(self.transitions, rewards, self.initial, discount, terminal_state=self.terminal_state)
+
+    def with_action_noise(self, epsilon: float) -> Self:
+        """With probability epsilon the action is replaced by a uniform one (which may be the same).
+
+        P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), and the rewards are those of the action that
+        was carried out: r_eps(s, a, s') = E[r(s, b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards
+        do not depend on s'. It gives a too deterministic simulator the support that a ratio needs.
+        A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy + eps uniform).
+        """
+        eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
+        noise = sparse.kron(
+            sparse.eye_array(self.n_states), np.full((self.n_actions, self.n_actions), 1.0 / self.n_actions)
+        )
+        mixing = sparse.csr_array((1.0 - eps) * sparse.eye_array(self.n_states * self.n_actions) + eps * noise)
+        matrix = canonical(mixing @ self.transitions, drop_zeros=True)
+        rewards: Any = (mixing @ self.rewards.reshape(-1)).reshape(self.rewards.shape)
+        if self._reward_data is not None:
+            flow = self.transitions.copy()
+            flow.data = self.transitions.data * self._reward_data
+            total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
+            rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
+        return type(self)(matrix, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an npz of plain arrays, whole or not at all."""
+        arrays: dict[str, Any] = {
+            "shape": np.array([self.n_states, self.n_actions]),
+            "transitions_data": self.transitions.data,
+            "transitions_indices": self.transitions.indices,
+            "transitions_indptr": self.transitions.indptr,
+            "initial": self.initial,
+            "discount": np.array(self.discount),
+            "terminal_state": self.terminal_state,
+        }
+        if self.transition_rewards is None:
+            arrays["rewards"] = self.rewards
+        else:
+            for part in ("data", "indices", "indptr"):
+                arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
+        _files.save_npz(path, KIND, arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what ``save`` wrote; the same checks as in the constructor."""
+        arrays = _files.load_npz(path, KIND)
+        try:
+            n_states, n_actions = (int(n) for n in arrays["shape"])
+            shape = (n_states * n_actions, n_states)
+
+            def matrix(name: str) -> sparse.csr_array:
+                parts = tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+                return sparse.csr_array(parts, shape=shape)
+
+            rewards = arrays["rewards"] if "rewards" in arrays else matrix("rewards")
+            transitions = matrix("transitions")
+            rest = (arrays["initial"], float(arrays["discount"]))
+            terminal = arrays["terminal_state"]
+        except KeyError as error:
+            raise ValueError(f"{str(path)!r} must hold every part of a FiniteMDP; {error} is missing") from None
+        return cls(transitions, rewards, *rest, terminal_state=terminal)
+
+    @classmethod
+    def from_gymnasium(cls, env: Any, discount: float = 0.99) -> Self:
+        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
+
+        State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
+        an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
+        reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
+        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation.
+
+        Raises
+        ------
+        ValueError
+            Without such a table (Blackjack), or where the dynamics are not in it: a fickle Taxi passenger, a wrapper that
+            changes actions, observations or rewards.
+        """
+        from oee_tabular.mdp.gymnasium_table import read_table
+
+        table = read_table(env)
+        return cls(table.transitions, table.rewards, table.initial, discount, terminal_state=table.terminal_state)
+
+    def _arguments(self) -> tuple[Any, ...]:
+        rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
+        return self.transitions, rewards, self.initial, self.discount
+
+
+def _rebuild(arguments: tuple[Any, ...], terminal_state: IntArray) -> FiniteMDP:
+    return FiniteMDP(*arguments, terminal_state=terminal_state)
+
+
+def name_move(matrix: sparse.csr_array, entry: int, n_actions: int) -> str:
+    """``s=3, a=1 -> s'=7`` for a stored entry of a matrix with rows s*A + a."""
+    row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
+    return f"s={row // n_actions}, a={row % n_actions} -> s'={int(matrix.indices[entry])}"
+
+
+def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
+    """Checked rows, number of states, number of actions; sums are named transitions[s, a]."""
+    if sparse.issparse(transitions):
+        if transitions.ndim != 2 or transitions.shape[1] == 0 or transitions.shape[0] % transitions.shape[1]:
+            raise ValueError(f"transitions must have shape (S*A, S) when sparse; it has shape {transitions.shape}")
+        n_states = int(transitions.shape[1])
+        rows = transitions
+    else:
+        dense = _checks.float_array(transitions, "transitions", ndim=3)
+        if dense.shape[0] != dense.shape[2]:
+            raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
+        _checks.require_nonnegative(dense, "transitions")
+        n_states = dense.shape[0]
+        rows = dense.reshape(-1, n_states)
+    if n_states == 0 or rows.shape[0] == 0:
+        raise ValueError(f"transitions must have at least one state and one action; it has shape {transitions.shape}")
+    n_actions = rows.shape[0] // n_states
+    raw = sparse.csr_array(rows, dtype=np.float64)
+    bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
+    if bad.size:
+        rule = "nonnegative" if np.isfinite(raw.data[bad[0]]) else "finite"
+        where = name_move(raw, int(bad[0]), n_actions)
+        raise ValueError(f"transitions must be {rule}; at {where} it is {raw.data[bad[0]]}")
+    matrix = canonical(raw, drop_zeros=True)
+    _checks.require_sums_to_one(row_sums(matrix).reshape(n_states, n_actions), "transitions")
+    return matrix, n_states, n_actions
+
+
+def _reward_table(
+    rewards: Any, matrix: sparse.csr_array, n_states: int, n_actions: int
+) -> tuple[sparse.csr_array | None, Array]:
+    """The csr of r(s, a, s') where it is defined (None for r(s, a)), and r(s, a)."""
+    if not sparse.issparse(rewards):
+        array = _checks.float_array(rewards, "rewards", ndim=(1, 2, 3))
+        shapes = {1: (n_states,), 2: (n_states, n_actions), 3: (n_states, n_actions, n_states)}
+        if array.shape != shapes[array.ndim]:
+            raise ValueError(f"rewards must have shape {shapes[array.ndim]}; it has shape {array.shape}")
+        if array.ndim < 3:
+            _checks.require_finite(array, "rewards")
+            expected = np.broadcast_to(array.reshape(n_states, -1), (n_states, n_actions)).copy()
+            return None, cast(Array, expected)
+        if np.isinf(array).any():
+            first = tuple(np.argwhere(np.isinf(array))[0])
+            raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")
+        flat = array.reshape(-1, n_states)
+        on_support = find(matrix, *(index.astype(np.int64) for index in np.nonzero(np.isnan(flat))))[1]
+        if on_support.any():
+            row, column = (int(index[on_support][0]) for index in np.nonzero(np.isnan(flat)))
+            where = _checks.place("rewards", (row // n_actions, row % n_actions, column))
+            raise ValueError(f"{where} must be finite where the transition has a probability; it is nan")
+        rows, columns = np.nonzero(~np.isnan(flat))
+        return canonical_table(rows, columns, flat[rows, columns], flat.shape), np.empty(0)
+    if rewards.shape != (n_states * n_actions, n_states):
+        raise ValueError(
+            f"rewards must have shape {(n_states * n_actions, n_states)} when sparse; it has shape {rewards.shape}"
+        )
+    given = canonical(rewards, drop_zeros=False)
+    bad = np.flatnonzero(~np.isfinite(given.data))
+    if bad.size:
+        where = name_move(given, int(bad[0]), n_actions)
+        raise ValueError(f"rewards must be finite; at {where} it is {given.data[bad[0]]}")
+    _, stored = align(given, matrix)
+    if stored.all():
+        return given, np.empty(0)
+    rows = np.concatenate([row_of_entry(given), row_of_entry(matrix)[~stored]])
+    columns = np.concatenate([given.indices, matrix.indices[~stored]])
+    data = np.concatenate([given.data, np.zeros(int((~stored).sum()))])
+    return canonical_table(rows, columns, data, given.shape), np.empty(0)
+
+
+def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]) -> sparse.csr_array:
+    """A CSR with exactly these entries, explicit zeros included."""
+    return canonical(sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False)
+
+
+def _terminal_states(value: Any, n_states: int) -> IntArray:
+    array = np.array(value)
+    if array.ndim != 1 or array.dtype.kind not in "iu" or array.size > n_states:
+        raise ValueError(f"terminal_state must be at most {n_states} integers; got {array.dtype} {array.shape}")
+    bad = np.flatnonzero((array < 0) | (array >= n_states))
+    if bad.size:
+        raise ValueError(f"terminal_state[{bad[0]}] must be in 0..{n_states - 1}; it is {array[bad[0]]}")
+    return array.astype(np.int64)

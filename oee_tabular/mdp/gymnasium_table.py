@@ -1,0 +1,95 @@
+"""From a Gymnasium toy-text table ``P[s][a] = [(probability, s', reward, terminated), ...]`` to rows.
+
+Gymnasium itself is not imported: the environment that is handed over brings what is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, canonical
+
+_CHANGING_WRAPPERS = {"ActionWrapper", "ObservationWrapper", "RewardWrapper", "StickyAction", "TransformReward"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """The parts of a FiniteMDP."""
+
+    transitions: sparse.csr_array
+    rewards: sparse.csr_array
+    initial: Array
+    terminal_state: IntArray
+
+
+def read_table(env: Any) -> Table:
+    """The transitions, rewards r(s, a, s'), initial distribution and terminal states of ``env``'s table."""
+    _refuse_changing_wrappers(env)
+    base = getattr(env, "unwrapped", env)
+    name = type(base).__name__
+    table = getattr(base, "P", None)
+    if table is None or not hasattr(base, "initial_state_distrib"):
+        raise ValueError(
+            f"env must have a toy-text table env.unwrapped.P and an initial_state_distrib; {name} has none "
+            "(build the FiniteMDP from its arrays)"
+        )
+    if getattr(base, "fickle_passenger", False):
+        raise ValueError(
+            "env must have all its dynamics in the table P; a fickle Taxi passenger changes its destination outside it "
+            f"(fickle_probability={base.fickle_probability:g}): use fickle_passenger=False"
+        )
+    return _build(table, np.array(base.initial_state_distrib, dtype=np.float64))
+
+
+def _refuse_changing_wrappers(env: Any) -> None:
+    layer = env
+    while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
+        if any(kind.__name__ in _CHANGING_WRAPPERS for kind in type(layer).__mro__):
+            raise ValueError(
+                "env must not change actions, observations or rewards outside its table P; "
+                f"the wrapper {type(layer).__name__} does (pass env.unwrapped to leave it out)"
+            )
+        layer = layer.env
+
+
+def _build(table: Any, initial: Array) -> Table:
+    n_own, n_actions = len(table), len(table[0])
+    outcomes = np.array(
+        [
+            (s * n_actions + a, next_state, probability, reward, terminated)
+            for s in range(n_own)
+            for a in range(n_actions)
+            for probability, next_state, reward, terminated in table[s][a]
+            if probability > 0
+        ],
+        dtype=np.float64,
+    )
+    row, to = outcomes[:, 0].astype(np.int64), outcomes[:, 1].astype(np.int64)
+    probability, reward, terminated = outcomes[:, 2], outcomes[:, 3], outcomes[:, 4] > 0
+    entered_alive, entered_dead = np.zeros(n_own, dtype=bool), np.zeros(n_own, dtype=bool)
+    entered_alive[to[~terminated]] = True
+    entered_dead[to[terminated]] = True
+    entered_alive |= initial > 0
+    terminal_state = np.arange(n_own, dtype=np.int64)
+    twins = np.flatnonzero(entered_dead & entered_alive)
+    terminal_state[twins] = n_own + np.arange(len(twins))
+    n_states = n_own + len(twins)
+    to = np.where(terminated, terminal_state[to], to)
+    over = np.concatenate([np.flatnonzero(entered_dead & ~entered_alive), terminal_state[twins]])
+    kept = ~np.isin(row // n_actions, over)
+    stay_rows = (over[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
+    rows = np.concatenate([row[kept], stay_rows])
+    columns = np.concatenate([to[kept], np.repeat(over, n_actions)])
+    weights = np.concatenate([probability[kept], np.ones(len(stay_rows))])
+    paid = np.concatenate([reward[kept], np.zeros(len(stay_rows))])
+    shape = (n_states * n_actions, n_states)
+    transitions = canonical(sparse.csr_array((weights, (rows, columns)), shape=shape), drop_zeros=True)
+    flow = canonical(sparse.csr_array((weights * paid, (rows, columns)), shape=shape), drop_zeros=False)
+    mean, _ = align(flow, transitions)
+    rewards = sparse.csr_array((mean / transitions.data, transitions.indices, transitions.indptr), shape)
+    return Table(transitions, rewards, np.concatenate([initial, np.zeros(len(twins))]), terminal_state)

@@ -1,0 +1,76 @@
+"""Policies are arrays: (S, A) for stationary ones, (T, S, A) where a function has a horizon."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+
+
+class Sized(Protocol):
+    """Anything with numbers of states and actions, and the states that the environment itself knows."""
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """(S0,): its length is the number of the environment's own states."""
+
+
+def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
+    """``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
+
+    A policy of the environment's own number of states is extended to the twins that termination appended, where any
+    action does. Raises ValueError with the place and the value found.
+    """
+    array = _checks.float_array(policy, name)
+    own = len(mdp.terminal_state)
+    shapes = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
+    if horizon is not None:
+        shapes += [(horizon, *shape) for shape in shapes]
+    if array.shape not in shapes:
+        rule = " or ".join(str(shape) for shape in shapes)
+        raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
+    _checks.require_nonnegative(array, name)
+    _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
+    if array.shape[-2] < mdp.n_states:
+        twins = (*array.shape[:-2], mdp.n_states - own, mdp.n_actions)
+        array = np.concatenate([array, np.full(twins, 1.0 / mdp.n_actions)], axis=-2)
+    return array
+
+
+def uniform_policy(mdp: Sized) -> Array:
+    """The (S, A) policy that takes each action with probability 1/A."""
+    return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
+
+
+def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
+    """weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in each state.
+
+    >>> mix([[1.0, 0.0]], [[0.5, 0.5]], 0.6).tolist()
+    [[0.8, 0.2]]
+    """
+    weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
+    arrays = [_checks.float_array(p, n, ndim=(2, 3)) for p, n in ((policy_a, "policy_a"), (policy_b, "policy_b"))]
+    if arrays[0].shape != arrays[1].shape:
+        raise ValueError(f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}")
+    for array, name in zip(arrays, ("policy_a", "policy_b"), strict=True):
+        _checks.require_nonnegative(array, name)
+        _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
+    return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
+
+
+def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
+    """The (S, A) policy that takes ``actions[s]`` in state s."""
+    policy = np.zeros((len(actions), n_actions))
+    policy[np.arange(len(actions)), actions] = 1.0
+    return policy
