@@ -1,0 +1,5 @@
+"""Logged transitions: checked, counted, loaded and saved."""
+
+from oee_tabular.data.transitions import Transitions
+
+__all__ = ["Transitions"]

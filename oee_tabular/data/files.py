@@ -1,0 +1,218 @@
+"""Logs as files: npz, CSV, parquet and Minari data sets, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular import _files
+from oee_tabular.data.transitions import COLUMNS, Transitions
+
+KIND = "transitions"
+_REQUIRED = ("state", "action", "next_state")
+_SUFFIXES = (".npz", ".csv", ".parquet")
+Log = TypeVar("Log", bound=Transitions)
+
+
+def save(log: Transitions, path: str | os.PathLike[str]) -> None:
+    """Write ``log`` in the format that the path's ending names."""
+    name = os.fspath(path)
+    suffix = Path(name).suffix.lower()
+    if name.startswith("minari:") or suffix == "":
+        _save_minari(log, name)
+    elif suffix == ".npz":
+        _files.save_npz(name, KIND, log.columns())
+    elif suffix == ".csv":
+        import pandas as pd
+
+        with _files.whole_file(name) as handle:
+            pd.DataFrame(log.columns()).to_csv(handle, index=False)
+    elif suffix == ".parquet":
+        import pandas as pd
+
+        _require("pyarrow", "parquet")
+        with _files.whole_file(name) as handle:
+            pd.DataFrame(log.columns()).to_parquet(handle, index=False)
+    else:
+        raise ValueError(_unknown(name))
+
+
+def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
+    """Read a log in the format that the path's ending names."""
+    name = os.fspath(path)
+    suffix = Path(name).suffix.lower()
+    if suffix == ".npz":
+        arrays = _files.load_npz(name, KIND)
+        arrays.pop(_files.KIND)
+        return _from_columns(kind, arrays, name)
+    if suffix == ".csv":
+        import pandas as pd
+
+        try:
+            frame = pd.read_csv(name)
+        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+            raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
+        return _from_columns(kind, _frame_columns(frame, name), name)
+    if suffix == ".parquet":
+        import pandas as pd
+
+        _require("pyarrow", "parquet")
+        try:
+            frame = pd.read_parquet(name)
+        except (ValueError, OSError) as error:
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise ValueError(f"{name!r} must be a parquet table; {error}") from None
+        return _from_columns(kind, _frame_columns(frame, name), name)
+    if suffix == "" or Path(name).is_dir() or name.startswith("minari:") or "/" in name and "-v" in name:
+        return _load_minari(kind, name)
+    raise ValueError(_unknown(name))
+
+
+def _unknown(name: str) -> str:
+    return f"path must end in {', '.join(_SUFFIXES)}, or be a Minari folder or id; it is {name!r}"
+
+
+def _require(module: str, extra: str) -> None:
+    import importlib.util
+
+    if importlib.util.find_spec(module) is None:
+        raise ImportError(f"{module} is not installed: pip install 'oee-tabular[{extra}]'")
+
+
+def _frame_columns(frame: Any, name: str) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {}
+    for label in frame.columns:
+        missing = np.flatnonzero(frame[label].isna().to_numpy())
+        if label in COLUMNS and missing.size:
+            raise ValueError(f"column {label!r} of {name!r} must have a value in every row; row {missing[0]} has none")
+        columns[str(label)] = frame[label].to_numpy()
+    return columns
+
+
+def _from_columns(kind: type[Log], columns: dict[str, NDArray[Any]], name: str) -> Log:
+    absent = [column for column in _REQUIRED if column not in columns]
+    if absent:
+        raise ValueError(f"{name!r} must have the columns {', '.join(_REQUIRED)}; it has {', '.join(columns) or 'none'}")
+    extra = [column for column in columns if column not in COLUMNS]
+    if extra:
+        warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(extra)}", stacklevel=4)
+    try:
+        return kind(**{column: columns[column] for column in COLUMNS if column in columns})
+    except ValueError as error:
+        raise ValueError(f"{name!r}: {error}") from None
+
+
+def _save_minari(log: Transitions, name: str) -> None:
+    """Make the data set in a folder of its own, then move it to where it belongs."""
+    _require("minari", "minari")
+    starts = log.episode_starts
+    if starts is None or log.reward is None:
+        lacking = "episodes" if starts is None else "rewards"
+        raise ValueError(f"log must have {lacking} to be a Minari data set; this one has none")
+    by_id = name.startswith("minari:")
+    identifier = name.removeprefix("minari:") if by_id else "oee/log-v0"
+    if by_id:
+        from minari.storage.datasets_root_dir import get_dataset_path
+
+        target = Path(get_dataset_path(identifier))
+    else:
+        target = Path(name)
+    if target.exists():
+        raise ValueError(f"path must be a new folder; {str(target)!r} exists already")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    root = Path(tempfile.mkdtemp(dir=target.parent, prefix=".minari-"))
+    before = os.environ.get("MINARI_DATASETS_PATH")
+    try:
+        os.environ["MINARI_DATASETS_PATH"] = str(root)
+        _write_minari(log, starts, identifier)
+        os.replace(root / identifier, target)
+    finally:
+        if before is None:
+            os.environ.pop("MINARI_DATASETS_PATH", None)
+        else:
+            os.environ["MINARI_DATASETS_PATH"] = before
+        shutil.rmtree(root, ignore_errors=True)
+
+
+def _write_minari(log: Transitions, starts: NDArray[np.int64], identifier: str) -> None:
+    import minari
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+
+    assert log.reward is not None
+    buffers = []
+    for k, (low, high) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+        infos: dict[str, Any] = {}
+        if log.behavior_probability is not None:
+            infos["behavior_probability"] = np.append(log.behavior_probability[low:high], np.nan)[:, None]
+        buffers.append(
+            EpisodeBuffer(
+                id=k,
+                observations=np.append(log.state[low:high], log.next_state[high - 1]),
+                actions=np.array(log.action[low:high]),
+                rewards=list(log.reward[low:high]),
+                terminations=list(log.terminated[low:high]),
+                truncations=list(log.truncated[low:high]),
+                infos=infos,
+            )
+        )
+    facts = log.summary()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Minari asks for an author, a code link and an environment
+        minari.create_dataset_from_buffers(
+            identifier,
+            buffers,
+            observation_space=spaces.Discrete(facts["largest_state"] + 1),
+            action_space=spaces.Discrete(facts["largest_action"] + 1),
+            data_format="arrow",
+        )
+
+
+def _load_minari(kind: type[Log], name: str) -> Log:
+    _require("minari", "minari")
+    import minari
+    from minari.dataset.minari_dataset import MinariDataset
+
+    folder = Path(name)
+    identifier = name.removeprefix("minari:")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if folder.is_dir():
+            data = MinariDataset(folder / "data" if (folder / "data").is_dir() else folder)
+        else:
+            try:
+                data = minari.load_dataset(identifier)
+            except (FileNotFoundError, ValueError) as error:
+                raise FileNotFoundError(f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: {error}") from None
+        episodes = list(data.iterate_episodes())
+    parts: dict[str, list[NDArray[Any]]] = {column: [] for column in COLUMNS if column != "timestep"}
+    for number, episode in enumerate(episodes):
+        observations, actions = np.asarray(episode.observations), np.asarray(episode.actions)
+        if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
+            raise ValueError(
+                f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
+                f"{observations.dtype} and {actions.shape} of {actions.dtype}"
+            )
+        steps = len(actions)
+        parts["state"].append(observations[:-1])
+        parts["next_state"].append(observations[1:])
+        parts["action"].append(actions)
+        parts["reward"].append(np.asarray(episode.rewards, dtype=np.float64))
+        parts["terminated"].append(np.asarray(episode.terminations, dtype=np.bool_))
+        parts["truncated"].append(np.asarray(episode.truncations, dtype=np.bool_))
+        parts["episode"].append(np.full(steps, number))
+        recorded = (episode.infos or {}).get("behavior_probability")
+        if recorded is not None:
+            parts["behavior_probability"].append(np.asarray(recorded, dtype=np.float64).reshape(-1)[:steps])
+    if parts["behavior_probability"] and len(parts["behavior_probability"]) < len(episodes):
+        raise ValueError(f"{name!r} must record behavior_probability in every episode or in none")
+    columns = {column: np.concatenate(arrays) for column, arrays in parts.items() if arrays}
+    return _from_columns(kind, columns, name)

@@ -1,0 +1,126 @@
+"""Sampling with counter-based random numbers, so that every trajectory has its own stream.
+
+Philox4x32-10 [1] keyed by the seed, its counter made of (trajectory, step): the same bits for any number of threads and
+any order of work. Each call gives 128 bits, used as two uniform numbers of 53 bits.
+
+Reference: [1] Salmon, Moraes, Dror and Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+_LOW = np.uint64(0xFFFFFFFF)
+_SHIFT = np.uint64(32)
+_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+_UNIT = 1.0 / 9007199254740992.0  # 2**-53
+_DROP = np.uint64(11)
+
+
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
+    """Ten rounds of Philox4x32 on 32-bit words held in uint64."""
+    for _ in range(10):
+        p0 = _M0 * c0
+        p1 = _M1 * c2
+        c0, c1, c2, c3 = (p1 >> _SHIFT) ^ c1 ^ k0, p1 & _LOW, (p0 >> _SHIFT) ^ c3 ^ k1, p0 & _LOW
+        k0 = (k0 + _W0) & _LOW
+        k1 = (k1 + _W1) & _LOW
+    return c0, c1, c2, c3
+
+
+philox = njit(cache=True)(philox)
+
+
+def uniforms(key: Any, trajectory: Any, step: Any) -> Any:
+    """Two numbers in [0, 1) that belong to (key, trajectory, step)."""
+    t, s = np.uint64(trajectory), np.uint64(step)
+    x0, x1, x2, x3 = philox(s & _LOW, s >> _SHIFT, t & _LOW, t >> _SHIFT, key & _LOW, key >> _SHIFT)
+    first = np.float64(((x1 << _SHIFT) | x0) >> _DROP) * _UNIT
+    second = np.float64(((x3 << _SHIFT) | x2) >> _DROP) * _UNIT
+    return first, second
+
+
+uniforms = njit(cache=True)(uniforms)
+
+
+def pick(cumulative: Any, low: Any, high: Any, u: Any) -> Any:
+    """The first position in [low, high) whose running sum exceeds u times the total (so zero entries are never picked)."""
+    target = u * cumulative[high - 1]
+    while low < high - 1:
+        middle = (low + high - 1) // 2
+        if cumulative[middle] > target:
+            high = middle + 1
+        else:
+            low = middle + 1
+    return low
+
+
+pick = njit(cache=True)(pick)
+
+
+def episode_lengths(
+    key: Any, n: Any, horizon: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any, over: Any
+) -> Any:
+    """The number of steps of each of n episodes: up to the horizon, or to the first state that is over."""
+    n_states, n_actions = policy.shape
+    flat = policy.reshape(-1)
+    lengths = np.empty(n, dtype=np.int64)
+    for i in prange(n):
+        u, _ = uniforms(key, i, 0)
+        state = pick(initial, 0, n_states, u)
+        t = 0
+        while t < horizon:
+            u, v = uniforms(key, i, t + 1)
+            row = pick(flat, state * n_actions, (state + 1) * n_actions, u)
+            state = indices[pick(cumulative, indptr[row], indptr[row + 1], v)]
+            t += 1
+            if over[state]:
+                break
+        lengths[i] = t
+    return lengths
+
+
+episode_lengths = njit(cache=True, parallel=True)(episode_lengths)
+
+
+def episodes(
+    key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any
+) -> Any:
+    """The same episodes, written out: row and entry of each move, in the ragged places that ``starts`` gives."""
+    n_states, n_actions = policy.shape
+    flat = policy.reshape(-1)
+    rows = np.empty(starts[-1], dtype=np.int64)
+    entries = np.empty(starts[-1], dtype=np.int64)
+    for i in prange(len(starts) - 1):
+        u, _ = uniforms(key, i, 0)
+        state = pick(initial, 0, n_states, u)
+        for t in range(starts[i + 1] - starts[i]):
+            u, v = uniforms(key, i, t + 1)
+            row = pick(flat, state * n_actions, (state + 1) * n_actions, u)
+            entry = pick(cumulative, indptr[row], indptr[row + 1], v)
+            rows[starts[i] + t] = row
+            entries[starts[i] + t] = entry
+            state = indices[entry]
+    return rows, entries
+
+
+episodes = njit(cache=True, parallel=True)(episodes)
+
+
+def transitions(key: Any, n: Any, distribution: Any, indptr: Any, cumulative: Any) -> Any:
+    """n independent moves: a row from ``distribution`` (running sums), then a stored entry of the row."""
+    rows = np.empty(n, dtype=np.int64)
+    entries = np.empty(n, dtype=np.int64)
+    for i in prange(n):
+        u, v = uniforms(key, i, 0)
+        row = pick(distribution, 0, len(distribution), u)
+        rows[i] = row
+        entries[i] = pick(cumulative, indptr[row], indptr[row + 1], v)
+    return rows, entries
+
+
+transitions = njit(cache=True, parallel=True)(transitions)

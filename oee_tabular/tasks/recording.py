@@ -1,0 +1,87 @@
+"""Recording a log by stepping a Gymnasium environment through its own ``step``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular.data import Transitions
+
+
+def record_episodes(
+    env: Any, policy: Any, *, n_transitions: int | None = None, n_episodes: int | None = None, seed: Any = None
+) -> Transitions:
+    """Step ``env`` under ``policy`` and write down what it does.
+
+    Nothing of our own sampler is used: the log is evidence about the environment itself.
+
+    Parameters
+    ----------
+    env : Gymnasium environment with discrete observations and actions
+    policy : (S, A)
+        Rows sum to 1; S at least the number of observations (twins of a FiniteMDP may follow).
+    n_transitions, n_episodes : positive int
+        Exactly one of them. With n_transitions the last episode is truncated where the log ends.
+    seed : anything that ``numpy.random.default_rng`` takes
+        For the actions and for the first ``env.reset``.
+
+    Returns
+    -------
+    Transitions
+        With rewards, termination, truncation, episodes and the probabilities of the actions taken.
+    """
+    if (n_transitions is None) == (n_episodes is None):
+        raise ValueError("one of n_transitions and n_episodes must be given")
+    limit = None if n_transitions is None else _checks.positive_integer(n_transitions, "n_transitions")
+    episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
+    n_states, n_actions = _sizes(env)
+    pi = _checks.float_array(policy, "policy", ndim=2)
+    if pi.shape[0] < n_states or pi.shape[1] != n_actions:
+        raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
+    _checks.require_nonnegative(pi, "policy")
+    _checks.require_sums_to_one(pi.sum(axis=1), "policy")
+    generator = np.random.default_rng(seed)
+    cumulative = np.cumsum(pi, axis=1)
+    cumulative /= cumulative[:, -1:]
+    rows: list[tuple[int, int, int, float, bool, bool, int]] = []
+    episode, over = 0, True
+    state = 0
+    first_seed: int | None = int(generator.integers(2**31))
+    while True:
+        if over:
+            if episodes is not None and episode == episodes:
+                break
+            state = int(env.reset(seed=first_seed)[0])
+            first_seed = None
+        action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
+        following, reward, terminated, truncated, _ = env.step(action)
+        rows.append((state, action, int(following), float(reward), bool(terminated), bool(truncated), episode))
+        over = bool(terminated or truncated)
+        state = int(following)
+        episode += over
+        if limit is not None and len(rows) == limit:
+            break
+    states, actions, following_states, rewards, terminations, truncations, numbers = map(np.array, zip(*rows, strict=True))
+    truncations[-1] |= not terminations[-1]
+    return Transitions(
+        states,
+        actions,
+        following_states,
+        rewards,
+        terminated=terminations,
+        truncated=truncations & ~terminations,
+        episode=numbers,
+        behavior_probability=pi[states, actions],
+    )
+
+
+def _sizes(env: Any) -> tuple[int, int]:
+    sizes = []
+    for name in ("observation_space", "action_space"):
+        space = getattr(env, name, None)
+        if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
+            raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
+        sizes.append(int(space.n))
+    return sizes[0], sizes[1]

@@ -1,0 +1,103 @@
+"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from oee_tabular._checks import Array
+from oee_tabular.exact import optimal_policy
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
+from oee_tabular.tasks.toy_text import make_environment
+
+
+@dataclass(frozen=True)
+class NamedTask:
+    """A simulator that was named: its MDP, its expert (a task's own, else the optimal policy), its environment."""
+
+    name: str
+    mdp: FiniteMDP
+    expert: Callable[[], Array]
+    environment: Callable[[], Any] | None = None
+    grid: int | None = None
+
+
+def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
+    """The task that ``spec`` names.
+
+    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"), a Gymnasium id
+    with a toy-text table, or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
+    ``discount`` replaces the task's own.
+    """
+    if Path(spec).suffix.lower() == ".npz":
+        mdp = FiniteMDP.load(spec)
+        mdp = mdp if discount is None else mdp.with_discount(discount)
+        return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
+    name, _, rest = spec.partition(":")
+    positional, keywords = _arguments(rest)
+    if discount is not None:
+        keywords["discount"] = discount
+    if name == "gridworld":
+        try:
+            bound = inspect.signature(gridworld).bind(*positional, **keywords)
+        except TypeError as error:
+            raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
+        size = bound.arguments["size"]
+        return NamedTask(
+            spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size
+        )
+    if positional:
+        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
+    gamma = keywords.pop("discount", 0.99)
+    env = make_environment(name, **keywords)
+    mdp = FiniteMDP.from_gymnasium(env, discount=gamma)
+    env.close()
+    return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))
+
+
+def _arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
+    positional: list[Any] = []
+    keywords: dict[str, Any] = {}
+    for part in _split(text):
+        key, equals, value = part.partition("=")
+        if equals and key.strip().isidentifier():
+            keywords[key.strip()] = _literal(value.strip())
+        else:
+            positional.append(_literal(part.strip()))
+    return positional, keywords
+
+
+def _split(text: str) -> list[str]:
+    """At commas that stand outside brackets and quotes."""
+    parts, depth, quote, current = [], 0, "", ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        else:
+            depth += (letter in "([{") - (letter in ")]}")
+        if letter == "," and depth == 0 and not quote:
+            parts.append(current)
+            current = ""
+        else:
+            current += letter
+    return [part for part in [*parts, current] if part.strip()]
+
+
+def _literal(text: str) -> Any:
+    lowered = {"true": True, "false": False, "none": None}
+    if text.lower() in lowered:
+        return lowered[text.lower()]
+    if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
+        top, bottom = text.split("/", 1)
+        return int(top) / int(bottom)
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text

@@ -1,0 +1,38 @@
+"""Gymnasium's toy-text environments, by id and keyword arguments."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from oee_tabular.mdp import FiniteMDP
+
+
+def make_environment(identifier: str, **kwargs: Any) -> Any:
+    """``gymnasium.make`` with errors that name what was asked for."""
+    import gymnasium
+    from gymnasium.envs.registration import registry
+
+    if identifier not in registry:
+        near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
+        hint = f"; near: {', '.join(near)}" if near else ""
+        raise ValueError(f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint}")
+    try:
+        return gymnasium.make(identifier, **kwargs)
+    except (TypeError, KeyError) as error:
+        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
+    except gymnasium.error.Error as error:
+        raise ValueError(f"environment {identifier!r} cannot be made: {error}") from None
+
+
+def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
+    """The FiniteMDP of a Gymnasium toy-text environment.
+
+    >>> toy_text("FrozenLake-v1", map_name="8x8", success_rate=0.6)
+    FiniteMDP(64 states, 4 actions, 674 transitions, rewards r(s, a, s'), discount 0.99)
+    """
+    env = make_environment(identifier, **kwargs)
+    try:
+        return FiniteMDP.from_gymnasium(env, discount=discount)
+    finally:
+        env.close()
