@@ -1,0 +1,222 @@
+"""The separable KL program with one equality per row, solved through its one-dimensional dual.
+
+In a row: minimise sum_x [q g - p log g + A/2 (g - c)^2] over lower <= g <= upper, subject to sum_x q g = sum_x q. With the
+multiplier eta of the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels) each coordinate has the
+closed form of ``coordinate``, and phi(m) = sum_x q g_x(m) is nonincreasing: a bracketed root.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+
+def coordinate(b: Any, a: Any, p: Any, lower: Any, upper: Any) -> Any:
+    """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every point is one."""
+    if p > 0.0:
+        if a > 0.0:
+            root = np.sqrt(b * b + 4.0 * a * p)
+            g = 2.0 * p / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
+        elif b > 0.0:
+            g = p / b
+        else:
+            g = np.inf
+    elif b >= 0.0:
+        g = 0.0
+    elif a > 0.0:
+        g = -b / a
+    else:
+        g = np.inf
+    return min(max(g, lower), upper)
+
+
+coordinate = njit(cache=True)(coordinate)
+
+
+def fill_row(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
+    """g_x(m) for the entries low..high; returns sum q g and minus its derivative in m."""
+    total, slope = 0.0, 0.0
+    for x in range(low, high):
+        value = coordinate(q[x] * m - a[x] * c, a[x], p[x], lower, upper)
+        g[x] = value
+        if q[x] > 0.0:
+            total += q[x] * value
+            if lower < value < upper:
+                curvature = p[x] / (value * value) + a[x]
+                if curvature > 0.0:
+                    slope += q[x] * q[x] / curvature
+    return total, slope
+
+
+fill_row = njit(cache=True)(fill_row)
+
+
+def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
+    """Objective at the feasible g less the dual function at m, as a sum of terms that are none of them negative.
+
+    sum_x h'(y)(g - y) + p (u - log(1 + u)) + a/2 (g - y)^2 with y = g_x(m), u = (g - y)/y and h' = 0 inside the box, less
+    eta (sum q g - sum q).
+    """
+    gap, excess = 0.0, 0.0
+    for x in range(low, high):
+        b = q[x] * m - a[x] * c
+        y = coordinate(b, a[x], p[x], lower, upper)
+        step = g[x] - y
+        excess += q[x] * (g[x] - 1.0)
+        if step == 0.0:
+            continue
+        if y == np.inf:
+            return np.inf
+        if y <= lower or y >= upper:
+            gap += (b + a[x] * y - (p[x] / y if p[x] > 0.0 else 0.0)) * step
+        if p[x] > 0.0:
+            u = step / y
+            gap += p[x] * (u - np.log1p(u))
+        gap += 0.5 * a[x] * step * step
+    return gap - (m - 1.0) * excess
+
+
+row_gap = njit(cache=True)(row_gap)
+
+
+def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any) -> Any:
+    """Whether g = 1 solves the row by inspection: p = q and no pull away from 1."""
+    if lower > 1.0 or upper < 1.0:
+        return False
+    for x in range(low, high):
+        if p[x] != q[x] or (a[x] > 0.0 and c != 1.0):
+            return False
+    return True
+
+
+_is_one = njit(cache=True)(_is_one)
+
+
+def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any, other: Any) -> Any:
+    """Solve one row into ``g`` (``other`` is scratch); returns m and the duality gap.
+
+    Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); it shrinks by Newton steps
+    from whichever end, or by halving where Newton leaves it, until its ends are neighbours. g is the convex combination
+    of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a).
+    """
+    target, mass, pull = 0.0, 0.0, 0.0
+    for x in range(low, high):
+        target += q[x]
+        if q[x] > 0.0:
+            mass += p[x]
+            pull = max(pull, a[x])
+    known = True
+    m = 1.0
+    if _is_one(p, q, a, c, lower, upper, low, high):
+        pass
+    elif lower == 1.0 or upper == 1.0:  # the box leaves g = 1 alone; m at which it is every coordinate's minimiser
+        side = 1.0 if lower == 1.0 else -1.0
+        m = -np.inf
+        for x in range(low, high):
+            if q[x] > 0.0:
+                m = max(m, side * (p[x] - a[x] * (1.0 - c)) / q[x])
+        m = side * m
+    elif mass == 0.0 and pull == 0.0:  # nothing observed where q is: every feasible point is optimal
+        m = 0.0
+    else:
+        known = False
+    if known:
+        for x in range(low, high):
+            g[x] = 1.0 if q[x] > 0.0 else coordinate(-a[x] * c, a[x], p[x], lower, upper)
+        return m, row_gap(m, p, q, a, c, lower, upper, low, high, g)
+    total, slope = fill_row(1.0, p, q, a, c, lower, upper, low, high, g)
+    if total == target:
+        return 1.0, row_gap(1.0, p, q, a, c, lower, upper, low, high, g)
+    left, right = 1.0, 1.0
+    width = 1.0
+    if total > target:
+        while total > target and width < 1e300:
+            left = right
+            right = right + width
+            width *= 2.0
+            total, slope = fill_row(right, p, q, a, c, lower, upper, low, high, g)
+    elif pull > 0.0 or (mass > 0.0 and upper < np.inf):
+        # g grows without bound as m falls (pull > 0), or reaches the upper bound everywhere once m < 0
+        while total < target and width < 1e300:
+            right = left
+            left = left - width
+            width *= 2.0
+            total, slope = fill_row(left, p, q, a, c, lower, upper, low, high, g)
+    else:  # no box, no ridge: sum q g >= mass / m
+        left = mass
+        while True:
+            total, slope = fill_row(left, p, q, a, c, lower, upper, low, high, g)
+            if total >= target:
+                break
+            left *= 1.0 - 1e-15
+    m = left if total >= target else right
+    for _ in range(2000):
+        trial = m + (total - target) / slope if slope > 0.0 else 0.5 * (left + right)
+        if not left < trial < right:
+            trial = 0.5 * (left + right)
+        if not left < trial < right:
+            break
+        m = trial
+        total, slope = fill_row(m, p, q, a, c, lower, upper, low, high, g)
+        if total >= target:
+            left = m
+        if total <= target:
+            right = m
+        if left == right:
+            break
+        # a Newton step converges from one side; probe just beyond it so that the bracket closes from both
+        probe = m + (4e-16 * abs(m) + 1e-300) * (1.0 if total >= target else -1.0)
+        if left < probe < right:
+            total_probe, _ = fill_row(probe, p, q, a, c, lower, upper, low, high, other)
+            if total_probe >= target:
+                left = probe
+            if total_probe <= target:
+                right = probe
+    above, _ = fill_row(left, p, q, a, c, lower, upper, low, high, g)
+    below, _ = fill_row(right, p, q, a, c, lower, upper, low, high, other)
+    share = (target - below) / (above - below) if above > below else 1.0
+    share = min(max(share, 0.0), 1.0)
+    if above < np.inf:
+        for x in range(low, high):
+            if g[x] != other[x]:
+                g[x] = other[x] + share * (g[x] - other[x])
+    else:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
+        open_mass = 0.0
+        for x in range(low, high):
+            if g[x] == np.inf:
+                open_mass += q[x]
+        for x in range(low, high):
+            g[x] = other[x] + (target - below) / open_mass if g[x] == np.inf else other[x]
+    gap_left = row_gap(left, p, q, a, c, lower, upper, low, high, g)
+    gap_right = row_gap(right, p, q, a, c, lower, upper, low, high, g)
+    return (left, gap_left) if gap_left < gap_right else (right, gap_right)
+
+
+solve_row = njit(cache=True)(solve_row)
+
+
+def solve_rows(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any) -> Any:
+    """Every row by itself: the ratios, m of each row, the gap of each row."""
+    n_rows = len(indptr) - 1
+    g, other = np.empty(len(p)), np.empty(len(p))
+    multiplier, gap = np.empty(n_rows), np.empty(n_rows)
+    for k in range(n_rows):
+        low, high = indptr[k], indptr[k + 1]
+        multiplier[k], gap[k] = solve_row(p, q, a, c, lower, upper, low, high, g, other)
+    return g, multiplier, gap
+
+
+solve_rows = njit(cache=True)(solve_rows)
+
+
+def solve_free(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any) -> Any:
+    """Without the equality: m = 1."""
+    g = np.empty(len(p))
+    for x in range(len(p)):
+        g[x] = coordinate(q[x] - a[x] * c, a[x], p[x], lower, upper)
+    return g
+
+
+solve_free = njit(cache=True)(solve_free)

@@ -1,0 +1,45 @@
+"""No ratio without support: moves of the target that the simulator gives probability 0."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, find, row_of_entry
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.finite_mdp import name_move
+
+
+def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log") -> None:
+    """ValueError where ``moves`` (counts or probabilities, (S*A, S)) leave the simulator's support.
+
+    It names the first few moves and their number, and the ways out.
+    """
+    positive = moves.data > 0
+    _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
+    bad = np.flatnonzero(positive & ~stored)
+    if bad.size == 0:
+        return
+    heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
+    named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
+    share = moves.data[bad].sum()
+    raise ValueError(
+        f"{what} must stay where the simulator has probability: it gives probability 0 to {bad.size} different moves "
+        f"({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. Ways out: "
+        "simulator.with_action_noise(epsilon), a mixture of simulator parameters, or states that tell such moves apart"
+    )
+
+
+def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
+    """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
+    if counts.shape != simulator.transitions.shape:
+        raise ValueError(f"counts must have shape {simulator.transitions.shape}; they have shape {counts.shape}")
+    matrix = sparse.csr_array(counts, dtype=np.float64)
+    bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
+    if bad.size:
+        where = name_move(matrix, int(bad[0]), simulator.n_actions)
+        raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]}")
+    refuse_unsupported(matrix, simulator)
+    matrix.sum_duplicates()
+    return align(matrix, simulator.transitions)[0]
