@@ -1,0 +1,60 @@
+"""What an estimator is and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular.estimators.problem import Problem
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value of a policy in the target, a discounted sum of rewards (not multiplied by 1 - discount).
+
+    Attributes
+    ----------
+    value : float (nan where status says why there is none)
+    standard_error : float or None
+        What it covers is said by ``diagnostics["standard_error_of"]``: the log, the rollouts, or both.
+    interval : (lower, upper) or None; filled by ``oee.evaluate``
+    diagnostics : plain numbers and words. Where they apply: ``effective_sample_size``, ``largest_weight``, ``coverage``
+        (share of the policy's discounted time in (s, a) that the log has seen), ``fallback_share`` (the rest),
+        ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs)
+    status : "ok", or what is wrong and what would help
+    """
+
+    value: float
+    standard_error: float | None = None
+    interval: tuple[float, float] | None = None
+    diagnostics: dict[str, Any] = field(default_factory=dict)
+    status: str = "ok"
+
+    def __repr__(self) -> str:
+        text = f"Estimate({self.value:.6g}"
+        if self.standard_error is not None:
+            text += f" ± {self.standard_error:.2g} (standard error)"
+        return text + ("" if self.status == "ok" else f", {self.status}") + ")"
+
+
+class Estimator(Protocol):
+    """A callable that estimates; ours are frozen dataclasses of their options."""
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Estimate J of ``policy`` in the target of ``problem``."""
+        ...
+
+
+def effective_sample_size(weights: Array) -> float:
+    """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much; 0 where all weights are 0."""
+    square = float(weights @ weights)
+    return float(weights.sum()) ** 2 / square if square > 0 else 0.0
+
+
+def mean_and_error(values: Array) -> tuple[float, float | None]:
+    """Mean and standard error of independent values; no error from a single one."""
+    n = len(values)
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if n > 1 else None

@@ -1,0 +1,138 @@
+"""Policy importance sampling on the log's episodes: the field's estimators, which never look at the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.data import Transitions
+from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.rollouts import Weighted, combine, segment_products
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+
+@dataclass(frozen=True)
+class ImportanceSampling:
+    """Episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
+
+    Parameters
+    ----------
+    kind : "trajectory" | "per_decision"
+        The whole product on every reward, or at step t the product up to t.
+    self_normalized : bool
+        Divide by the sum of the weights (weighted importance sampling), per step for per_decision.
+    ragged : "pad" | "zero"
+        In self-normalised per-decision sampling, what an ended episode does to the normaliser of later steps: it keeps
+        its last weight, or has weight 0 (which estimates E[r_t | still going], a different quantity).
+    behavior : "recorded" | "estimated"
+        The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the log's action frequencies.
+
+    Notes
+    -----
+    Limit, plain: J(P_target) where the behaviour policy takes every action that the policy takes, from the starts of
+    the log's episodes. Episodes that were truncated before the horizon lack their later rewards: the bias that this can
+    make is bounded in ``truncation_bias_bound``.
+    """
+
+    kind: Literal["trajectory", "per_decision"] = "per_decision"
+    self_normalized: bool = False
+    ragged: Literal["pad", "zero"] = "pad"
+    behavior: Literal["recorded", "estimated"] = "recorded"
+
+    def __post_init__(self) -> None:
+        _checks.one_of(self.kind, "kind", ("trajectory", "per_decision"))
+        _checks.one_of(self.ragged, "ragged", ("pad", "zero"))
+        _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Exact given the log; ``seed`` is not used."""
+        pi = check_policy(policy, problem.simulator)
+        log = problem.log if problem.episodes is None else problem.episodes
+        starts, timestep = log.episode_starts, log.timestep
+        if starts is None or timestep is None:
+            raise ValueError(
+                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
+            )
+        ratio = pi[log.state, log.action] / self._behavior(problem, log)
+        keep = np.ones(len(log), dtype=np.bool_) if problem.horizon is None else timestep < problem.horizon
+        lengths = np.diff(starts) if problem.horizon is None else np.minimum(np.diff(starts), problem.horizon)
+        cut = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        weight = segment_products(ratio[keep], cut)
+        last = weight[cut[1:] - 1]
+        if self.kind == "trajectory":
+            weight = np.repeat(last, lengths)
+        gamma = problem.simulator.discount
+        reward = gamma ** timestep[keep].astype(np.float64) * problem.rewards_of(log)[keep]
+        value, error = combine(
+            Weighted(reward, weight, cut, timestep[keep]),
+            self_normalized=self.self_normalized,
+            keep_last=self.ragged == "pad",
+            per_decision=self.kind == "per_decision",
+        )
+        diagnostics = {
+            "standard_error_of": "log",
+            "n_episodes": len(last),
+            "effective_sample_size": effective_sample_size(last),
+            "largest_weight": float(weight.max()),
+            "mean_weight": float(last.mean()),
+            **_truncation(log, problem, lengths, cut, weight),
+            **_starts(log, problem.simulator),
+        }
+        status = "ok" if np.isfinite(value) else "every weight is 0: the log has no episode that the policy could have made"
+        return Estimate(value, error, diagnostics=diagnostics, status=status)
+
+    def _behavior(self, problem: Problem, log: Transitions) -> Array:
+        """Probability of each recorded action under the policy that recorded it."""
+        if self.behavior == "estimated":
+            pairs = np.zeros((problem.simulator.n_states, problem.simulator.n_actions))
+            np.add.at(pairs, (log.state, log.action), 1.0)
+            return np.asarray(pairs[log.state, log.action] / pairs.sum(axis=1)[log.state])
+        if log.behavior_probability is not None:
+            probability, name = log.behavior_probability, "log.behavior_probability"
+        elif problem.behavior_policy is not None:
+            probability, name = problem.behavior_policy[log.state, log.action], "behavior_policy"
+        else:
+            raise ValueError(
+                "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...), "
+                "or use behavior='estimated'"
+            )
+        zero = np.flatnonzero(probability == 0)
+        if zero.size:
+            row = int(zero[0])
+            raise ValueError(
+                f"{name} must be positive for the actions taken; it is 0 in row {row} (s={log.state[row]}, "
+                f"a={log.action[row]}; {zero.size} such rows in all)"
+            )
+        return np.asarray(probability)
+
+
+def _truncation(log: Transitions, problem: Problem, lengths: Any, cut: Any, weight: Array) -> dict[str, float]:
+    """Share of episodes cut before the horizon, and a bound on what their missing rewards can change."""
+    starts = log.episode_starts
+    assert starts is not None
+    ended = log.terminated[starts[1:] - 1] & (lengths == np.diff(starts))
+    missing = ~ended if problem.horizon is None else ~ended & (lengths < problem.horizon)
+    if not missing.any():
+        return {"truncated_share": 0.0, "truncation_bias_bound": 0.0}
+    gamma = problem.simulator.discount
+    largest = max(float(np.abs(problem.rewards_of(log)).max()), float(np.abs(problem.simulator.rewards).max()))
+    if gamma == 1.0:
+        tail = np.inf if problem.horizon is None else np.asarray(problem.horizon - lengths, dtype=np.float64)
+    else:
+        end = 0.0 if problem.horizon is None else gamma**problem.horizon
+        tail = (gamma ** lengths.astype(np.float64) - end) / (1.0 - gamma)
+    bound = np.where(missing, weight[cut[1:] - 1] * largest * tail, 0.0)
+    return {"truncated_share": float(missing.mean()), "truncation_bias_bound": float(bound.mean())}
+
+
+def _starts(log: Transitions, simulator: FiniteMDP) -> dict[str, float]:
+    """Share of episodes that start where the simulator never does."""
+    starts = log.episode_starts
+    assert starts is not None
+    outside = simulator.initial[log.state[starts[:-1]]] == 0
+    return {"foreign_starts_share": float(outside.mean())}

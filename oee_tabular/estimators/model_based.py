@@ -1,0 +1,88 @@
+"""The model-based baseline: the maximum-likelihood model of the log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.off_environment import coverage
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.exact import evaluate_policy, transition_gradient
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+
+@dataclass(frozen=True)
+class ModelBased:
+    """J in the model whose rows are the log's frequencies n_sas' / n_sa.
+
+    Parameters
+    ----------
+    fallback : "stay" | "simulator"
+        What a row never visited does: stay where it is (paying the simulator's expected r(s, a)), or as the simulator.
+
+    Notes
+    -----
+    Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the fallback elsewhere; it attains the
+    efficiency bound. With known simulator and full coverage it equals off-environment evaluation without shrinkage.
+    """
+
+    fallback: Literal["stay", "simulator"] = "stay"
+
+    def __post_init__(self) -> None:
+        _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Exact given the log; ``seed`` is not used."""
+        pi = check_policy(policy, problem.simulator)
+        counts = problem.counts
+        totals = row_sums(counts)
+        model = self._model(problem, counts, totals)
+        found = evaluate_policy(model, pi, horizon=problem.horizon)
+        shape = (model.n_states, model.n_actions)
+        visited = (totals > 0).reshape(shape)
+        diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
+        diagnostics |= coverage(model, pi, problem.horizon, visited, totals.reshape(shape))
+        error = None
+        if model.discount < 1.0 or problem.horizon is not None:
+            error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))
+            diagnostics["standard_error_of"] = "log"
+        return Estimate(found.value, error, diagnostics=diagnostics)
+
+    def _model(self, problem: Problem, counts: sparse.csr_array, totals: Array) -> FiniteMDP:
+        base = problem.model
+        unseen = np.flatnonzero(totals == 0)
+        rows = row_of_entry(counts)
+        frequency = sparse.csr_array((counts.data / totals[rows], counts.indices, counts.indptr), shape=counts.shape)
+        if self.fallback == "simulator":
+            keep = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen)), shape=(len(totals), len(totals)))
+            rest = keep @ base.transitions
+        else:
+            stay = unseen // base.n_actions
+            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, stay)), shape=counts.shape)
+        matrix = sparse.csr_array(frequency + rest)
+        rewards: Any = base.rewards
+        if base.transition_rewards is not None:
+            matrix.sort_indices()
+            data, defined = align(base.transition_rewards, matrix)
+            data = np.where(defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)])
+            if self.fallback == "stay":  # a move that was made up pays what the row pays on average
+                made_up = np.isin(row_of_entry(matrix), unseen)
+                data = np.where(made_up, base.rewards.reshape(-1)[row_of_entry(matrix)], data)
+            rewards = sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+        return FiniteMDP(matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state)
+
+
+def _standard_error(model: FiniteMDP, totals: Array, gradient: Array) -> float:
+    """Delta method, sum over visited rows of Var(gradient) / n."""
+    matrix = model.transitions
+    rows = row_of_entry(matrix)
+    mean = row_sums(matrix, matrix.data * gradient)
+    variance = row_sums(matrix, matrix.data * (gradient - mean[rows]) ** 2)
+    return float(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])))

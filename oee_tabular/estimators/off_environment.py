@@ -1,0 +1,144 @@
+"""Off-environment evaluation: the value of the simulator reweighted by an estimated zeta."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
+from oee_tabular.exact import ReweightedModel, evaluate_policy, occupancy, reweight, transition_gradient
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.ratio.transition import METHODS
+
+RatioOption = str | TransitionRatio | Callable[..., TransitionRatio]
+
+
+@dataclass(frozen=True)
+class OffEnvironment:
+    """The paper's estimator: zeta from the log, the policy's value in zeta * P.
+
+    Parameters
+    ----------
+    ratio : "conditional" | "ratio_of_ratios", a TransitionRatio, or a function (log, simulator) -> TransitionRatio
+        (``functools.partial(oee.transition_ratio, strength=3.0)``)
+    evaluation : "exact" (dynamic programming in zeta * P: no product of ratios, no variance) or "monte_carlo" (the
+        paper's product of ratios on rollouts of the simulator)
+    weighting : "per_decision" | "trajectory", self_normalized : bool, n_rollouts : int
+        For "monte_carlo".
+
+    Notes
+    -----
+    Limit with "conditional", as n grows: J(P_target) where the log's distribution covers the policy's; the simulator
+    stands in for rows never visited. The standard error is the delta method's for the log's noise ("exact"), or that of
+    the rollouts given zeta ("monte_carlo"), which heavy tails make too small.
+    """
+
+    ratio: RatioOption = "conditional"
+    evaluation: Literal["exact", "monte_carlo"] = "exact"
+    weighting: Literal["per_decision", "trajectory"] = "per_decision"
+    self_normalized: bool = False
+    n_rollouts: int = 100
+
+    def __post_init__(self) -> None:
+        if isinstance(self.ratio, str):
+            _checks.one_of(self.ratio, "ratio", METHODS)
+        elif not isinstance(self.ratio, TransitionRatio) and not callable(self.ratio):
+            raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {self.ratio!r}")
+        _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
+        check_rollout_options(self.weighting, self.n_rollouts)
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
+        pi = check_policy(policy, problem.simulator)
+        generator = np.random.default_rng(seed)
+        zeta = self._fit(problem, generator)
+        if self.evaluation == "monte_carlo":
+            estimate = product_estimate(
+                problem.model,
+                zeta,
+                pi,
+                horizon=problem.horizon,
+                weighting=self.weighting,
+                self_normalized=self.self_normalized,
+                n_rollouts=self.n_rollouts,
+                seed=generator,
+            )
+            return Estimate(estimate.value, estimate.standard_error, diagnostics=estimate.diagnostics | {"gap": zeta.gap})
+        return _exact(problem, zeta, pi)
+
+    def _fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
+        if isinstance(self.ratio, TransitionRatio):
+            return self.ratio
+        if callable(self.ratio):
+            return self.ratio(problem.log, problem.simulator)
+        return transition_ratio(
+            problem.log,
+            problem.simulator,
+            method=self.ratio,
+            simulator_data=problem.simulator_data,
+            behavior_policy=problem.behavior_policy,
+            seed=generator,
+        )
+
+
+def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
+    model = reweight(problem.model, zeta)
+    diagnostics: dict[str, Any] = {
+        "gap": zeta.gap,
+        "row_sum_error": zeta.row_sum_error,
+        "largest_weight": float(zeta.values.data.max()),
+    }
+    try:
+        found = evaluate_policy(model, policy, horizon=problem.horizon)
+    except DivergentKernelError as error:
+        return Estimate(float("nan"), diagnostics=diagnostics, status=str(error))
+    diagnostics |= {"error_bound": found.error_bound, "method": found.method}
+    if zeta.row_sum_error > _checks.SUM_TOLERANCE:
+        return Estimate(found.value, diagnostics=diagnostics)
+    diagnostics |= coverage(model, policy, problem.horizon, zeta.visited, zeta.counts)
+    error = None
+    if model.discount < 1.0 or problem.horizon is not None:
+        error = zeta.log_standard_error(transition_gradient(model, policy, horizon=problem.horizon))
+    diagnostics["standard_error_of"] = "log" if error is not None else None
+    return Estimate(found.value, error, diagnostics=diagnostics)
+
+
+def coverage(
+    model: FiniteMDP | ReweightedModel, policy: Array, horizon: int | None, visited: BoolArray, counts: Array
+) -> dict[str, Any]:
+    """How much of the policy's discounted time the log has seen, and how many of its transitions bear on the value.
+
+    States that are over count as seen (nothing can happen there). The effective sample size is 1 / sum d^2 / n over
+    visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
+    policy goes.
+    """
+    if horizon is None and model.discount == 1.0:
+        return {}
+    time = occupancy(model, policy, horizon=horizon)
+    leaves = np.ones(model.n_states * model.n_actions, dtype=np.bool_)
+    lengths = np.diff(model.transitions.indptr)
+    single = np.flatnonzero(lengths == 1)
+    leaves[single] = model.transitions.indices[model.transitions.indptr[single]] != single // model.n_actions
+    open_states = leaves.reshape(time.shape).any(axis=1)
+    alive = np.where(open_states[:, None], time, 0.0)
+    total = float(alive.sum())
+    seen = float(alive[visited].sum())
+    share = 1.0 if total == 0.0 else seen / total
+    d, n = alive[visited], counts[visited]
+    spread = float(np.sum(d * d / n)) if d.size else 0.0
+    return {
+        "coverage": share,
+        "fallback_share": 1.0 - share,
+        "effective_sample_size": seen**2 / spread if spread > 0 else 0.0,
+    }
+
+

@@ -1,0 +1,190 @@
+"""A problem: a simulator, a log of the target, and what is to be known about both, checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, find
+from oee_tabular.data import Transitions
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.ratio import refuse_unsupported
+
+
+@dataclass(frozen=True)
+class RewardConflict:
+    """How often the log pays something else than the simulator for the same move."""
+
+    rows: int
+    moves: int
+    of_rows: int
+    example: str
+
+    def __str__(self) -> str:
+        return (
+            f"the log's rewards contradict the simulator's in {self.rows} of {self.of_rows} transitions "
+            f"({self.moves} different moves; {self.example})"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is known: a simulator, a log of the target, and how a value is to be counted.
+
+    Parameters
+    ----------
+    simulator : FiniteMDP
+    log : Transitions of the target
+    horizon : T, the number of rewards; None for the infinite discounted sum
+    behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
+        probabilities
+    simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios only
+    rewards : "simulator" | "log"
+        "log": model-based values pay the log's mean reward for each (s, a, s') that it has seen, the simulator's
+        elsewhere. Importance sampling always uses the log's.
+    episodes : Transitions, optional
+        Whole episodes for importance sampling, where ``log`` is a draw of moves without episodes.
+
+    Attributes
+    ----------
+    log : with terminated transitions led to the simulator's terminal states
+    model : the simulator with the rewards that model-based values are to pay
+    counts : csr (S*A, S) of the log's moves
+    reward_conflict : RewardConflict or None
+
+    Raises
+    ------
+    ValueError
+        States or actions outside the simulator's; moves that the simulator gives probability 0 (the first are named);
+        a terminated move into a state where the simulator goes on; a log reward asked for and not there.
+    """
+
+    simulator: FiniteMDP
+    log: Transitions
+    horizon: int | None = None
+    behavior_policy: Any = None
+    simulator_data: Any = None
+    rewards: Literal["simulator", "log"] = "simulator"
+    episodes: Transitions | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.simulator, FiniteMDP):
+            raise ValueError(f"simulator must be a FiniteMDP; got {type(self.simulator).__name__}")
+        for name in ("log", "episodes"):
+            value = getattr(self, name)
+            if not isinstance(value, Transitions) and not (name == "episodes" and value is None):
+                raise ValueError(f"{name} must be Transitions; got {type(value).__name__}")
+        _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
+        object.__setattr__(self, "horizon", _checks.optional_horizon(self.horizon))
+        if self.behavior_policy is not None:
+            checked = check_policy(self.behavior_policy, self.simulator, name="behavior_policy")
+            object.__setattr__(self, "behavior_policy", checked)
+        object.__setattr__(self, "log", settle(self.log, self.simulator, "log"))
+        if self.episodes is not None:
+            object.__setattr__(self, "episodes", settle(self.episodes, self.simulator, "episodes"))
+        if isinstance(self.simulator_data, Transitions):
+            settled = settle(self.simulator_data, self.simulator, "simulator_data")
+            object.__setattr__(self, "simulator_data", settled)
+        if self.rewards == "log" and self.log.reward is None:
+            raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
+        refuse_unsupported(self.counts, self.simulator)
+
+    @cached_property
+    def counts(self) -> sparse.csr_array:
+        """(S*A, S) counts of the log's moves."""
+        return self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+
+    @cached_property
+    def model(self) -> FiniteMDP:
+        """The simulator, paying what the log paid where ``rewards`` is "log"."""
+        return self.simulator if self.rewards == "simulator" else _with_log_rewards(self.simulator, self.log)
+
+    @cached_property
+    def reward_conflict(self) -> RewardConflict | None:
+        """Where the log and the simulator pay differently for one move; None where they agree or nothing is known."""
+        return _conflict(self.simulator, self.log)
+
+    def rewards_of(self, log: Transitions) -> Array:
+        """The log's rewards, or the simulator's where the log has none."""
+        return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
+
+
+def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
+    """The log with terminated moves led to ``simulator.terminal_state``; errors for indices and for termination."""
+    for column, limit in (
+        ("state", simulator.n_states),
+        ("action", simulator.n_actions),
+        ("next_state", simulator.n_states),
+    ):
+        values: IntArray = getattr(log, column)
+        bad = np.flatnonzero(values >= limit)
+        if bad.size:
+            raise ValueError(
+                f"{name}.{column}[{bad[0]}] must be in 0..{limit - 1}, the simulator's; it is {values[bad[0]]} "
+                f"({bad.size} such rows in all)"
+            )
+    own = len(simulator.terminal_state)
+    lead = np.arange(simulator.n_states)
+    lead[:own] = simulator.terminal_state
+    arrival = np.where(log.terminated, lead[log.next_state], log.next_state)
+    going_on = np.flatnonzero(log.terminated & ~simulator.absorbing()[arrival])
+    if going_on.size:
+        row = int(going_on[0])
+        raise ValueError(
+            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {arrival[row]}: there it goes "
+            f"on or pays ({going_on.size} such rows; FiniteMDP.from_gymnasium adds states where termination leads)"
+        )
+    if np.array_equal(arrival, log.next_state):
+        return log
+    columns = log.columns() | {"next_state": arrival}
+    return Transitions(**columns)
+
+
+def simulator_rewards(simulator: FiniteMDP, log: Transitions) -> Array:
+    """r(s, a, s') or r(s, a) of the simulator for each row of the log; its expected r(s, a) off its support."""
+    expected = simulator.rewards[log.state, log.action]
+    if simulator.transition_rewards is None:
+        return expected
+    rows = log.state * simulator.n_actions + log.action
+    position, stored = find(simulator.transition_rewards, rows, log.next_state)
+    return np.where(stored, simulator.transition_rewards.data[position], expected)
+
+
+def _with_log_rewards(simulator: FiniteMDP, log: Transitions) -> FiniteMDP:
+    assert log.reward is not None
+    shape = simulator.transitions.shape
+    rows = log.state * simulator.n_actions + log.action
+    total = canonical_table(rows, log.next_state, log.reward, shape)
+    seen = canonical_table(rows, log.next_state, np.ones(len(log)), shape)
+    matrix = simulator.transitions
+    paid, known = align(total, matrix)
+    often, _ = align(seen, matrix)
+    own = simulator.reward_data
+    if own is None:
+        own = np.repeat(simulator.rewards.reshape(-1), np.diff(matrix.indptr))
+    data = np.where(known, paid / np.where(known, often, 1.0), own)
+    return simulator.with_rewards(sparse.csr_array((data, matrix.indices, matrix.indptr), shape=shape))
+
+
+def _conflict(simulator: FiniteMDP, log: Transitions) -> RewardConflict | None:
+    if log.reward is None:
+        return None
+    expected = simulator_rewards(simulator, log)
+    scale = max(1.0, float(np.abs(expected).max()))
+    differ = np.flatnonzero(np.abs(log.reward - expected) > 1e-6 * scale)
+    if differ.size == 0:
+        return None
+    moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
+    k = int(differ[np.argmax(np.abs(log.reward - expected)[differ])])
+    example = (
+        f"s={log.state[k]}, a={log.action[k]} -> s'={log.next_state[k]} pays {log.reward[k]:g} in the log, "
+        f"{expected[k]:g} in the simulator"
+    )
+    return RewardConflict(len(differ), moves.shape[1], len(log), example)

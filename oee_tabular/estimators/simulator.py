@@ -1,0 +1,76 @@
+"""The two ends of the scale: the simulator as it is, and the oracle that knows the true ratio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from oee_tabular import _checks
+from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
+from oee_tabular.exact import evaluate_policy, reweight
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio import true_ratio
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """J in the simulator as it stands, with its own rewards; the log is not used.
+
+    Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
+    """
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Exact; ``seed`` is not used."""
+        found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
+        return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """The value under the true zeta, from a target that is known: exactly, or as in the paper by rollouts.
+
+    Parameters
+    ----------
+    target : FiniteMDP
+    evaluation : "exact" | "monte_carlo" (the paper's oracle: only the error of averaging remains)
+    weighting, self_normalized, n_rollouts : as in ``OffEnvironment``
+
+    Raises ValueError where the target moves outside the simulator's support.
+    """
+
+    target: FiniteMDP
+    evaluation: Literal["exact", "monte_carlo"] = "exact"
+    weighting: Literal["per_decision", "trajectory"] = "per_decision"
+    self_normalized: bool = False
+    n_rollouts: int = 100
+
+    def __post_init__(self) -> None:
+        _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
+        check_rollout_options(self.weighting, self.n_rollouts)
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """``seed`` is for "monte_carlo"."""
+        pi = check_policy(policy, problem.simulator)
+        ratio = true_ratio(self.target, problem.simulator)
+        if self.evaluation == "monte_carlo":
+            return product_estimate(
+                problem.model,
+                ratio,
+                pi,
+                horizon=problem.horizon,
+                weighting=self.weighting,
+                self_normalized=self.self_normalized,
+                n_rollouts=self.n_rollouts,
+                seed=seed,
+            )
+        found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
+        return Estimate(
+            found.value,
+            diagnostics={
+                "error_bound": found.error_bound,
+                "method": found.method,
+                "largest_weight": float(ratio.values.data.max()),
+            },
+        )
