@@ -71,7 +71,7 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
                 raise
             raise ValueError(f"{name!r} must be a parquet table; {error}") from None
         return _from_columns(kind, _frame_columns(frame, name), name)
-    if suffix == "" or Path(name).is_dir() or name.startswith("minari:") or "/" in name and "-v" in name:
+    if suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name):
         return _load_minari(kind, name)
     raise ValueError(_unknown(name))
 
@@ -100,7 +100,9 @@ def _frame_columns(frame: Any, name: str) -> dict[str, NDArray[Any]]:
 def _from_columns(kind: type[Log], columns: dict[str, NDArray[Any]], name: str) -> Log:
     absent = [column for column in _REQUIRED if column not in columns]
     if absent:
-        raise ValueError(f"{name!r} must have the columns {', '.join(_REQUIRED)}; it has {', '.join(columns) or 'none'}")
+        raise ValueError(
+            f"{name!r} must have the columns {', '.join(_REQUIRED)}; it has {', '.join(columns) or 'none'}"
+        )
     extra = [column for column in columns if column not in COLUMNS]
     if extra:
         warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(extra)}", stacklevel=4)
@@ -191,7 +193,9 @@ def _load_minari(kind: type[Log], name: str) -> Log:
             try:
                 data = minari.load_dataset(identifier)
             except (FileNotFoundError, ValueError) as error:
-                raise FileNotFoundError(f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: {error}") from None
+                raise FileNotFoundError(
+                    f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: {error}"
+                ) from None
         episodes = list(data.iterate_episodes())
     parts: dict[str, list[NDArray[Any]]] = {column: [] for column in COLUMNS if column != "timestep"}
     for number, episode in enumerate(episodes):

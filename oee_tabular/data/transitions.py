@@ -173,6 +173,16 @@ class Transitions:
             behavior_probability=None if self.behavior_probability is None else self.behavior_probability[chosen],
         )
 
+    def first(self, n: int) -> Self:
+        """The first n rows with their episodes; the last episode is truncated where it is cut."""
+        size = _checks.positive_integer(n, "n")
+        if size > len(self):
+            raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
+        columns = {name: column[:size].copy() for name, column in self.columns().items()}
+        if self.episode is not None:
+            columns["truncated"][-1] |= not columns["terminated"][-1]
+        return type(self)(**columns)
+
     def draw(self, n: int, *, seed: Any) -> Self:
         """A bag of n rows drawn without replacement, the paper's way of taking a sample."""
         size = _checks.positive_integer(n, "n")
@@ -191,10 +201,10 @@ class Transitions:
             "episode_length_max": None if lengths is None else int(lengths.max()),
             "terminated": int(self.terminated.sum()),
             "truncated": int(self.truncated.sum()),
-            "states_seen": int(len(np.unique(np.concatenate([self.state, self.next_state])))),
+            "states_seen": len(np.unique(np.concatenate([self.state, self.next_state]))),
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "state_action_pairs_seen": int(len(np.unique(np.stack([self.state, self.action]), axis=1).T)),
+            "state_action_pairs_seen": len(np.unique(np.stack([self.state, self.action]), axis=1).T),
             "reward_min": None if self.reward is None else float(self.reward.min()),
             "reward_max": None if self.reward is None else float(self.reward.max()),
             "behavior_probability": self.behavior_probability is not None,
@@ -205,9 +215,7 @@ class Transitions:
         facts = self.summary()
         text = f"{facts['transitions']} transitions"
         if facts["episodes"] is not None:
-            text += (
-                f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
-            )
+            text += f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
         text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
         text += f"; states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}"
         if self.reward is not None:
@@ -293,7 +301,9 @@ def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray) -
     unique, index = np.unique(names, return_index=True)
     if len(unique) < len(names):
         again = int(np.setdiff1d(np.arange(len(names)), index)[0])
-        raise ValueError(f"episode must keep the rows of an episode together; {names[again]} begins again in row {first[again]}")
+        raise ValueError(
+            f"episode must keep the rows of an episode together; {names[again]} begins again in row {first[again]}"
+        )
     position = np.arange(n) - np.repeat(first, np.diff(starts))
     if timestep is None:
         columns["timestep"] = position.astype(np.int64)

@@ -83,7 +83,9 @@ class ImportanceSampling:
             **_truncation(log, problem, lengths, cut, weight),
             **_starts(log, problem.simulator),
         }
-        status = "ok" if np.isfinite(value) else "every weight is 0: the log has no episode that the policy could have made"
+        status = (
+            "ok" if np.isfinite(value) else "every weight is 0: the log has no episode that the policy could have made"
+        )
         return Estimate(value, error, diagnostics=diagnostics, status=status)
 
     def _behavior(self, problem: Problem, log: Transitions) -> Array:

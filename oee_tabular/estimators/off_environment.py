@@ -72,7 +72,9 @@ class OffEnvironment:
                 n_rollouts=self.n_rollouts,
                 seed=generator,
             )
-            return Estimate(estimate.value, estimate.standard_error, diagnostics=estimate.diagnostics | {"gap": zeta.gap})
+            return Estimate(
+                estimate.value, estimate.standard_error, diagnostics=estimate.diagnostics | {"gap": zeta.gap}
+            )
         return _exact(problem, zeta, pi)
 
     def _fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
@@ -99,8 +101,8 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     }
     try:
         found = evaluate_policy(model, policy, horizon=problem.horizon)
-    except DivergentKernelError as error:
-        return Estimate(float("nan"), diagnostics=diagnostics, status=str(error))
+    except DivergentKernelError as divergence:
+        return Estimate(float("nan"), diagnostics=diagnostics, status=str(divergence))
     diagnostics |= {"error_bound": found.error_bound, "method": found.method}
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
         return Estimate(found.value, diagnostics=diagnostics)
@@ -133,12 +135,10 @@ def coverage(
     total = float(alive.sum())
     seen = float(alive[visited].sum())
     share = 1.0 if total == 0.0 else seen / total
-    d, n = alive[visited], counts[visited]
+    d, n = np.asarray(alive[visited]), counts[visited]
     spread = float(np.sum(d * d / n)) if d.size else 0.0
     return {
         "coverage": share,
         "fallback_share": 1.0 - share,
         "effective_sample_size": seen**2 / spread if spread > 0 else 0.0,
     }
-
-

@@ -60,7 +60,9 @@ def product_estimate(
     rows = rollouts.state * model.n_actions + rollouts.action
     position, _ = find(ratio.values, rows, rollouts.next_state)
     weighted = _weights(model, rollouts, ratio.values.data[position], weighting)
-    value, error = combine(weighted, self_normalized=self_normalized, keep_last=True, per_decision=weighting == "per_decision")
+    value, error = combine(
+        weighted, self_normalized=self_normalized, keep_last=True, per_decision=weighting == "per_decision"
+    )
     last = weighted.weight[weighted.starts[1:] - 1]
     return Estimate(
         value,
@@ -126,22 +128,22 @@ def combine(
         return value, mean_and_error(influence)[1]
     lengths = np.diff(starts)
     horizon = int(lengths.max())
-    mass = np.bincount(weighted.timestep, weights=weighted.weight, minlength=horizon)
+    step_mass = np.bincount(weighted.timestep, weights=weighted.weight, minlength=horizon)
     if keep_last:
         ended = np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon]
-        mass = mass + np.cumsum(ended)
+        step_mass = step_mass + np.cumsum(ended)
     paid = np.bincount(weighted.timestep, weights=weighted.weight * weighted.reward, minlength=horizon)
-    if np.any((mass == 0.0) & (np.bincount(weighted.timestep, minlength=horizon) > 0)):
-        empty = mass == 0.0
-        paid, mass = np.where(empty, 0.0, paid), np.where(empty, 1.0, mass)
-    step_value = paid / mass
+    if np.any((step_mass == 0.0) & (np.bincount(weighted.timestep, minlength=horizon) > 0)):
+        empty = step_mass == 0.0
+        paid, step_mass = np.where(empty, 0.0, paid), np.where(empty, 1.0, step_mass)
+    step_value = paid / step_mass
     value = float(step_value.sum())
-    # linearised: sum_t (w_it r_it - step_value_t w_it) n / mass_t, an ended episode counting with its kept weight
+    # linearised: sum_t (w_it r_it - step_value_t w_it) n / step_mass_t, an ended episode counting with its kept weight
     t = weighted.timestep
-    terms = (weighted.weight * weighted.reward - step_value[t] * weighted.weight) * (n / mass[t])
+    terms = (weighted.weight * weighted.reward - step_value[t] * weighted.weight) * (n / step_mass[t])
     influence = np.add.reduceat(terms, starts[:-1])
     if keep_last:
-        tail = np.concatenate([np.cumsum((step_value * n / mass)[::-1])[::-1], [0.0]])
+        tail = np.concatenate([np.cumsum((step_value * n / step_mass)[::-1])[::-1], [0.0]])
         influence = influence - last * tail[lengths]
     return value, mean_and_error(influence)[1]
 

@@ -38,7 +38,9 @@ class DivergentKernelError(ValueError):
     """gamma K has a spectral radius of 1 or more: the infinite sum does not exist."""
 
 
-def solve_policy_system(kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False) -> LinearSolution:
+def solve_policy_system(
+    kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False
+) -> LinearSolution:
     """Solve (I - discount K) x = b, or the transposed system, for a nonnegative (S, S) kernel K.
 
     Raises DivergentKernelError (a ValueError) where the spectral radius of discount * K is not below 1.

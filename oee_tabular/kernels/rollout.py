@@ -87,9 +87,7 @@ def episode_lengths(
 episode_lengths = njit(cache=True, parallel=True)(episode_lengths)
 
 
-def episodes(
-    key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any
-) -> Any:
+def episodes(key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any) -> Any:
     """The same episodes, written out: row and entry of each move, in the ragged places that ``starts`` gives."""
     n_states, n_actions = policy.shape
     flat = policy.reshape(-1)

@@ -8,7 +8,7 @@ r(s, a) = sum_s' P(s' | s, a) r(s, a, s'), which never stands in for it where a 
 from __future__ import annotations
 
 import os
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 from scipy import sparse
@@ -136,7 +136,8 @@ class FiniteMDP:
         stays = self.transitions.indices == rows // self.n_actions
         leaves = np.zeros(self.n_states, dtype=np.bool_)
         leaves[rows[~stays] // self.n_actions] = True
-        return ~leaves & np.all(self.rewards == 0.0, axis=1)
+        unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
+        return ~leaves & unpaid
 
     def with_transitions(self, new: Any) -> Self:
         """The same MDP under other dynamics; r(s, a, s') is averaged again.
@@ -305,7 +306,7 @@ def _reward_table(
         if array.ndim < 3:
             _checks.require_finite(array, "rewards")
             expected = np.broadcast_to(array.reshape(n_states, -1), (n_states, n_actions)).copy()
-            return None, cast(Array, expected)
+            return None, expected
         if np.isinf(array).any():
             first = tuple(np.argwhere(np.isinf(array))[0])
             raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")

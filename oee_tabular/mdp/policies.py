@@ -34,7 +34,7 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     """
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
-    shapes = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
+    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
     if horizon is not None:
         shapes += [(horizon, *shape) for shape in shapes]
     if array.shape not in shapes:
@@ -62,7 +62,9 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
     arrays = [_checks.float_array(p, n, ndim=(2, 3)) for p, n in ((policy_a, "policy_a"), (policy_b, "policy_b"))]
     if arrays[0].shape != arrays[1].shape:
-        raise ValueError(f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}")
+        raise ValueError(
+            f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
+        )
     for array, name in zip(arrays, ("policy_a", "policy_b"), strict=True):
         _checks.require_nonnegative(array, name)
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)

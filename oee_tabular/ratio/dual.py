@@ -23,7 +23,9 @@ class RowSolution:
     gap: Array
 
 
-def solve_rows(p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float, indptr: IntArray) -> RowSolution:
+def solve_rows(
+    p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float, indptr: IntArray
+) -> RowSolution:
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
     p, q sum to 1 in each row that has entries; curvature is A >= 0; lower <= 1 <= upper. Cost: O(entries) times a few

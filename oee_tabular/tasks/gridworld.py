@@ -29,9 +29,7 @@ def _destinations(size: int) -> IntArray:
     return np.asarray(to_row * size + to_column)
 
 
-def gridworld(
-    size: int, slip: float, *, pay: Literal["next", "current"] = "next", discount: float = 0.99
-) -> FiniteMDP:
+def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next", discount: float = 0.99) -> FiniteMDP:
     """The gridworld of ``size`` x ``size`` cells as a FiniteMDP.
 
     Parameters
@@ -89,5 +87,3 @@ def gridworld_policy(size: int, delta: float) -> Array:
     """pi_delta = delta * expert + (1 - delta) * uniform, (S, 4)."""
     expert = gridworld_expert(size)
     return mix(expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0))
-
-

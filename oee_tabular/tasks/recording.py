@@ -42,6 +42,8 @@ def record_episodes(
         raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
     _checks.require_nonnegative(pi, "policy")
     _checks.require_sums_to_one(pi.sum(axis=1), "policy")
+    from tqdm.auto import tqdm
+
     generator = np.random.default_rng(seed)
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
@@ -49,6 +51,7 @@ def record_episodes(
     episode, over = 0, True
     state = 0
     first_seed: int | None = int(generator.integers(2**31))
+    progress = tqdm(total=limit or episodes, desc="recording", disable=None, delay=1.0, leave=False)
     while True:
         if over:
             if episodes is not None and episode == episodes:
@@ -61,9 +64,13 @@ def record_episodes(
         over = bool(terminated or truncated)
         state = int(following)
         episode += over
+        progress.update(1 if limit is not None else int(over))
         if limit is not None and len(rows) == limit:
             break
-    states, actions, following_states, rewards, terminations, truncations, numbers = map(np.array, zip(*rows, strict=True))
+    progress.close()
+    states, actions, following_states, rewards, terminations, truncations, numbers = map(
+        np.array, zip(*rows, strict=True)
+    )
     truncations[-1] |= not terminations[-1]
     return Transitions(
         states,
@@ -80,7 +87,7 @@ def record_episodes(
 def _sizes(env: Any) -> tuple[int, int]:
     sizes = []
     for name in ("observation_space", "action_space"):
-        space = getattr(env, name, None)
+        space: Any = getattr(env, name, None)
         if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
             raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
         sizes.append(int(space.n))

@@ -1,0 +1,116 @@
+"""Plain-language warnings: what a result does not tell, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from oee_tabular.estimators import Estimate, Problem
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to know about one estimator's value of one policy.
+
+    ``text`` holds ``{}`` where the figure stands; findings of one kind about several policies are told in one sentence,
+    with the figure that is worst.
+    """
+
+    kind: str
+    estimator: str
+    policy: str
+    severity: float
+    figure: str
+    text: str
+
+
+def about_problem(problem: Problem) -> list[str]:
+    """What is odd about the data, whatever the policy."""
+    conflict = problem.reward_conflict
+    if conflict is None:
+        return []
+    if problem.rewards == "simulator":
+        remedy = 'Model-based values pay the simulator\'s; rewards="log" pays what the log has seen.'
+    else:
+        remedy = "Model-based values pay the log's mean where it has seen a move."
+    text = str(conflict)
+    return [f"{text[0].upper()}{text[1:]}. {remedy}"]
+
+
+def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Finding]:
+    """What a reader must know before using this number."""
+    facts = estimate.diagnostics
+    found: list[Finding] = []
+
+    def add(kind: str, severity: float, figure: str, text: str) -> None:
+        found.append(Finding(kind, estimator, policy, severity, figure, text))
+
+    if estimate.status != "ok":
+        add("status", 1.0, estimate.status, "no value: {}.")
+    fallback = facts.get("fallback_share", 0.0)
+    if fallback > 0.02:
+        add(
+            "coverage",
+            fallback,
+            f"{fallback:.0%}",
+            "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. Nothing there is "
+            "learned from the target, and the standard error does not cover it: record those.",
+        )
+    row_sum = facts.get("row_sum_error", 0.0)
+    if row_sum > 1e-3:
+        add(
+            "row sums",
+            row_sum,
+            f"{row_sum:.2g}",
+            "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) does "
+            "not have them.",
+        )
+    samples = facts.get("n_episodes", facts.get("n_rollouts"))
+    effective = facts.get("effective_sample_size", float("inf"))
+    if samples is not None and effective < max(10.0, 0.1 * samples):
+        noun = "episodes" if "n_episodes" in facts else "rollouts"
+        add(
+            "weights",
+            -effective,
+            f"{effective:.1f}",
+            f"the weights rest on about {{}} of {samples} {noun}; the value is mostly chance, and its standard error is too "
+            "small.",
+        )
+    bound = facts.get("truncation_bias_bound", 0.0)
+    if bound > max(1e-3 * abs(estimate.value), 0.1 * (estimate.standard_error or 0.0)):
+        add(
+            "truncation",
+            bound,
+            f"{bound:.3g}",
+            f"{facts['truncated_share']:.0%} of the episodes were cut before they were over; what they lack can change the "
+            "value by up to {} (as a discounted sum).",
+        )
+    foreign = facts.get("foreign_starts_share", 0.0)
+    if foreign > 0:
+        add(
+            "starts",
+            foreign,
+            f"{foreign:.0%}",
+            "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
+            "own starts.",
+        )
+    error_bound = facts.get("error_bound", 0.0)
+    if error_bound > 1e-6 * max(1.0, abs(estimate.value)):
+        add("linear algebra", error_bound, f"{error_bound:.1e}", "the linear algebra is certain only to {}.")
+    return found
+
+
+def sentences(findings: Sequence[Finding]) -> list[tuple[str, frozenset[tuple[str, str]]]]:
+    """One sentence per kind and estimator, with the (policy, estimator) pairs that it is about."""
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for finding in findings:
+        groups.setdefault((finding.estimator, finding.kind, finding.text), []).append(finding)
+    told = []
+    for (estimator, _, text), members in groups.items():
+        worst = max(members, key=lambda finding: finding.severity)
+        figure = worst.figure if len(members) == 1 else f"{worst.figure} ({worst.policy} is the worst)"
+        names = ", ".join(finding.policy for finding in members)
+        told.append(
+            (f"{estimator} ({names}): {text.format(figure)}", frozenset((f.policy, estimator) for f in members))
+        )
+    return told

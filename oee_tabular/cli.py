@@ -1,0 +1,306 @@
+"""The command ``oee``. What is slow to import (numba, cvxpy, pandas) is imported where it is used."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from oee_tabular._checks import Array
+    from oee_tabular.data import Transitions
+    from oee_tabular.mdp import FiniteMDP
+    from oee_tabular.report import Report
+    from oee_tabular.tasks import NamedTask
+
+app = typer.Typer(
+    help="What return will a policy get in the target, given a simulator and a log of the target?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SIMULATOR_HELP = "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | an .npz of a FiniteMDP"
+POLICY_HELP = (
+    ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
+    "are the simulator's"
+)
+
+Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
+Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
+Seed = Annotated[int, typer.Option(help="The same seed gives the same bits.")]
+
+
+@app.command()
+def evaluate(
+    simulator: Annotated[str | None, typer.Option(help=SIMULATOR_HELP)] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Log of the target: .npz, .csv, .parquet, Minari folder or id.")
+    ] = None,
+    policy: Annotated[
+        list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable; SPEC: {POLICY_HELP}.")
+    ] = None,
+    behavior: Annotated[str | None, typer.Option(help="Policy that recorded the log, as for --policy.")] = None,
+    target: Annotated[str | None, typer.Option(help="The true target, as for --simulator, to show errors.")] = None,
+    horizon: Annotated[int | None, typer.Option(help="Number of rewards; none: the infinite discounted sum.")] = None,
+    discount: Discount = None,
+    normalized: Annotated[
+        bool | None, typer.Option("--normalized/--raw", help="Multiply values by (1 - discount).", show_default=False)
+    ] = None,
+    estimators: Annotated[
+        str | None, typer.Option(help="Comma-separated names: simulator,oee,model-based,pdis,...")
+    ] = None,
+    rewards: Annotated[str, typer.Option(help="Rewards that model-based values pay: simulator or log.")] = "simulator",
+    action_noise: Annotated[
+        float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
+    ] = 0.0,
+    confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+    seed: Seed = 0,
+    output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
+) -> None:
+    """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
+    from oee_tabular.report import check_output
+
+    if output is not None:
+        check_output(output)
+    options = {"horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise}
+    chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+    common = {"estimators": chosen, "confidence": confidence, "seed": seed}
+    if simulator is None and log is None:
+        report = _embedded(policy, behavior, target, options, normalized, common)
+    elif simulator is None or log is None:
+        given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
+        raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
+    else:
+        report = _from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
+    typer.echo(report.to_json() if json else str(report))
+    if output is not None:
+        written = report.save(output)
+        if not json:
+            typer.echo(f"\nWritten: {', '.join(str(path) for path in written)}")
+
+
+@app.command()
+def sample(
+    environment: Simulator,
+    output: Annotated[Path, typer.Option(help="The log: .npz, .csv, .parquet, or a new Minari folder.")],
+    policy: Annotated[str, typer.Option(help=POLICY_HELP)] = "uniform",
+    transitions: Annotated[int | None, typer.Option(help="How many transitions to record.")] = None,
+    episodes: Annotated[int | None, typer.Option(help="How many episodes to record.")] = None,
+    horizon: Annotated[int, typer.Option(help="Longest episode (tasks and .npz; Gymnasium has its own limit).")] = 1000,
+    discount: Discount = None,
+    seed: Seed = 0,
+) -> None:
+    """Record a log. A Gymnasium environment is stepped through its own step()."""
+    if (transitions is None) == (episodes is None):
+        raise ValueError("one of --transitions and --episodes must be given")
+    task = _task(environment, discount)
+    pi = _policy(policy, task, "policy")
+    if task.environment is not None:
+        from oee_tabular.tasks import record_episodes
+
+        env = task.environment()
+        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, seed=seed)
+        env.close()
+    else:
+        log = _sampled(task.mdp, pi, transitions, episodes, horizon, seed)
+    log.save(output)
+    typer.echo(f"{output}: {log.describe()}")
+
+
+@app.command()
+def policy(
+    simulator: Simulator,
+    spec: Annotated[str, typer.Argument(help=POLICY_HELP)],
+    output: Annotated[Path, typer.Option(help="The policy: .npy, an (S, A) array.")],
+    discount: Discount = None,
+) -> None:
+    """Write a policy of a simulator to a file."""
+    import numpy as np
+
+    from oee_tabular._files import whole_file
+
+    task = _task(simulator, discount)
+    pi = _policy(spec, task, "policy")
+    with whole_file(output, (".npy",)) as handle:
+        np.save(handle, pi, allow_pickle=False)
+    typer.echo(f"{output}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
+
+
+@app.command()
+def export(
+    simulator: Simulator,
+    output: Annotated[Path, typer.Option(help="The FiniteMDP: .npz.")],
+    discount: Discount = None,
+    action_noise: Annotated[float, typer.Option(help="As in evaluate.")] = 0.0,
+) -> None:
+    """Write a simulator to an .npz file."""
+    mdp = _task(simulator, discount).mdp
+    if action_noise:
+        mdp = mdp.with_action_noise(action_noise)
+    mdp.save(output)
+    typer.echo(f"{output}: {mdp!r}")
+
+
+@app.command()
+def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.")]) -> None:
+    """Say what a file holds."""
+    from oee_tabular import _files
+    from oee_tabular.data import Transitions
+    from oee_tabular.mdp import FiniteMDP
+
+    suffix = Path(file).suffix.lower()
+    if suffix in (".npz", ".npy"):
+        arrays = _files.read_npz(file)
+        kind = _files.npz_kind(arrays)
+        if kind == "finite_mdp":
+            mdp = FiniteMDP.load(file)
+            over = int(mdp.absorbing().sum())
+            typer.echo(f"{mdp!r}\nrewards {mdp.rewards.min():g} to {mdp.rewards.max():g}, {over} states that are over")
+        elif kind == "transitions":
+            typer.echo(repr(Transitions.load(file)))
+        else:
+            for name, array in arrays.items():
+                typer.echo(f"array {name!r}: {array.dtype} of shape {array.shape}")
+    else:
+        typer.echo(repr(Transitions.load(file)))
+
+
+def _task(spec: str, discount: float | None) -> NamedTask:
+    from oee_tabular.tasks import named_task
+
+    return named_task(spec, discount=discount)
+
+
+def _policy(spec: str, task: NamedTask, name: str) -> Array:
+    """The policy that ``spec`` names, in the MDP of ``task``."""
+    from oee_tabular import _files
+    from oee_tabular.exact import optimal_policy
+    from oee_tabular.mdp import check_policy, mix, uniform_policy
+
+    if spec == "uniform":
+        return uniform_policy(task.mdp)
+    if spec == "optimal":
+        return optimal_policy(task.mdp)
+    if spec == "expert":
+        return check_policy(task.expert(), task.mdp)
+    if spec.startswith("mix:"):
+        try:
+            weight = float(spec.removeprefix("mix:"))
+        except ValueError:
+            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+        return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
+    if Path(spec).suffix.lower() not in (".npy", ".npz"):
+        raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
+    arrays = _files.read_npz(spec)
+    if _files.npz_kind(arrays) is not None:
+        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
+    if "policy" not in arrays and len(arrays) != 1:
+        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
+    array = arrays.get("policy", next(iter(arrays.values())))
+    return check_policy(array, task.mdp, name=f"{name} {spec!r}")
+
+
+def _policies(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for text in specs or ["optimal"]:
+        name, equals, spec = text.partition("=")
+        label, source = (name, spec) if equals else (text, text)
+        if label in found:
+            raise ValueError(f"--policy names must differ; {label!r} is given twice")
+        found[label] = _policy(source, task, "--policy")
+    return found
+
+
+def _sampled(
+    mdp: FiniteMDP, pi: Array, transitions: int | None, episodes: int | None, horizon: int, seed: int
+) -> Transitions:
+    """Episodes of our own sampler: as many as asked for, or as many as hold the transitions, the last one cut."""
+    from oee_tabular._checks import positive_integer
+    from oee_tabular.simulate import sample_episodes
+
+    if episodes is not None:
+        return sample_episodes(mdp, pi, episodes, horizon, seed=seed)
+    assert transitions is not None
+    wanted = positive_integer(transitions, "transitions")
+    count = 1 + wanted // horizon
+    while len(log := sample_episodes(mdp, pi, count, horizon, seed=seed)) < wanted:
+        count *= 2
+    return log.first(wanted)
+
+
+def _from_files(
+    simulator: str,
+    log: Path,
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool,
+    common: dict[str, Any],
+) -> Report:
+    from dataclasses import replace
+
+    from oee_tabular.data import Transitions
+    from oee_tabular.estimators import Problem
+    from oee_tabular.report import evaluate as run
+
+    task = _task(simulator, options["discount"])
+    if options["action_noise"]:
+        task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
+    problem = Problem(
+        task.mdp,
+        Transitions.load(log),
+        horizon=options["horizon"],
+        behavior_policy=None if behavior is None else _policy(behavior, task, "--behavior"),
+        rewards=options["rewards"],
+    )
+    truth = None if target is None else _task(target, task.mdp.discount).mdp
+    return run(problem, _policies(policy, task), target=truth, normalized=normalized, **common)
+
+
+def _embedded(
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool | None,
+    common: dict[str, Any],
+) -> Report:
+    from oee_tabular.experiments import embedded_default
+    from oee_tabular.report import evaluate as run
+    from oee_tabular.tasks import named_task
+
+    for name, value in (("behavior", behavior), ("target", target), ("action-noise", options["action_noise"])):
+        if value:
+            raise ValueError(f"--{name} needs --simulator and --log")
+    settings: dict[str, Any] = {"rewards": options["rewards"]}
+    settings |= {name: options[name] for name in ("horizon", "discount") if options[name] is not None}
+    default = embedded_default(seed=common["seed"], **settings)
+    policies: dict[str, Any] = default.policies
+    if policy is not None:
+        policies = _policies(policy, named_task("gridworld:10,slip=0.3", discount=options["discount"]))
+    if common["estimators"] is None:
+        names = "simulator,oee,oee-product,ratio-of-ratios,model-based,pdis,wpdis,oracle-product"
+        common = common | {"estimators": names.split(",")}
+    scaled = True if normalized is None else normalized
+    return run(default.problem, policies, target=default.target, normalized=scaled, **common)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; an error of the user's is one line on stderr and exit code 2."""
+    try:
+        app(arguments, standalone_mode=True)
+    except (ValueError, OSError, ImportError, RuntimeError) as error:
+        typer.echo(f"oee: {_sentence(error)}", err=True)
+        sys.exit(2)
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"no such file: {error.filename}"
+    return str(error)
