@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from oee_tabular import data, estimators, exact, mdp, plots, ratio, report, simulate, tasks
     from oee_tabular.data import Transitions
     from oee_tabular.estimators import Estimate, Problem
-    from oee_tabular.exact import action_values, occupancy, optimal_policy, policy_value, state_values
+    from oee_tabular.exact import action_values, optimal_policy, policy_value, state_values
+    from oee_tabular.exact.occupancy import occupancy
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import RatioFit, TransitionRatio, density_ratio, transition_ratio, true_ratio
     from oee_tabular.report import Report, evaluate

@@ -23,7 +23,10 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SIMULATOR_HELP = "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | an .npz of a FiniteMDP"
+SIMULATOR_HELP = (
+    "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
+    "an .npz of a FiniteMDP"
+)
 POLICY_HELP = (
     ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
     "are the simulator's"

@@ -61,7 +61,8 @@ class Transitions:
     --------
     >>> log = Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [0.0, 1.0, 0.0], terminated=[0, 1, 0], episode=[0, 0, 1])
     >>> log
-    Transitions(3 transitions in 2 episodes of 1 to 2 steps: 1 terminated, 1 truncated; states 0..2, actions 0..1; rewards 0 to 1)
+    Transitions(3 transitions in 2 episodes of 1 to 2 steps: 1 terminated, 1 truncated;
+                states 0..2, actions 0..1; rewards 0 to 1)
     """
 
     state: IntArray
@@ -295,7 +296,10 @@ def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray) -
     """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
     episode, state, next_state = columns["episode"], columns["state"], columns["next_state"]
     terminated, truncated, timestep = columns["terminated"], columns["truncated"], columns["timestep"]
-    assert episode is not None and state is not None and next_state is not None and terminated is not None
+    assert episode is not None
+    assert state is not None
+    assert next_state is not None
+    assert terminated is not None
     first, n = starts[:-1], len(state)
     names = episode[first]
     unique, index = np.unique(names, return_index=True)

@@ -130,12 +130,13 @@ def coverage(
     lengths = np.diff(model.transitions.indptr)
     single = np.flatnonzero(lengths == 1)
     leaves[single] = model.transitions.indices[model.transitions.indptr[single]] != single // model.n_actions
-    open_states = leaves.reshape(time.shape).any(axis=1)
+    open_states: BoolArray = np.any(leaves.reshape(time.shape), axis=1)
     alive = np.where(open_states[:, None], time, 0.0)
     total = float(alive.sum())
-    seen = float(alive[visited].sum())
+    d: Array = alive[visited]
+    n: Array = counts[visited]
+    seen = float(d.sum())
     share = 1.0 if total == 0.0 else seen / total
-    d, n = np.asarray(alive[visited]), counts[visited]
     spread = float(np.sum(d * d / n)) if d.size else 0.0
     return {
         "coverage": share,

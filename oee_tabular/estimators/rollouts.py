@@ -80,7 +80,9 @@ def product_estimate(
 
 def _weights(model: FiniteMDP, rollouts: Transitions, zeta: Array, weighting: str) -> Weighted:
     starts, timestep = rollouts.episode_starts, rollouts.timestep
-    assert starts is not None and timestep is not None and rollouts.reward is not None
+    assert starts is not None
+    assert timestep is not None
+    assert rollouts.reward is not None
     after = segment_products(zeta, starts)
     weight = after
     if model.transition_rewards is None:  # r(s, a): the weight before the move

@@ -98,7 +98,7 @@ def _simulator_weights(
         return np.array(share.data)
     if simulator_data is not None:
         raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {simulator_data!r}")
-    n = max(int(round(observed.sum())), 1)
+    n = max(round(float(observed.sum())), 1)
     generator = np.random.default_rng(seed)
     episodes = max(1, -(-n // steps))
     while True:  # episodes end early, so more of them may be needed; each try is a fresh sample
