@@ -271,11 +271,12 @@ def _booleans(value: Any, name: str) -> BoolArray:
         raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
     if array.dtype.kind == "b" or array.size == 0:
         return array.astype(np.bool_)
-    bad = np.flatnonzero((array != 0) & (array != 1))
-    if array.dtype.kind not in "iuf" or bad.size:
-        found = array[bad[0]] if bad.size else array.dtype
-        raise ValueError(f"{name} must hold booleans (or 0 and 1); it holds {found!r}")
-    return array.astype(np.bool_)
+    words = np.char.lower(array.astype(str))
+    true, false = (np.isin(words, (word, digit, f"{digit}.0")) for word, digit in (("true", "1"), ("false", "0")))
+    bad = np.flatnonzero(~(true | false))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be a boolean (or 0 or 1); it is {array.tolist()[bad[0]]!r}")
+    return true
 
 
 def _check_numbers(reward: Array | None, probability: Array | None) -> None:

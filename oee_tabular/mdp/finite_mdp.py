@@ -88,7 +88,7 @@ class FiniteMDP:
     ) -> None:
         matrix, n_states, n_actions = _transition_rows(transitions)
         table, expected = _reward_table(rewards, matrix, n_states, n_actions)
-        data = None if table is None else align(table, matrix)[0]
+        data = None if table is None else _checks.freeze(align(table, matrix)[0])
         if data is not None:
             expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
         if terminal_state is None:

@@ -61,6 +61,7 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     rows = np.repeat(np.arange(n_states * 4), 4)
     columns = np.repeat(destinations, 4, axis=0).reshape(-1)  # for each action, the four directions
     data = np.tile(weights.reshape(-1), n_states)
+    data[goal * 16 :] = np.tile([1.0, 0.0, 0.0, 0.0], 4)  # exactly 1, which the sum of the four need not be
     transitions = sparse.csr_array((data, (rows, columns)), shape=(n_states * 4, n_states))
     row, column = np.divmod(np.arange(n_states), n)
     payment = 0.2 * (row + column - (2 * n - 2))

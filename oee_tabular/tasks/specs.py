@@ -13,7 +13,7 @@ from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
-from oee_tabular.tasks.toy_text import make_environment
+from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
             raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
         size = bound.arguments["size"]
         return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
+    environment_exists(name)
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
     gamma = keywords.pop("discount", 0.99)

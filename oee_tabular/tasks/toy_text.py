@@ -8,15 +8,21 @@ from typing import Any
 from oee_tabular.mdp import FiniteMDP
 
 
-def make_environment(identifier: str, **kwargs: Any) -> Any:
-    """``gymnasium.make`` with errors that name what was asked for."""
-    import gymnasium
+def environment_exists(identifier: str) -> None:
+    """A ValueError with the nearest ids for an unknown one."""
     from gymnasium.envs.registration import registry
 
     if identifier not in registry:
         near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
         hint = f"; near: {', '.join(near)}" if near else ""
         raise ValueError(f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint}")
+
+
+def make_environment(identifier: str, **kwargs: Any) -> Any:
+    """``gymnasium.make`` with errors that name what was asked for."""
+    import gymnasium
+
+    environment_exists(identifier)
     try:
         return gymnasium.make(identifier, **kwargs)
     except (TypeError, KeyError) as error:

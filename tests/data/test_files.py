@@ -1,0 +1,123 @@
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import random_mdp, random_policy
+from numpy.testing import assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import Transitions, _files
+
+FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
+
+
+def logs():
+    rng = np.random.default_rng(0)
+    mdp = random_mdp(rng, n_states=5, n_actions=3)
+    episodes = oee.sample_episodes(mdp, random_policy(rng, mdp), 6, 9, seed=2)
+    bare = Transitions([0, 4], [1, 0], [3, 3])
+    return {"episodes": episodes, "bag": episodes.draw(20, seed=0), "bare": bare}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("kind", ["episodes", "bag", "bare"])
+def test_every_format_gives_back_every_bit(tmp_path, name, kind):
+    log = logs()[kind]
+    if name == "folder" and kind != "episodes":
+        with pytest.raises(ValueError, match="log must have episodes to be a Minari data set"):
+            log.save(tmp_path / name)
+        assert list(tmp_path.iterdir()) == []
+        return
+    log.save(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    loaded = Transitions.load(tmp_path / name)
+    assert loaded.columns().keys() == log.columns().keys()
+    for column, values in log.columns().items():
+        assert_array_equal(getattr(loaded, column), values, err_msg=column)
+
+
+def test_minari_by_id(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    log = logs()["episodes"]
+    log.save("minari:grid/uniform-v0")
+    assert_array_equal(Transitions.load("grid/uniform-v0").state, log.state)
+    assert os.environ["MINARI_DATASETS_PATH"] == str(tmp_path)
+    with pytest.raises(ValueError, match="must be a new folder"):
+        log.save("minari:grid/uniform-v0")
+    with pytest.raises(FileNotFoundError, match="neither a file, nor a Minari folder, nor a Minari id"):
+        Transitions.load("grid/other-v0")
+
+
+def test_a_minari_data_set_made_by_minari_itself(tmp_path, monkeypatch):
+    """Collected by Minari's own buffers from a Gymnasium environment, infos and all, not by our writer."""
+    import gymnasium
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = gymnasium.make("FrozenLake-v1")
+    buffers = []
+    for k in range(3):
+        state, _ = env.reset(seed=k)
+        env.action_space.seed(k)
+        buffer = EpisodeBuffer(id=k, observations=[state], actions=[], rewards=[], terminations=[], truncations=[], infos={})
+        over = False
+        while not over:
+            action = env.action_space.sample()
+            state, reward, terminated, truncated, _ = env.step(action)
+            buffer.observations.append(state)
+            buffer.actions.append(action)
+            buffer.rewards.append(reward)
+            buffer.terminations.append(terminated)
+            buffer.truncations.append(truncated)
+            over = terminated or truncated
+        buffers.append(buffer)
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        minari.create_dataset_from_buffers("lake/random-v0", buffers, env=env.spec, data_format="arrow")
+    log = Transitions.load("lake/random-v0")
+    assert log.n_episodes == 3
+    assert_array_equal(log.state, np.concatenate([b.observations[:-1] for b in buffers]))
+    assert_array_equal(log.terminated, np.concatenate([b.terminations for b in buffers]))
+
+
+def test_a_csv_written_by_hand(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("state,action,next_state,reward,terminated,episode\n0,1,2,0.5,False,0\n2,0,3,1,True,0\n1,1,1,0,0,1\n")
+    log = Transitions.load(path)
+    assert_array_equal(log.reward, [0.5, 1, 0])
+    assert_array_equal(log.terminated, [False, True, False])
+    assert_array_equal(log.truncated, [False, False, True])
+
+
+def test_columns_that_a_log_does_not_know_are_named(tmp_path):
+    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_csv(tmp_path / "l.csv", index=False)
+    with pytest.warns(UserWarning, match="left out: battery"):
+        Transitions.load(tmp_path / "l.csv")
+
+
+@pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
+def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch, name):
+    """The disk fills up at the last moment: the old file stands, no temporary file is left."""
+    log = logs()["episodes"]
+    log.first(3).save(tmp_path / name)
+    before = (tmp_path / name).read_bytes()
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_files.os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        log.save(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == before
+
+
+def test_npz_files_never_are_pickles(tmp_path):
+    path = tmp_path / "evil.npz"
+    np.savez(path, state=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(ValueError, match="must be an npz or npy file of plain arrays"):
+        Transitions.load(path)

@@ -1,0 +1,80 @@
+import itertools
+
+import numpy as np
+import pytest
+from helpers import random_mdp, rngs
+from hypothesis import given, settings
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.mdp.policies import deterministic_policy
+
+
+@given(rngs)
+@settings(max_examples=30)
+def test_policy_iteration_finds_the_best_of_all_deterministic_policies(rng):
+    mdp = random_mdp(rng, n_states=3, n_actions=3)
+    best = np.full(3, -np.inf)
+    for actions in itertools.product(range(3), repeat=3):
+        best = np.maximum(best, oee.state_values(mdp, deterministic_policy(np.array(actions), 3)))
+    policy = oee.optimal_policy(mdp)
+    assert set(np.unique(policy)) <= {0.0, 1.0}
+    assert_allclose(oee.state_values(mdp, policy), best, rtol=0, atol=1e-9 * max(1, np.abs(best).max()))
+
+
+@given(rngs)
+def test_backward_induction_satisfies_the_optimality_equation(rng):
+    mdp = random_mdp(rng, discount=1.0)
+    horizon = 4
+    policy = oee.optimal_policy(mdp, horizon=horizon)
+    value = np.zeros(mdp.n_states)
+    for _ in range(horizon):
+        value = (mdp.rewards + (mdp.transitions @ value).reshape(mdp.rewards.shape)).max(axis=1)
+    assert_allclose(oee.state_values(mdp, policy, horizon=horizon), value, rtol=0, atol=1e-10)
+
+
+def test_of_equal_actions_the_first_is_taken():
+    mdp = oee.FiniteMDP(np.ones((1, 3, 1)), np.array([[0.0, 1.0, 1.0]]), [1.0], 0.9)
+    assert oee.optimal_policy(mdp).tolist() == [[0.0, 1.0, 0.0]]
+
+
+def test_discount_one_on_frozen_lake():
+    """The best chance of reaching the goal on the 4 x 4 map is 14/17 (Gymnasium's documentation: 0.82)."""
+    lake = oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", discount=1.0)
+    assert_allclose(oee.policy_value(lake, oee.optimal_policy(lake)), 14 / 17, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["forest", "frozen_lake", "gridworld"])
+def test_peers_agree(name):
+    """QuantEcon and MDPToolbox (hiive): optimal values, and values of the optimal policy, on three named MDPs."""
+    import hiive.mdptoolbox.example
+    import hiive.mdptoolbox.mdp
+    from quantecon.markov import DiscreteDP
+
+    if name == "forest":
+        transitions, rewards = hiive.mdptoolbox.example.forest(S=10)
+        mdp = oee.FiniteMDP(transitions.transpose(1, 0, 2), rewards, np.full(10, 0.1), 0.95)
+    elif name == "frozen_lake":
+        mdp = oee.tasks.toy_text("FrozenLake-v1", map_name="8x8")
+    else:
+        mdp = oee.tasks.gridworld(10, 0.3)
+    dense = mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
+    ours = oee.state_values(mdp, oee.optimal_policy(mdp))
+    economists = DiscreteDP(mdp.rewards, dense, mdp.discount).solve(method="policy_iteration")
+    assert_allclose(ours, economists.v, rtol=0, atol=1e-9)
+    toolbox = hiive.mdptoolbox.mdp.PolicyIteration(dense.transpose(1, 0, 2), mdp.rewards, mdp.discount)
+    toolbox.run()
+    assert_allclose(ours, toolbox.V, rtol=0, atol=1e-9)
+    # a stochastic policy: QuantEcon on the one-action problem, and the stationary flow of its chain
+    policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=mdp.n_states)
+    kernel = np.einsum("sa,sat->st", policy, dense)
+    chain = DiscreteDP((policy * mdp.rewards).sum(axis=1, keepdims=True), kernel[:, None, :], mdp.discount)
+    peer = chain.evaluate_policy(np.zeros(mdp.n_states, dtype=int))
+    assert_allclose(oee.state_values(mdp, policy), peer, rtol=0, atol=1e-9)
+    # occupancy of state s by the peer: mu_0 times the values of the reward 1{s}, for every s at once
+    share = oee.occupancy(mdp, policy, of="state")
+    for s in range(0, mdp.n_states, max(1, mdp.n_states // 8)):
+        unit = np.zeros((mdp.n_states, 1))
+        unit[s] = 1.0
+        visits = DiscreteDP(unit, kernel[:, None, :], mdp.discount).evaluate_policy(np.zeros(mdp.n_states, dtype=int))
+        assert_allclose(share[s], (1 - mdp.discount) * (mdp.initial @ visits), rtol=0, atol=1e-9)

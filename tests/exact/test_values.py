@@ -1,0 +1,197 @@
+import numpy as np
+import pytest
+from helpers import dense, dense_occupancy, dense_values, paths, random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, exact
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_values_and_occupancies_agree_with_dense_linear_algebra(seed):
+    rng = np.random.default_rng(seed)
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 40)))
+    policy = random_policy(rng, mdp)
+    scale = max(1.0, np.abs(mdp.rewards).max() / (1 - mdp.discount))
+    values = dense_values(mdp, policy)
+    assert_allclose(oee.state_values(mdp, policy), values, rtol=0, atol=1e-9 * scale)
+    transitions, rewards = dense(mdp)
+    q = np.einsum("sat,sat->sa", transitions, rewards + mdp.discount * values)
+    assert_allclose(oee.action_values(mdp, policy), q, rtol=0, atol=1e-9 * scale)
+    assert_allclose(oee.policy_value(mdp, policy), mdp.initial @ values, rtol=0, atol=1e-9 * scale)
+    pairs = dense_occupancy(mdp, policy)
+    assert_allclose(oee.occupancy(mdp, policy), pairs, rtol=0, atol=1e-9)
+    assert_allclose(oee.occupancy(mdp, policy, of="state"), pairs.sum(axis=1), rtol=0, atol=1e-9)
+    moves = oee.occupancy(mdp, policy, of="transition").toarray().reshape(transitions.shape)
+    assert_allclose(moves, pairs[:, :, None] * transitions, rtol=0, atol=1e-9)
+
+
+@given(rngs, st.integers(1, 3), st.booleans())
+def test_finite_horizon_is_the_sum_over_all_paths(rng, horizon, stationary):
+    mdp = random_mdp(rng, n_states=2, n_actions=2, discount=float(rng.choice([0.0, 0.5, 1.0])))
+    policy = random_policy(rng, mdp)
+    if not stationary:
+        policy = np.stack([random_policy(rng, mdp) for _ in range(horizon)])
+    value, time = 0.0, np.zeros((2, 2))
+    weights = mdp.discount ** np.arange(horizon)
+    for probability, steps in paths(mdp, policy, horizon):
+        for t, (s, a, _, reward) in enumerate(steps):
+            value += probability * weights[t] * reward
+            time[s, a] += probability * weights[t]
+    assert_allclose(oee.policy_value(mdp, policy, horizon=horizon), value, rtol=0, atol=1e-12)
+    assert_allclose(oee.occupancy(mdp, policy, horizon=horizon), time / weights.sum(), rtol=0, atol=1e-12)
+    assert_allclose(mdp.initial @ np.einsum("sa,sa->s", policy if stationary else policy[0],
+                    oee.action_values(mdp, policy, horizon=horizon)), value, rtol=0, atol=1e-12)  # fmt: skip
+
+
+@given(rngs, st.sampled_from([None, 1, 7]))
+def test_flow_and_duality_of_the_occupancy(rng, horizon):
+    """theory.md 01 and 02: the flow equation, and mu_0 . V = d . r * sum gamma^t."""
+    mdp = random_mdp(rng)
+    policy = random_policy(rng, mdp)
+    pairs = oee.occupancy(mdp, policy, horizon=horizon)
+    assert_allclose(pairs.sum(), 1.0, rtol=1e-9)
+    mass = 1 / (1 - mdp.discount) if horizon is None else (mdp.discount ** np.arange(horizon)).sum()
+    value = oee.policy_value(mdp, policy, horizon=horizon)
+    assert_allclose((pairs * mdp.rewards).sum() * mass, value, rtol=0, atol=1e-9 * max(1, abs(value)))
+    if horizon is None:
+        flow = (1 - mdp.discount) * mdp.initial + mdp.discount * (mdp.transitions.T @ pairs.reshape(-1))
+        assert_allclose(pairs.sum(axis=1), flow, rtol=0, atol=1e-9)
+
+
+@given(rngs, st.sampled_from([None, 4]))
+def test_affine_rewards_give_affine_values(rng, horizon):
+    """theory.md 03."""
+    mdp = random_mdp(rng, form=3)
+    policy = random_policy(rng, mdp)
+    table = mdp.transition_rewards.copy()
+    table.data = 3.0 * mdp.transition_rewards.data - 2.0
+    mass = 1 / (1 - mdp.discount) if horizon is None else (mdp.discount ** np.arange(horizon)).sum()
+    changed = oee.policy_value(mdp.with_rewards(table), policy, horizon=horizon)
+    assert_allclose(changed, 3 * oee.policy_value(mdp, policy, horizon=horizon) - 2 * mass, rtol=1e-9, atol=1e-9)
+
+
+def test_the_survival_chain_in_closed_form():
+    for discount in (0.0, 0.5, 0.9, 1.0):
+        chain = survival_chain(discount)
+        assert_allclose(oee.policy_value(chain, np.ones((2, 1))), 1 / (1 - 0.7 * discount), rtol=1e-14)
+    assert_allclose(oee.policy_value(survival_chain(1.0), np.ones((2, 1)), horizon=3), 1 + 0.7 + 0.49, rtol=1e-14)
+
+
+def test_normalized_values():
+    chain = survival_chain(0.9)
+    policy = np.ones((2, 1))
+    for horizon in (None, 5):
+        raw = oee.policy_value(chain, policy, horizon=horizon)
+        assert_allclose(oee.policy_value(chain, policy, horizon=horizon, normalized=True), 0.1 * raw, rtol=1e-14)
+
+
+def test_discount_one_without_absorption_says_so():
+    ring = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [0.0, 1.0], [1, 0], 1.0)
+    with pytest.raises(ValueError, match=r"horizon must be given: at discount 1 .* 1 states that do, the first: 1 \(reward 1\)"):
+        oee.policy_value(ring, np.ones((2, 1)))
+    assert oee.policy_value(ring, np.ones((2, 1)), horizon=4) == 2.0
+    # a policy that is absorbed in the same MDP is fine
+    transitions = np.array([[[0.0, 1.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]]])
+    mdp = FiniteMDP(transitions, np.array([[2.0, 0.0], [0.0, 0.0]]), [1, 0], 1.0)
+    assert oee.policy_value(mdp, np.array([[0.5, 0.5], [1.0, 0.0]])) == pytest.approx(2.0, rel=1e-14)
+
+
+def test_the_error_bound_is_one():
+    """|V - V*| <= bound against exact rational arithmetic, also at discount 0.9999 and for the iterative solver."""
+    from fractions import Fraction
+
+    mdp = survival_chain(0.9999)
+    found = exact.evaluate_policy(mdp, np.ones((2, 1)))
+    truth = 1 / (1 - Fraction(0.7) * Fraction(0.9999))
+    assert abs(Fraction(float(found.values[0])) - truth) <= Fraction(found.error_bound) + Fraction(1, 10**15)
+    rng = np.random.default_rng(0)
+    for n, discount in ((600, 0.99), (900, 0.9999)):
+        grid = oee.tasks.gridworld(int(n**0.5) + 1, 0.3, discount=discount)
+        policy = random_policy(rng, grid)
+        found = exact.evaluate_policy(grid, policy)
+        difference = np.abs(found.values - dense_values(grid, policy)).max()
+        assert found.method == "BiCGSTAB"
+        assert difference <= found.error_bound + 1e-12 * np.abs(found.values).max()
+        assert found.error_bound < 1e-8 * np.abs(found.values).max()
+
+
+def test_an_expander_is_not_given_to_a_direct_solver():
+    n, rng = 4000, np.random.default_rng(1)
+    rows = np.repeat(np.arange(n), 6)
+    matrix = sparse.csr_array((np.full(6 * n, 1 / 6), (rows, rng.integers(0, n, 6 * n))), shape=(n, n))
+    mdp = FiniteMDP(matrix, rng.random(n), np.full(n, 1 / n), 0.99)
+    found = exact.evaluate_policy(mdp, np.ones((n, 1)))
+    assert found.method == "BiCGSTAB"
+    assert found.error_bound < 1e-9 * np.abs(found.values).max()
+
+
+def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
+    from oee_tabular.exact import linear
+
+    grid = oee.tasks.gridworld(25, 0.3)
+    policy = oee.uniform_policy(grid)
+    monkeypatch.setattr(linear, "_iterate", lambda matrix, b: (np.zeros(len(b)), b))
+    found = exact.evaluate_policy(grid, policy)
+    assert found.method == "sparse LU"
+    assert_allclose(found.values, dense_values(grid, policy), rtol=1e-10, atol=1e-20)
+
+
+@given(rngs)
+def test_the_gradient_is_the_derivative(rng):
+    """theory.md 29: finite differences along directions that keep rows summing to 1."""
+    mdp = random_mdp(rng, n_states=4, zeros=0.0, discount=0.9)
+    policy = random_policy(rng, mdp)
+    horizon = [None, 3][int(rng.integers(2))]
+    gradient = exact.transition_gradient(mdp, policy, horizon=horizon)
+    direction = rng.normal(size=(mdp.n_states * mdp.n_actions, mdp.n_states))
+    direction -= direction.mean(axis=1, keepdims=True)
+    step = 1e-5
+    values = [
+        oee.policy_value(mdp.with_transitions(sparse.csr_array(mdp.transitions.toarray() + sign * step * direction)),
+                         policy, horizon=horizon)
+        for sign in (1, -1)
+    ]  # fmt: skip
+    numeric = (values[0] - values[1]) / (2 * step)
+    assert_allclose(gradient @ direction.reshape(-1), numeric, rtol=1e-5, atol=1e-5)
+
+
+@given(rngs)
+def test_the_simulation_lemma_in_both_forms(rng):
+    """theory.md 27: J' - J = g/(1-g) <d', (P' - P) V> = g/(1-g) <d, (P' - P) V'> for r(s, a)."""
+    simulator = random_mdp(rng, form=2)
+    target = random_mdp(rng, like=simulator)
+    policy = random_policy(rng, simulator)
+    difference = oee.policy_value(target, policy) - oee.policy_value(simulator, policy)
+    change = target.transitions - simulator.transitions
+    factor = simulator.discount / (1 - simulator.discount)
+    for measured, valued in ((target, simulator), (simulator, target)):
+        move = oee.occupancy(measured, policy).reshape(-1) @ (change @ oee.state_values(valued, policy))
+        assert_allclose(factor * move, difference, rtol=0, atol=1e-8)
+
+
+def test_unnormalised_kernels_diverge_with_their_radius():
+    """theory.md, table of limits: 1.15 P at discount 0.9 has a radius of 1.035."""
+    mdp = random_mdp(np.random.default_rng(3), n_states=4, n_actions=2, discount=0.9, form=2)
+    policy = oee.uniform_policy(mdp)
+    inflated = exact.reweight(mdp, mdp.transitions * 0 + mdp.transitions.sign() * 1.15)
+    with pytest.raises(ValueError, match=r"spectral radius of 1\.035"):
+        oee.policy_value(inflated, policy)
+    assert np.isfinite(oee.policy_value(inflated, policy, horizon=50))
+    small = exact.reweight(mdp, mdp.transitions.sign() * 1.05)
+    kernel = np.einsum("sa,sat->st", policy, dense(mdp)[0]) * 1.05
+    expected = np.linalg.solve(np.eye(4) - 0.9 * kernel, (policy * mdp.rewards).sum(axis=1))
+    assert_allclose(oee.state_values(small, policy), expected, rtol=1e-10)
+
+
+def test_a_kernel_above_one_but_below_the_radius_is_certified():
+    """Rows may exceed 1 where the policy rarely is; only the radius counts."""
+    transitions = np.array([[[0.0, 1.0]], [[0.0, 1.0]]])
+    mdp = FiniteMDP(transitions, [1.0, 1.0], [1, 0], 0.5)
+    zeta = sparse.csr_array(np.array([[0.0, 3.0], [0.0, 1.0]]))
+    found = exact.evaluate_policy(exact.reweight(mdp, zeta), np.ones((2, 1)))
+    assert_allclose(found.values, [1 + 0.5 * 3 * 2, 2.0], rtol=1e-14)
+    assert 0 <= found.error_bound < 1e-12

@@ -1,0 +1,144 @@
+import pickle
+
+import numpy as np
+import pytest
+from helpers import dense, integer_distribution, random_mdp, random_policy, rngs
+from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP
+
+
+def test_rows_are_state_major_and_zeros_are_dropped():
+    transitions = np.array([[[0.9, 0.1], [0.2, 0.8]], [[0.0, 1.0], [0.0, 1.0]]])
+    mdp = FiniteMDP(transitions, np.zeros(2), [1.0, 0.0], 0.9)
+    assert (mdp.n_states, mdp.n_actions, mdp.transitions.nnz) == (2, 2, 6)
+    assert_array_equal(mdp.transitions.toarray(), transitions.reshape(4, 2))
+
+
+@given(rngs)
+def test_dense_and_sparse_input_make_the_same_mdp(rng):
+    mdp = random_mdp(rng)
+    transitions, rewards = dense(mdp)
+    given_rewards = rewards if mdp.transition_rewards is not None else mdp.rewards
+    sparse_rewards = sparse.csr_array(rewards.reshape(-1, mdp.n_states)) if given_rewards is rewards else given_rewards
+    other = FiniteMDP(
+        sparse.coo_array(transitions.reshape(-1, mdp.n_states)), sparse_rewards, mdp.initial, mdp.discount
+    )
+    assert_array_equal(other.transitions.toarray(), mdp.transitions.toarray())
+    assert_allclose(other.rewards, mdp.rewards, rtol=0, atol=1e-12)
+    if mdp.reward_data is not None:
+        assert_array_equal(other.reward_data, mdp.reward_data)
+
+
+def test_the_three_forms_of_rewards():
+    transitions = np.array([[[0.25, 0.75]], [[1.0, 0.0]]])
+    by_state = FiniteMDP(transitions, [1.0, 2.0], [1, 0], 0.5)
+    assert_array_equal(by_state.rewards, [[1.0], [2.0]])
+    by_action = FiniteMDP(transitions, [[1.0], [2.0]], [1, 0], 0.5)
+    assert_array_equal(by_action.rewards, [[1.0], [2.0]])
+    assert by_action.transition_rewards is None
+    by_move = FiniteMDP(transitions, np.array([[[4.0, 8.0]], [[1.0, np.nan]]]), [1, 0], 0.5)
+    assert_array_equal(by_move.rewards, [[7.0], [1.0]])
+    assert_array_equal(by_move.reward_data, [4.0, 8.0, 1.0])
+
+
+def test_it_is_immutable():
+    mdp = random_mdp(np.random.default_rng(0), form=3)
+    with pytest.raises(AttributeError, match="immutable"):
+        mdp.discount = 0.5
+    with pytest.raises(AttributeError, match="immutable"):
+        del mdp.discount
+    for array in (mdp.rewards, mdp.initial, mdp.transitions.data, mdp.transition_rewards.data, mdp.reward_data):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+def test_it_does_not_change_or_keep_what_it_was_given():
+    transitions, initial = np.ones((1, 1, 1)), np.ones(1)
+    mdp = FiniteMDP(transitions, np.ones(1), initial, 0.5)
+    transitions[:] = 0.0
+    initial[:] = 0.0
+    assert mdp.transitions.data[0] == mdp.initial[0] == 1.0
+
+
+@given(rngs)
+def test_save_and_load_give_the_same_bits(rng):
+    import tempfile
+    from pathlib import Path
+
+    mdp = random_mdp(rng)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mdp.npz"
+        mdp.save(path)
+        assert [p.name for p in Path(folder).iterdir()] == ["mdp.npz"]
+        _same_bits(mdp, FiniteMDP.load(path))
+    _same_bits(mdp, pickle.loads(pickle.dumps(mdp)))
+
+
+def _same_bits(a, b):
+    for name in ("rewards", "initial", "terminal_state"):
+        assert_array_equal(getattr(a, name), getattr(b, name))
+    assert a.discount == b.discount
+    for name in ("transitions", "transition_rewards"):
+        left, right = getattr(a, name), getattr(b, name)
+        assert (left is None) == (right is None)
+        if left is not None:
+            assert_array_equal(left.indptr, right.indptr)
+            assert_array_equal(left.indices, right.indices)
+            assert_array_equal(left.data, right.data)
+
+
+@given(rngs)
+def test_action_noise_is_the_policy_mixed_with_uniform(rng):
+    """V under (P_eps, pi) is V under (P, (1 - eps) pi + eps uniform): dynamics and rewards both."""
+    mdp = random_mdp(rng)
+    policy = random_policy(rng, mdp)
+    epsilon = float(rng.choice([0.0, 0.25, 1.0]))
+    noisy = mdp.with_action_noise(epsilon)
+    mixed = oee.mix(policy, oee.uniform_policy(mdp), 1 - epsilon)
+    assert_allclose(oee.state_values(noisy, policy), oee.state_values(mdp, mixed), rtol=0, atol=1e-9)
+
+
+def test_action_noise_keeps_the_rewards_of_the_action_that_was_carried_out():
+    """Both actions move 0 -> 1, one paying 0, one 10; with noise 0.5 the first pays 0 or 10 with 3 to 1."""
+    transitions = np.array([[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]])
+    rewards = np.array([[[0.0, 0.0], [0.0, 10.0]], [[0.0, 0.0], [0.0, 0.0]]])
+    noisy = FiniteMDP(transitions, rewards, [1, 0], 0.9).with_action_noise(0.5)
+    assert_allclose(noisy.rewards[0], [2.5, 7.5], rtol=1e-15)
+
+
+@given(rngs)
+def test_other_transitions_average_the_rewards_again(rng):
+    mdp = random_mdp(rng, form=3)
+    target = random_mdp(rng, like=mdp)
+    transitions, _ = dense(target)
+    _, rewards = dense(mdp)
+    assert_allclose(target.rewards, np.einsum("sat,sat->sa", transitions, rewards), rtol=0, atol=1e-12)
+
+
+def test_a_dense_reward_is_defined_off_the_support_and_a_nan_is_not():
+    transitions = np.array([[[1.0, 0.0]], [[0.0, 1.0]]])
+    other = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
+    everywhere = FiniteMDP(transitions, np.array([[[1.0, 5.0]], [[0.0, 0.0]]]), [1, 0], 0.9)
+    assert_allclose(everywhere.with_transitions(other).rewards[0, 0], 3.0)
+    partly = FiniteMDP(transitions, np.array([[[1.0, np.nan]], [[0.0, 0.0]]]), [1, 0], 0.9)
+    with pytest.raises(ValueError, match=r"1 moves do not, the first: s=0, a=0 -> s'=1"):
+        partly.with_transitions(other)
+
+
+def test_absorbing_states_pay_nothing_and_lead_only_to_themselves():
+    transitions = np.zeros((3, 1, 3))
+    transitions[0, 0, 1] = transitions[1, 0, 1] = transitions[2, 0, 2] = 1.0
+    mdp = FiniteMDP(transitions, [0.0, 0.0, 1.0], [1, 0, 0], 0.9)
+    assert_array_equal(mdp.absorbing(), [False, True, False])
+
+
+def test_large_sparse_rewards_are_not_made_dense():
+    n = 20000
+    ring = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    mdp = FiniteMDP(ring, ring * 2.0, integer_distribution(np.random.default_rng(0), n), 0.5)
+    assert mdp.transition_rewards.nnz == n
+    assert_allclose(oee.policy_value(mdp, np.ones((n, 1))), 4.0)

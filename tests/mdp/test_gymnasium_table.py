@@ -1,0 +1,115 @@
+import gymnasium
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP
+
+ENVIRONMENTS = [
+    ("FrozenLake-v1", {"map_name": "4x4"}),
+    ("FrozenLake-v1", {"map_name": "8x8", "success_rate": 0.6}),
+    ("FrozenLake-v1", {"desc": ["SFH", "FFG"], "is_slippery": False}),
+    ("CliffWalking-v1", {}),
+    ("CliffWalking-v1", {"is_slippery": True}),
+    ("Taxi-v4", {}),
+    ("Taxi-v4", {"is_rainy": True, "rainy_probability": 0.6}),
+]
+
+
+@pytest.mark.parametrize(("name", "kwargs"), ENVIRONMENTS)
+def test_values_agree_with_value_iteration_on_the_table_itself(name, kwargs):
+    """The table's own semantics (nothing after termination), evaluated without any of our conversion."""
+    env = gymnasium.make(name, **kwargs)
+    table = env.unwrapped.P
+    mdp = FiniteMDP.from_gymnasium(env, discount=0.9)
+    own = len(table)
+    rng = np.random.default_rng(0)
+    policy = rng.dirichlet(np.ones(mdp.n_actions), size=own)
+    values = np.zeros(own)
+    for _ in range(400):
+        values = np.array(
+            [
+                sum(
+                    policy[s, a] * p * (r + 0.9 * (0.0 if done else values[t]))
+                    for a in range(mdp.n_actions)
+                    for p, t, r, done in table[s][a]
+                )
+                for s in range(own)
+            ]
+        )
+    started = env.unwrapped.initial_state_distrib
+    assert_allclose(oee.policy_value(mdp, policy), started @ values, rtol=1e-9)
+    entered_by_death = {t for s in table for a in table[s] for _, t, _, done in table[s][a] if done}
+    ours = oee.state_values(mdp, policy)
+    for s in range(own):
+        if s not in entered_by_death or mdp.terminal_state[s] != s:
+            assert_allclose(ours[s], values[s], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "kwargs"), ENVIRONMENTS)
+def test_terminated_moves_lead_to_states_that_are_over(name, kwargs):
+    env = gymnasium.make(name, **kwargs)
+    mdp = FiniteMDP.from_gymnasium(env)
+    table = env.unwrapped.P
+    over = mdp.absorbing()
+    transitions = mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
+    for s in table:
+        if over[s]:
+            continue
+        for a in table[s]:
+            expected = np.zeros(mdp.n_states)
+            for p, t, _, done in table[s][a]:
+                expected[mdp.terminal_state[t] if done else t] += p
+                assert not done or over[mdp.terminal_state[t]]
+            assert_allclose(transitions[s, a], expected, rtol=0, atol=1e-15)
+
+
+def test_goal_and_holes_of_frozen_lake_stay_apart():
+    mdp = oee.tasks.toy_text("FrozenLake-v1", map_name="4x4")
+    assert mdp.n_states == 16
+    assert_array_equal(np.flatnonzero(mdp.absorbing()), [5, 7, 11, 12, 15])
+
+
+def test_a_state_entered_alive_as_well_gets_a_twin():
+    """Taxi: from its unreachable states the destination is entered without termination, so dropping off needs twins."""
+    mdp = oee.tasks.toy_text("Taxi-v4")
+    assert mdp.n_states == 504
+    assert len(mdp.terminal_state) == 500
+    twins = np.flatnonzero(mdp.terminal_state != np.arange(500))
+    assert len(twins) == 4
+    assert_array_equal(np.sort(mdp.terminal_state[twins]), np.arange(500, 504))
+
+
+def test_a_policy_of_the_environment_s_own_shape_is_accepted():
+    mdp = oee.tasks.toy_text("Taxi-v4")
+    own = np.full((500, 6), 1 / 6)
+    assert oee.policy_value(mdp, own) == oee.policy_value(mdp, oee.uniform_policy(mdp))
+    assert oee.policy_value(mdp, np.stack([own] * 3), horizon=3) == oee.policy_value(mdp, own, horizon=3)
+
+
+def test_rain_comes_with_its_probability():
+    mdp = oee.tasks.toy_text("Taxi-v4", is_rainy=True, rainy_probability=0.6)
+    largest = mdp.transitions.max(axis=1).toarray()
+    assert np.isclose(largest, 0.6).any()
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="fickle Taxi passenger changes its destination outside it"):
+        FiniteMDP.from_gymnasium(gymnasium.make("Taxi-v4", fickle_passenger=True))
+    with pytest.raises(ValueError, match="BlackjackEnv has none"):
+        FiniteMDP.from_gymnasium(gymnasium.make("Blackjack-v1"))
+    flipped = gymnasium.wrappers.TransformReward(gymnasium.make("FrozenLake-v1"), lambda r: -r)
+    with pytest.raises(ValueError, match="the wrapper TransformReward does"):
+        FiniteMDP.from_gymnasium(flipped)
+    sticky = gymnasium.wrappers.StickyAction(gymnasium.make("FrozenLake-v1"), 0.25)
+    with pytest.raises(ValueError, match="the wrapper StickyAction does"):
+        FiniteMDP.from_gymnasium(sticky)
+
+
+def test_terminal_states_survive_saving_and_noise(tmp_path):
+    mdp = oee.tasks.toy_text("Taxi-v4")
+    mdp.save(tmp_path / "taxi.npz")
+    for other in (FiniteMDP.load(tmp_path / "taxi.npz"), mdp.with_action_noise(0.1), mdp.with_discount(0.5)):
+        assert_array_equal(other.terminal_state, mdp.terminal_state)
+        assert other.absorbing()[500:].all()

@@ -1,0 +1,90 @@
+import gymnasium
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+import oee_tabular as oee
+from oee_tabular.tasks import named_task, record_episodes
+
+
+def test_names_with_arguments():
+    grid = named_task("gridworld:4,slip=0.3,pay=current", discount=0.5)
+    assert grid.mdp.discount == 0.5
+    assert grid.mdp.transition_rewards is None
+    assert_array_equal(grid.expert(), oee.tasks.gridworld_expert(4))
+    lake = named_task("FrozenLake-v1:map_name=8x8,success_rate=1/3,is_slippery=true")
+    assert lake.mdp.n_states == 64
+    assert_allclose(lake.mdp.transitions.toarray()[1 * 4 + 2, [1 + 8, 2, 1]], 1 / 3)
+    own = named_task("FrozenLake-v1:desc=['SFH','FFG'],is_slippery=False")
+    assert own.mdp.n_states == 6
+    assert_array_equal(lake.expert(), oee.optimal_policy(lake.mdp))
+
+
+def test_files(tmp_path):
+    mdp = oee.tasks.gridworld(3, 0.2)
+    mdp.save(tmp_path / "sim.npz")
+    task = named_task(str(tmp_path / "sim.npz"), discount=0.7)
+    assert task.mdp.discount == 0.7
+    assert task.environment is None
+    assert_array_equal(task.mdp.transitions.data, mdp.transitions.data)
+
+
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        ("gridword:10", "'gridword' is neither"),
+        ("FrozenLake-v2", "near: FrozenLake-v1"),
+        ("gridworld", "must be like 'gridworld:10,slip=0.3'; missing a required argument: 'size'"),
+        ("gridworld:10,slop=0.3", "must be like 'gridworld:10,slip=0.3'"),
+        ("gridworld:1,slip=0.3", "size must be at least 2; it is 1"),
+        ("gridworld:4,slip=1.3", r"slip must be in \[0, 1\]; it is 1.3"),
+        ("FrozenLake-v1:8x8", "must give its arguments as key=value; found '8x8'"),
+        ("FrozenLake-v1:map=8x8", "does not take these arguments"),
+        ("CartPole-v1", "must have a toy-text table"),
+    ],
+)
+def test_bad_names(spec, text):
+    with pytest.raises(ValueError, match=text):
+        named_task(spec)
+
+
+def test_recording_steps_the_environment_itself():
+    """Frequencies of the log against the table, chi-square; structure against the time limit."""
+    env = gymnasium.make("FrozenLake-v1", map_name="4x4", success_rate=0.6, max_episode_steps=20)
+    mdp = oee.FiniteMDP.from_gymnasium(env)
+    policy = np.random.default_rng(0).dirichlet(np.ones(4), size=16)
+    log = record_episodes(env, policy, n_transitions=30_000, seed=5)
+    assert len(log) == 30_000
+    lengths = np.diff(log.episode_starts)
+    assert lengths.max() == 20
+    last = log.episode_starts[1:] - 1
+    assert_array_equal(log.terminated[last] | log.truncated[last], np.ones(len(last), dtype=bool))
+    counts = log.counts(16, 4).toarray()
+    expected = counts.sum(axis=1, keepdims=True) * mdp.transitions.toarray()
+    assert counts[expected == 0].sum() == 0
+    free = (expected > 0).sum() - (counts.sum(axis=1) > 0).sum()
+    statistic = ((counts - expected)[expected > 0] ** 2 / expected[expected > 0]).sum()
+    assert stats.chi2.sf(statistic, free) > 1e-4
+    assert_array_equal(log.behavior_probability, policy[log.state, log.action])
+    again = record_episodes(env, policy, n_transitions=500, seed=5)
+    assert_array_equal(again.next_state, log.next_state[:500])
+    assert again.truncated[-1] or again.terminated[-1]
+
+
+def test_recording_episodes():
+    env = gymnasium.make("CliffWalking-v1", is_slippery=True, max_episode_steps=50)
+    log = record_episodes(env, np.full((48, 4), 0.25), n_episodes=7, seed=0)
+    assert log.n_episodes == 7
+    assert_allclose(np.unique(log.reward), [-100, -1])
+
+
+def test_recording_refuses():
+    env = gymnasium.make("FrozenLake-v1")
+    uniform = np.full((16, 4), 0.25)
+    with pytest.raises(ValueError, match="one of n_transitions and n_episodes"):
+        record_episodes(env, uniform, seed=0)
+    with pytest.raises(ValueError, match=r"policy must have shape \(16, 4\); it has shape \(16, 3\)"):
+        record_episodes(env, np.full((16, 3), 1 / 3), n_episodes=1, seed=0)
+    with pytest.raises(ValueError, match=r"env.observation_space must be Discrete"):
+        record_episodes(gymnasium.make("CartPole-v1"), uniform, n_episodes=1, seed=0)

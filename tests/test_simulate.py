@@ -1,0 +1,125 @@
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from helpers import dense, random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+import oee_tabular as oee
+from oee_tabular.kernels import rollout
+from oee_tabular.simulate import running_sums
+
+
+@pytest.mark.parametrize(
+    ("counter", "key", "answer"),
+    [
+        # Random123's kat_vectors for philox4x32-10
+        ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
+        ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
+        (
+            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
+            (0xA4093822, 0x299F31D0),
+            (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
+        ),
+    ],
+)
+def test_philox_gives_its_published_answers(counter, key, answer):
+    found = rollout.philox(*(np.uint64(word) for word in (*counter, *key)))
+    assert tuple(int(word) for word in found) == answer
+
+
+def test_uniforms_are_in_the_unit_interval_and_uniform():
+    key = np.uint64(12345678901234567)
+    draws = np.array([rollout.uniforms(key, i, t) for i in range(300) for t in range(30)]).reshape(-1)
+    assert draws.min() >= 0
+    assert draws.max() < 1
+    assert stats.kstest(draws, "uniform").pvalue > 1e-3
+    assert len(np.unique(draws)) == len(draws)
+
+
+SCRIPT = """
+import hashlib, numpy as np, oee_tabular as oee
+mdp = oee.tasks.gridworld(7, 0.3)
+a = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 200, 60, seed=11)
+b = oee.sample_transitions(mdp, np.full((49, 4), 1 / 196), 5000, seed=12)
+text = b"".join(np.ascontiguousarray(x).tobytes() for log in (a, b) for x in log.columns().values())
+print(hashlib.sha256(text).hexdigest())
+"""
+
+
+def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads():
+    hashes = set()
+    for threads in ("1", "2"):
+        environment = os.environ | {"NUMBA_NUM_THREADS": threads}
+        done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+        hashes.add(done.stdout.strip())
+    assert len(hashes) == 1
+
+
+def test_seeds_are_what_default_rng_takes():
+    mdp = survival_chain()
+    policy = np.ones((2, 1))
+    one = oee.sample_episodes(mdp, policy, 50, 20, seed=np.random.SeedSequence(5, spawn_key=(1, 2)))
+    two = oee.sample_episodes(mdp, policy, 50, 20, seed=np.random.SeedSequence(5, spawn_key=(1, 2)))
+    assert_array_equal(one.next_state, two.next_state)
+    generator = np.random.default_rng(0)
+    first = oee.sample_episodes(mdp, policy, 50, 20, seed=generator)
+    second = oee.sample_episodes(mdp, policy, 50, 20, seed=generator)
+    assert len(first) != len(second) or not np.array_equal(first.next_state, second.next_state)
+
+
+@given(rngs)
+def test_running_sums_restart_in_each_row(rng):
+    lengths = rng.integers(1, 6, size=int(rng.integers(1, 20)))
+    indptr = np.concatenate([[0], np.cumsum(lengths)])
+    data = rng.random(indptr[-1])
+    expected = np.concatenate([np.cumsum(data[a:b]) for a, b in zip(indptr[:-1], indptr[1:], strict=True)])
+    assert_allclose(running_sums(data, indptr), expected, rtol=1e-15)
+
+
+def test_moves_follow_the_distribution_and_the_transitions():
+    """Chi-square of 200 000 moves against P(s' | s, a) w(s, a); impossible moves never happen."""
+    rng = np.random.default_rng(4)
+    mdp = random_mdp(rng, n_states=5, n_actions=3)
+    weights = rng.dirichlet(np.ones(15)).reshape(5, 3)
+    n = 200_000
+    log = oee.sample_transitions(mdp, weights, n, seed=1)
+    expected = n * (weights.reshape(-1)[:, None] * mdp.transitions.toarray()).reshape(-1)
+    found = log.counts(5, 3).toarray().reshape(-1)
+    assert found[expected == 0].sum() == 0
+    assert stats.chisquare(found[expected > 0], expected[expected > 0]).pvalue > 1e-4
+
+
+def test_episodes_follow_initial_policy_and_transitions():
+    rng = np.random.default_rng(8)
+    mdp = random_mdp(rng, n_states=4, n_actions=2, discount=0.9)
+    policy = random_policy(rng, mdp)
+    log = oee.sample_episodes(mdp, policy, 60_000, 3, seed=2)
+    first = log.timestep == 0
+    n = first.sum()
+    expected = n * mdp.initial
+    found = np.bincount(log.state[first], minlength=4)
+    assert found[expected == 0].sum() == 0
+    assert stats.chisquare(found[expected > 0], expected[expected > 0]).pvalue > 1e-4
+    undiscounted = mdp.with_discount(1.0)
+    share = oee.occupancy(undiscounted, policy, horizon=3, of="transition").toarray()
+    if not mdp.absorbing().any():
+        assert_allclose(log.counts(4, 2).toarray() / len(log), share, rtol=0, atol=5 / np.sqrt(len(log)))
+    assert_array_equal(log.behavior_probability, policy[log.state, log.action])
+    transitions, rewards = dense(mdp)
+    assert (transitions[log.state, log.action, log.next_state] > 0).all()
+    assert_allclose(log.reward, rewards[log.state, log.action, log.next_state])
+
+
+def test_episodes_end_where_they_are_over():
+    log = oee.sample_episodes(survival_chain(), np.ones((2, 1)), 4000, 5, seed=0)
+    lengths = np.diff(log.episode_starts)
+    ended = log.terminated[log.episode_starts[1:] - 1]
+    assert_array_equal(ended, log.next_state[log.episode_starts[1:] - 1] == 1)
+    assert (lengths[~ended] == 5).all()
+    assert_array_equal(log.truncated[log.episode_starts[1:] - 1], ~ended)
+    assert_allclose((lengths == 1).mean(), 0.3, atol=0.03)
