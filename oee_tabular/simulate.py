@@ -76,11 +76,14 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     terminated = np.zeros(len(rows), dtype=np.bool_)
     last = starts[1:] - 1
     terminated[last] = over[indices[entries[last]]]
-    return _as_log(mdp, rows, entries, terminated, episode=np.repeat(np.arange(n), lengths), policy=pi)
+    return _as_log(mdp, rows, entries, terminated=terminated, episode=np.repeat(np.arange(n), lengths), policy=pi)
 
 
 def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) -> Transitions:
-    """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a). A bag, without episodes."""
+    """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
+
+    A bag, without episodes or termination: absorbing states are drawn from like any other.
+    """
     from oee_tabular.kernels import rollout
 
     size = _checks.positive_integer(n, "n")
@@ -88,11 +91,11 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     indptr = mdp.transitions.indptr.astype(np.int64)
     cumulative = running_sums(mdp.transitions.data, indptr)
     rows, entries = rollout.transitions(stream_key(seed), size, np.cumsum(weights.reshape(-1)), indptr, cumulative)
-    return _as_log(mdp, rows, entries, mdp.absorbing()[mdp.transitions.indices[entries]])
+    return _as_log(mdp, rows, entries)
 
 
 def _as_log(
-    mdp: FiniteMDP, rows: Any, entries: Any, terminated: Any, *, episode: Any = None, policy: Array | None = None
+    mdp: FiniteMDP, rows: Any, entries: Any, *, terminated: Any = None, episode: Any = None, policy: Array | None = None
 ) -> Transitions:
     state, action = rows // mdp.n_actions, rows % mdp.n_actions
     reward = mdp.rewards[state, action] if mdp.reward_data is None else mdp.reward_data[entries]

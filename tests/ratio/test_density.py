@@ -1,0 +1,209 @@
+import warnings
+
+import numpy as np
+import pytest
+from helpers import integer_distribution, rngs
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.ratio import dual, programs
+
+
+def random_problem(rng, n, *, box):
+    """p from counts (with zeros), q with zeros only where a bound or a ridge keeps the program bounded."""
+    p = rng.multinomial(int(rng.integers(1, 20 * n)), rng.dirichlet(np.ones(n))).astype(float)
+    q = integer_distribution(rng, n, zeros=0.15 if box else 0.0)
+    options = {
+        "lower": float(10 ** rng.uniform(-2, -0.1)) if box else None,
+        "upper": float(10 ** rng.uniform(0.1, 1)) if box else None,
+        "ridge": float(rng.choice([0.0, 0.01, 0.1, 1.0])),
+        "toward": [None, 1.0, 0.5][int(rng.integers(3))],
+        "normalized": bool(rng.random() < 0.7),
+    }
+    return p, q, options
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_structured_answer_against_clarabel(seed):
+    """Gap below 1e-8; the objective never above Clarabel's (1e-12, epigraph form) by 1e-10; with a box equal ratios.
+
+    Clarabel's point is compared by its Lagrangian, which makes up for the 1e-12 by which it misses sum q g = 1.
+    """
+    rng = np.random.default_rng(seed)
+    n = [2, 3, 10, 50, 300, 1572][seed % 6]
+    p, q, options = random_problem(rng, n, box=seed % 2 == 0)
+    fit = oee.density_ratio(p, q, **options)
+    assert 0 <= fit.gap < 1e-8
+    assert fit.dual_bound <= fit.objective
+    known = (p > 0) | (q > 0)
+    ps, qs = (p / p.sum())[known], (q / q.sum())[known]
+    center = options["toward"] or 0.0
+    bend = np.full(len(ps), options["ridge"]) * (1.0 if options["toward"] is None else qs)
+    low = options["lower"] or 0.0
+    high = options["upper"] or np.inf
+    indptr = np.array([0, len(ps)]) if options["normalized"] else None
+    statement = programs.state_rows(ps, qs, bend, center, low, high, indptr)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        statement.problem.solve(solver="CLARABEL", warm_start=False, **programs.clarabel_options(1e-12))
+    assert statement.problem.status in ("optimal", "optimal_inaccurate")
+    peer = np.maximum(statement.variable.value, 1e-300)
+    value = dual.objective(peer, ps, qs, bend, center)
+    if statement.equality is not None:
+        value += float(statement.equality.dual_value[0]) * float(qs @ peer - 1.0)
+    assert fit.objective <= value + 1e-10
+    if options["upper"] is not None and statement.problem.status == "optimal":
+        assert_allclose(fit.ratio[known], peer, rtol=0, atol=1e-6)
+
+
+@given(rngs, st.booleans())
+def test_certificates_hold_and_are_tight(rng, box):
+    n = int(rng.integers(1, 30))
+    p, q, options = random_problem(rng, n, box=box)
+    fit = oee.density_ratio(p, q, **options)
+    assert 0 <= fit.gap < 1e-12
+    assert fit.ratio.min() >= (options["lower"] or 0.0)
+    assert fit.ratio.max() <= (options["upper"] or np.inf)
+    if options["normalized"]:
+        assert_allclose(q / q.sum() @ fit.ratio, 1.0, rtol=1e-12)
+    # the dual function at any multiplier is a lower bound
+    known = (p > 0) | (q > 0)
+    ps, qs = (p / p.sum())[known], (q / q.sum())[known]
+    bend = np.full(len(ps), options["ridge"]) * (1.0 if options["toward"] is None else qs)
+    arguments = (ps, qs, bend, options["toward"] or 0.0, options["lower"] or 0.0, options["upper"] or np.inf)
+    multipliers = [1.0] if not options["normalized"] else [0.5, 1.0, 1.0 + fit.normalizer, 3.0]
+    for m in multipliers:
+        assert dual.dual_value(m, *arguments) <= fit.objective + 1e-10
+
+
+def test_a_wrong_answer_is_not_certified():
+    """The certificate itself rejects a feasible point that is not the optimum."""
+    from oee_tabular.kernels import duals
+
+    p, q = np.array([0.75, 0.25]), np.array([0.5, 0.5])
+    zero = np.zeros(2)
+    right, wrong = np.array([1.5, 0.5]), np.array([1.4, 0.6])
+    gaps = [duals.row_gap(1.0, p, q, zero, 0.0, 0.0, np.inf, 0, 2, g) for g in (right, wrong)]
+    assert gaps[0] == 0
+    excess = dual.objective(wrong, p, q, zero, 0.0) - dual.objective(right, p, q, zero, 0.0)
+    assert_allclose(gaps[1], excess, rtol=1e-9)
+    assert excess > 1e-3
+
+
+@given(rngs, st.sampled_from([{}, {"lower": 0.1, "upper": 5.0}, {"ridge": 3.0, "toward": 1.0}, {"normalized": False}]))
+def test_equal_distributions_have_ratio_one_exactly(rng, options):
+    p = rng.integers(0, 9, size=int(rng.integers(1, 40))) + 0.0
+    p[0] = 1.0
+    for scale in (1.0, 3.0):
+        assert_array_equal(oee.density_ratio(p, scale * p, **options).ratio, np.ones(len(p)))
+
+
+@given(rngs)
+def test_closed_forms(rng):
+    """theory.md, population limits: unconstrained p/q; box clip(p/q); ridge 2p / (q + sqrt(q^2 + 4 lam p))."""
+    n = int(rng.integers(1, 20))
+    p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    p[0] += 1
+    ps, qs = p / p.sum(), q / q.sum()
+    assert_allclose(oee.density_ratio(p, q).ratio, ps / qs, rtol=1e-14)
+    boxed = oee.density_ratio(p, q, lower=0.5, upper=1.25, normalized=False).ratio
+    assert_allclose(boxed, np.clip(ps / qs, 0.5, 1.25), rtol=1e-14)
+    ridged = oee.density_ratio(p, q, ridge=0.3, normalized=False).ratio
+    assert_allclose(ridged, 2 * ps / (qs + np.sqrt(qs**2 + 4 * 0.3 * ps)), rtol=1e-14)
+    both = oee.density_ratio(p, q, lower=0.5, upper=1.25)
+    if both.normalizer > -1 + 1e-9:  # at -1 the unobserved cells make up what is lacking
+        assert_allclose(both.ratio, np.clip(ps / ((1 + both.normalizer) * qs), 0.5, 1.25), rtol=0, atol=1e-12)
+
+
+@given(rngs)
+def test_without_a_box_the_ridge_sets_the_mass(rng):
+    """numerics.md A1: with the paper's penalty and no normalisation, sum q g = 1 - ridge * I(g)^2."""
+    n = int(rng.integers(1, 20))
+    p, q = rng.integers(1, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    g = oee.density_ratio(p, q, ridge=0.2, normalized=False).ratio
+    assert_allclose(q / q.sum() @ g, 1 - 0.2 * (g**2).sum(), rtol=0, atol=1e-13)
+
+
+@given(rngs)
+def test_shrinking_to_zero_and_to_one_are_one_program_once_normalised(rng):
+    """numerics.md A1: sum q (g - 1)^2 = sum q g^2 - 1 where sum q g = 1."""
+    n = int(rng.integers(2, 20))
+    p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    p[0] += 1
+    zero, one = (oee.density_ratio(p, q, ridge=0.7, toward=center).ratio for center in (0.0, 1.0))
+    assert_allclose(zero, one, rtol=0, atol=1e-12)
+
+
+@given(rngs)
+def test_the_divergence_estimate(rng):
+    """Unrestricted it is KL(p || q); a restricted class gives less (theory.md 17)."""
+    n = int(rng.integers(1, 20))
+    p, q = rng.integers(1, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    ps, qs = p / p.sum(), q / q.sum()
+    divergence = float(ps @ np.log(ps / qs))
+    assert_allclose(oee.density_ratio(p, q).divergence, divergence, rtol=0, atol=1e-14)
+    assert oee.density_ratio(p, q, lower=0.9, upper=1.1).divergence <= divergence + 1e-14
+
+
+def test_zeros():
+    """p = q = 0 is undetermined and gets 1; q = 0 < p sits at the upper bound; p = 0 < q at the lower."""
+    fit = oee.density_ratio([0, 2, 0, 2], [0, 0, 1, 1], lower=0.1, upper=4.0)
+    assert fit.n_undetermined == 1
+    assert_allclose(fit.ratio, [1.0, 4.0, 0.1, 1.9], rtol=1e-12)
+    assert fit.gap < 1e-14
+    assert oee.density_ratio([0, 2], [0, 2], ridge=1.0, toward=0.5).ratio[0] == 0.5
+
+
+def test_a_jump_is_filled_in():
+    """Both observed cells hit the upper bound with sum q g = 0.4 < 1: the unobserved cell makes up the rest."""
+    fit = oee.density_ratio([1, 1, 0], [0.1, 0.1, 0.8], upper=2.0)
+    assert_allclose(fit.ratio, [2.0, 2.0, 0.75], rtol=1e-12)
+    assert_allclose(fit.normalizer, -1.0)
+    assert fit.gap < 1e-14
+
+
+@pytest.mark.parametrize("bounds", [{"lower": 1.0}, {"upper": 1.0}, {"lower": 1.0, "upper": 1.0}])
+def test_a_box_that_leaves_one_point(bounds):
+    fit = oee.density_ratio([3, 1, 0], [1, 1, 2], **bounds)
+    assert_array_equal(fit.ratio, np.ones(3))
+    assert fit.gap < 1e-14
+
+
+def test_the_ridge_may_be_a_function_of_n():
+    by_function = oee.density_ratio([30, 10], [1, 1], ridge=lambda n: 4 / n).ratio
+    assert_array_equal(by_function, oee.density_ratio([30, 10], [1, 1], ridge=0.1).ratio)
+
+
+def test_hard_scales_are_solved():
+    """Scales 1e-6 to 1e6, zeros, boxes 1e-4 to 1e4, ridges 1e-8 to 1e4: always certified (a quick subset of a benchmark)."""
+    rng = np.random.default_rng(7)
+    for _ in range(1500):
+        n = int(rng.integers(1, 12))
+        p = rng.integers(0, 4, n) * 10 ** rng.uniform(-6, 6, n)
+        q = rng.integers(0, 4, n) * 10 ** rng.uniform(-6, 6, n)
+        if p.sum() == 0 or q.sum() == 0:
+            continue
+        lower, upper = 10 ** rng.uniform(-4, 0), 10 ** rng.uniform(0, 4)
+        ridge = float(rng.choice([0.0, 10 ** rng.uniform(-8, 4)]))
+        toward = [None, 0.0, 1.0, 2.0][int(rng.integers(4))]
+        fit = oee.density_ratio(p, q, lower=lower, upper=upper, ridge=ridge, toward=toward)
+        scale = max(1.0, abs(fit.objective))
+        assert fit.gap / scale < 1e-12
+        assert_allclose(q / q.sum() @ fit.ratio, 1.0, rtol=1e-10)
+
+
+def test_clarabel_by_name_and_unknown_solvers():
+    p, q = [3, 1, 4], [2, 2, 4]
+    ours, theirs = (oee.density_ratio(p, q, upper=1.4, solver=solver) for solver in ("dual", "CLARABEL"))
+    assert_allclose(theirs.ratio, ours.ratio, rtol=1e-5)
+    assert theirs.gap < 1e-9
+    with pytest.raises(ValueError, match=r"solver must be 'dual' or one of .*CLARABEL.*; got 'GUROBY'"):
+        oee.density_ratio(p, q, solver="GUROBY")
+
+
+def test_a_solver_that_stops_short_hands_on_no_numbers(monkeypatch):
+    monkeypatch.setattr(programs, "clarabel_options", lambda tolerance: {"max_iter": 2})
+    with pytest.raises(RuntimeError, match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used"):
+        oee.density_ratio([3, 1, 4], [2, 2, 4], upper=1.4, solver="CLARABEL")

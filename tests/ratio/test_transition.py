@@ -1,0 +1,198 @@
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import exact
+
+
+def pair(rng, **options):
+    simulator = random_mdp(rng, **options)
+    return simulator, random_mdp(rng, like=simulator)
+
+
+def counts_of(rng, mdp, n):
+    weights = rng.dirichlet(np.ones(mdp.n_states * mdp.n_actions)).reshape(mdp.n_states, mdp.n_actions)
+    return oee.sample_transitions(mdp, weights, n, seed=int(rng.integers(1 << 30))).counts(mdp.n_states, mdp.n_actions)
+
+
+@given(rngs)
+def test_the_true_ratio_turns_the_simulator_into_the_target(rng):
+    simulator, target = pair(rng)
+    zeta = oee.true_ratio(target, simulator)
+    assert zeta.row_sum_error < 1e-12
+    model = zeta.target_model(simulator)
+    assert_allclose(model.transitions.toarray(), target.transitions.toarray(), rtol=0, atol=1e-15)
+
+
+@given(rngs)
+def test_the_group_law(rng):
+    """theory.md 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where supports are equal."""
+    a = random_mdp(rng, zeros=0.0)
+    b, c = (a.with_transitions(rng.dirichlet(np.ones(a.n_states), size=(a.n_states, a.n_actions))) for _ in range(2))
+    assert_array_equal(oee.true_ratio(a, a).values.data, 1.0)
+    product = oee.true_ratio(b, a).values.data * oee.true_ratio(c, b).values.data
+    assert_allclose(oee.true_ratio(c, a).values.data, product, rtol=1e-12)
+
+
+@given(rngs, st.sampled_from([0.0, 0.3, 1.0, 7.0]))
+def test_conditional_is_the_dirichlet_posterior_mean(rng, strength):
+    """numerics.md A2, A3: zeta = (n/P + kappa) / (n_sa + kappa); rows never visited are the simulator's."""
+    simulator, target = pair(rng)
+    counts = counts_of(rng, target, int(rng.integers(1, 60)))
+    zeta = oee.transition_ratio(counts, simulator, strength=strength)
+    probability = simulator.transitions.toarray()
+    n = counts.toarray()
+    total = n.sum(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.where(total > 0, (n / probability + strength) / (total + strength), 1.0)
+    expected = np.where(probability > 0, expected, 0.0)
+    assert_allclose(zeta.values.toarray(), expected, rtol=1e-12)
+    assert_array_equal(zeta.visited.reshape(-1), total[:, 0] > 0)
+    assert zeta.row_sum_error < 1e-12
+    assert zeta.gap < 1e-13
+
+
+@given(rngs)
+def test_without_shrinkage_it_is_the_maximum_likelihood_model(rng):
+    """theory.md 21: OEE == model-based, where the log covers everything."""
+    simulator, target = pair(rng)
+    weights = np.full((simulator.n_states, simulator.n_actions), 1 / (simulator.n_states * simulator.n_actions))
+    log = oee.sample_transitions(target, weights, 400, seed=1)
+    if len(np.unique(log.state * simulator.n_actions + log.action)) < weights.size:
+        return
+    policy = random_policy(rng, simulator)
+    model = oee.transition_ratio(log, simulator, prior="none").target_model(simulator)
+    problem = oee.Problem(simulator, log)
+    expected = oee.estimators.ModelBased()(problem, policy).value
+    assert_allclose(oee.policy_value(model, policy), expected, rtol=0, atol=1e-7 * max(1, abs(expected)))
+
+
+@given(rngs, st.sampled_from([{}, {"ridge": 0.5}, {"ridge": 0.2, "toward": None}, {"lower": 0.5, "upper": 1.5}]))
+def test_rows_agree_with_clarabel(rng, options):
+    simulator, target = pair(rng, n_states=4, n_actions=2)
+    counts = counts_of(rng, target, 60)
+    ours, theirs = (oee.transition_ratio(counts, simulator, solver=solver, **options) for solver in ("dual", "CLARABEL"))
+    assert ours.gap < 1e-12
+    assert ours.row_sum_error < 1e-12
+    assert theirs.gap < 1e-6
+    assert_allclose(ours.values.data, theirs.values.data, rtol=0, atol=2e-3)
+    # each row is the plain density_ratio of its counts
+    kept = simulator.transitions
+    row = int(rng.integers(8))
+    entries = slice(kept.indptr[row], kept.indptr[row + 1])
+    columns = kept.indices[entries]
+    seen = counts.toarray()[row, columns]
+    if seen.sum() > 0:
+        p = seen + kept.data[entries]
+        fit = oee.density_ratio(p, kept.data[entries], **({"toward": 1.0} | options))
+        assert_allclose(ours.values.data[entries], fit.ratio, rtol=1e-9)
+
+
+def test_ridge_per_row_as_a_function_of_its_count():
+    simulator, target = pair(np.random.default_rng(2), n_states=5, n_actions=2)
+    counts = counts_of(np.random.default_rng(3), target, 200)
+    by_row = oee.transition_ratio(counts, simulator, prior="none", ridge=lambda n: 5.0 / np.maximum(n, 1))
+    dirichlet = oee.transition_ratio(counts, simulator, strength=5.0)
+    plain = oee.transition_ratio(counts, simulator, prior="none")
+    # numerics.md A3: KL with a quadratic pull agrees with the Dirichlet prior to second order
+    near = np.abs(by_row.values.data - dirichlet.values.data).mean()
+    far = np.abs(plain.values.data - dirichlet.values.data).mean()
+    assert near < 0.35 * far
+
+
+@given(rngs)
+def test_ratio_of_ratios_does_not_depend_on_who_sampled(rng):
+    """theory.md 14: from exact occupancies the quotient is the true zeta, whatever the two data policies."""
+    simulator, target = pair(rng, discount=0.9)
+    behavior = random_policy(rng, simulator, zeros=0.0)
+    shares = oee.occupancy(target, random_policy(rng, simulator, zeros=0.0), horizon=30, of="transition")
+    zeta = oee.transition_ratio(
+        shares, simulator, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
+        lower=0.0, upper=1e9,
+    )  # fmt: skip
+    truth = oee.true_ratio(target, simulator)
+    visited = oee.occupancy(simulator.with_discount(1.0), behavior, horizon=1000, of="transition").data > 0
+    on_target = np.repeat(np.diff(shares.indptr) > 0, np.diff(simulator.transitions.indptr))
+    both = visited & on_target
+    shares_at = shares.toarray()[np.repeat(np.arange(shares.shape[0]), np.diff(simulator.transitions.indptr)),
+                                 simulator.transitions.indices]  # fmt: skip
+    both &= np.repeat(shares.toarray().sum(axis=1) > 0, np.diff(simulator.transitions.indptr))
+    assert shares_at.shape == both.shape
+    assert_allclose(zeta.values.data[both], truth.values.data[both], rtol=1e-7, atol=1e-9)
+
+
+def test_ratio_of_ratios_stays_in_its_box_and_reports_its_rows():
+    simulator, target = oee.tasks.gridworld(5, 0.3), oee.tasks.gridworld(5, 0.1)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 20, 100, seed=0)
+    data = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 100, seed=1)
+    zeta = oee.transition_ratio(log, simulator, method="ratio_of_ratios", simulator_data=data, lower=0.2, upper=4.0)
+    assert zeta.values.data.min() >= 0.05 - 1e-12
+    assert zeta.values.data.max() <= 20 + 1e-12
+    assert zeta.row_sum_error > 0.01
+    with pytest.raises(ValueError, match=r"rows of zeta \* P must sum to 1; they sum to .*normalize=True"):
+        zeta.target_model(simulator)
+    assert zeta.target_model(simulator, normalize=True).n_states == 25
+    with pytest.raises(ValueError, match=r"the program is unbounded at the .* give a finite upper bound"):
+        oee.transition_ratio(log, simulator, method="ratio_of_ratios", simulator_data=data, lower=0.2)
+    again = [oee.transition_ratio(log, simulator, method="ratio_of_ratios", seed=4).values.data for _ in range(2)]
+    assert_array_equal(*again)
+
+
+def test_unseen_rows_fall_back_to_one_and_are_counted():
+    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    log = oee.sample_episodes(target, oee.tasks.gridworld_expert(4), 3, 20, seed=0)
+    zeta = oee.transition_ratio(log, simulator)
+    rows = np.repeat(np.arange(64), np.diff(simulator.transitions.indptr))
+    assert_array_equal(zeta.values.data[~zeta.visited.reshape(-1)[rows]], 1.0)
+    assert zeta.visited.sum() == log.summary()["state_action_pairs_seen"]
+
+
+def test_moves_without_support_are_named_with_the_ways_out():
+    simulator = oee.tasks.gridworld(4, 0.0)
+    target = oee.tasks.gridworld(4, 0.3)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 5, 30, seed=0)
+    with pytest.raises(ValueError, match=r"probability 0 to \d+ different moves .*s=\d+, a=\d -> s'=\d+.*with_action_noise"):
+        oee.transition_ratio(log, simulator)
+    noisy = simulator.with_action_noise(0.2)
+    assert oee.transition_ratio(log, noisy).row_sum_error < 1e-12
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"strength": 5.0}, {"prior": "none", "ridge": 0.5}, {"ridge": 0.5, "lower": 0.2, "upper": 1.25}],
+    ids=["default", "dirichlet", "ridge", "box"],
+)
+def test_the_standard_error_is_the_spread_over_logs(options):
+    """Delta method against 400 logs of 20 000 moves; the sd of 400 values is known to 3.5%."""
+    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    policy = oee.tasks.gridworld_policy(4, 0.5)
+    weights = np.full((16, 4), 1 / 64)
+    values, errors = [], []
+    for seed in range(1000, 1400):
+        log = oee.sample_transitions(target, weights, 20_000, seed=seed)
+        zeta = oee.transition_ratio(log, simulator, **options)
+        model = exact.reweight(simulator, zeta)
+        values.append(oee.policy_value(model, policy, horizon=40))
+        if seed < 1020:
+            errors.append(zeta.log_standard_error(exact.transition_gradient(model, policy, horizon=40)))
+    assert_allclose(np.mean(errors), np.std(values, ddof=1), rtol=0.15)
+
+
+def test_results_print_well():
+    simulator = oee.tasks.gridworld(3, 0.3)
+    zeta = oee.true_ratio(oee.tasks.gridworld(3, 0.1), simulator)
+    assert repr(zeta).startswith("TransitionRatio(true: 120 values from 0.3333 to 1.286, 36 of 36 (s, a) visited")
+
+
+def test_counts_may_come_in_any_sparse_format():
+    simulator = oee.tasks.gridworld(3, 0.3)
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 5, 20, seed=0)
+    counts = log.counts(9, 4)
+    for form in (sparse.coo_array, sparse.csc_matrix):
+        other = oee.transition_ratio(form(counts), simulator)
+        assert_array_equal(other.values.data, oee.transition_ratio(log, simulator).values.data)
