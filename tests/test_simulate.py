@@ -55,7 +55,9 @@ def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads():
     hashes = set()
     for threads in ("1", "2"):
         environment = os.environ | {"NUMBA_NUM_THREADS": threads}
-        done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True
+        )
         hashes.add(done.stdout.strip())
     assert len(hashes) == 1
 

@@ -12,7 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.rollouts import Weighted, combine, segment_products
+from oee_tabular.estimators.rollouts import Weighted, combine, segment_products, weight_status
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -69,7 +69,7 @@ class ImportanceSampling:
         gamma = problem.simulator.discount
         reward = gamma ** timestep[keep].astype(np.float64) * problem.rewards_of(log)[keep]
         value, error = combine(
-            Weighted(reward, weight, cut, timestep[keep]),
+            Weighted(reward, weight, cut, timestep[keep], last),
             self_normalized=self.self_normalized,
             keep_last=self.ragged == "pad",
             per_decision=self.kind == "per_decision",
@@ -83,10 +83,7 @@ class ImportanceSampling:
             **_truncation(log, problem, lengths, cut, weight),
             **_starts(log, problem.simulator),
         }
-        status = (
-            "ok" if np.isfinite(value) else "every weight is 0: the log has no episode that the policy could have made"
-        )
-        return Estimate(value, error, diagnostics=diagnostics, status=status)
+        return Estimate(value, error, diagnostics=diagnostics, status=weight_status(value))
 
     def _behavior(self, problem: Problem, log: Transitions) -> Array:
         """Probability of each recorded action under the policy that recorded it."""

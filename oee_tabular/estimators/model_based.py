@@ -46,9 +46,8 @@ class ModelBased:
         model = self._model(problem, counts, totals)
         found = evaluate_policy(model, pi, horizon=problem.horizon)
         shape = (model.n_states, model.n_actions)
-        visited = (totals > 0).reshape(shape)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
-        diagnostics |= coverage(model, pi, problem.horizon, visited, totals.reshape(shape))
+        diagnostics |= coverage(problem, model, pi, totals.reshape(shape))
         error = None
         if model.discount < 1.0 or problem.horizon is not None:
             error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))

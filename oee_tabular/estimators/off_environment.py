@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray
+from oee_tabular._checks import Array
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
@@ -72,9 +72,7 @@ class OffEnvironment:
                 n_rollouts=self.n_rollouts,
                 seed=generator,
             )
-            return Estimate(
-                estimate.value, estimate.standard_error, diagnostics=estimate.diagnostics | {"gap": zeta.gap}
-            )
+            return replace(estimate, diagnostics=estimate.diagnostics | {"gap": zeta.gap})
         return _exact(problem, zeta, pi)
 
     def _fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
@@ -106,7 +104,7 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     diagnostics |= {"error_bound": found.error_bound, "method": found.method}
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
         return Estimate(found.value, diagnostics=diagnostics)
-    diagnostics |= coverage(model, policy, problem.horizon, zeta.visited, zeta.counts)
+    diagnostics |= coverage(problem, model, policy, zeta.counts)
     error = None
     if model.discount < 1.0 or problem.horizon is not None:
         error = zeta.log_standard_error(transition_gradient(model, policy, horizon=problem.horizon))
@@ -114,24 +112,19 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     return Estimate(found.value, error, diagnostics=diagnostics)
 
 
-def coverage(
-    model: FiniteMDP | ReweightedModel, policy: Array, horizon: int | None, visited: BoolArray, counts: Array
-) -> dict[str, Any]:
-    """How much of the policy's discounted time the log has seen, and how many of its transitions bear on the value.
+def coverage(problem: Problem, model: FiniteMDP | ReweightedModel, policy: Array, counts: Array) -> dict[str, Any]:
+    """How much of the policy's discounted time in ``model`` the log has seen, and how many of its transitions bear on it.
 
-    States that are over count as seen (nothing can happen there). The effective sample size is 1 / sum d^2 / n over
+    ``counts`` (S, A) are the log's. States that no action leaves in the simulator are left out of the time: there is
+    nothing to learn. The effective sample size is 1 / sum d^2 / n over
     visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
     policy goes.
     """
-    if horizon is None and model.discount == 1.0:
+    if problem.horizon is None and model.discount == 1.0:
         return {}
-    time = occupancy(model, policy, horizon=horizon)
-    leaves = np.ones(model.n_states * model.n_actions, dtype=np.bool_)
-    lengths = np.diff(model.transitions.indptr)
-    single = np.flatnonzero(lengths == 1)
-    leaves[single] = model.transitions.indices[model.transitions.indptr[single]] != single // model.n_actions
-    open_states: BoolArray = np.any(leaves.reshape(time.shape), axis=1)
-    alive = np.where(open_states[:, None], time, 0.0)
+    time = occupancy(model, policy, horizon=problem.horizon)
+    alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
+    visited = counts > 0
     total = float(alive.sum())
     d: Array = alive[visited]
     n: Array = counts[visited]

@@ -26,12 +26,16 @@ WEIGHTINGS = ("per_decision", "trajectory")
 
 @dataclass(frozen=True)
 class Weighted:
-    """Ragged episodes as flat rows: discounted reward, weight, and where episodes start."""
+    """Ragged episodes as flat rows: discounted reward, weight of each reward, where episodes start.
+
+    ``kept`` is the weight that each episode has at steps after its last row (it is over, and pays nothing).
+    """
 
     reward: Array
     weight: Array
     starts: IntArray
     timestep: IntArray
+    kept: Array
 
 
 def rollout_horizon(discount: float, horizon: int | None) -> int:
@@ -59,14 +63,15 @@ def product_estimate(
     rollouts = sample_episodes(model, policy, n_rollouts, steps, seed=seed)
     rows = rollouts.state * model.n_actions + rollouts.action
     position, _ = find(ratio.values, rows, rollouts.next_state)
-    weighted = _weights(model, rollouts, ratio.values.data[position], weighting)
+    weighted = _weights(model, rollouts, ratio.values.data[position], weighting, steps)
     value, error = combine(
         weighted, self_normalized=self_normalized, keep_last=True, per_decision=weighting == "per_decision"
     )
-    last = weighted.weight[weighted.starts[1:] - 1]
+    last = weighted.kept
     return Estimate(
         value,
         error,
+        status=weight_status(value),
         diagnostics={
             "standard_error_of": "rollouts",
             "n_rollouts": n_rollouts,
@@ -78,22 +83,32 @@ def product_estimate(
     )
 
 
-def _weights(model: FiniteMDP, rollouts: Transitions, zeta: Array, weighting: str) -> Weighted:
+def weight_status(value: float) -> str:
+    """What to say where a self-normalised estimate has nothing to divide by."""
+    if np.isnan(value):
+        return "at some step every weight is 0: no episode went the policy's way that far (shorten the horizon, or use oee)"
+    return "ok"
+
+
+def _weights(model: FiniteMDP, rollouts: Transitions, zeta: Array, weighting: str, horizon: int) -> Weighted:
+    """W_t for r(s, a) and W_{t+1} for r(s, a, s'); after the end of an episode the product stands still."""
     starts, timestep = rollouts.episode_starts, rollouts.timestep
     assert starts is not None
     assert timestep is not None
     assert rollouts.reward is not None
     after = segment_products(zeta, starts)
-    weight = after
+    weight, lengths = after, np.diff(starts)
+    kept = after[starts[1:] - 1]
     if model.transition_rewards is None:  # r(s, a): the weight before the move
         weight = np.ones(len(after))
         inner = np.ones(len(after), dtype=np.bool_)
         inner[starts[:-1]] = False
         weight[inner] = after[np.flatnonzero(inner) - 1]
+        kept = np.where(lengths < horizon, kept, weight[starts[1:] - 1])
     if weighting == "trajectory":
-        weight = np.repeat(weight[starts[1:] - 1], np.diff(starts))
+        weight = np.repeat(kept, lengths)
     reward = model.discount ** timestep.astype(np.float64) * rollouts.reward
-    return Weighted(reward, weight, starts, timestep)
+    return Weighted(reward, weight, starts, timestep, kept)
 
 
 def segment_products(values: Array, starts: IntArray) -> Array:
@@ -112,32 +127,31 @@ def combine(
     """The estimate and its standard error.
 
     Plain: the mean over episodes of sum_t w_t r_t. Self-normalised: sum_i w_i r_i / sum_i w_i, step by step per decision
-    (an ended episode keeps its last weight if ``keep_last``, else has weight 0), once trajectory-wise; its error is that
-    of the linearised ratio.
+    (an ended episode has its kept weight if ``keep_last``, else weight 0), once trajectory-wise; its error is that of the
+    linearised ratio. nan where the weights to divide by are all 0.
     """
     starts = weighted.starts
     totals = np.add.reduceat(weighted.weight * weighted.reward, starts[:-1])
     if not self_normalized:
         return mean_and_error(totals)
     n = len(totals)
-    last = weighted.weight[starts[1:] - 1]
+    kept = weighted.kept
     if not per_decision:
-        mass = float(last.sum())
+        mass = float(kept.sum())
         if mass == 0.0:
             return float("nan"), None
         value = float(totals.sum()) / mass
-        influence = (totals - value * last) * (n / mass)
+        influence = (totals - value * kept) * (n / mass)
         return value, mean_and_error(influence)[1]
     lengths = np.diff(starts)
     horizon = int(lengths.max())
     step_mass = np.bincount(weighted.timestep, weights=weighted.weight, minlength=horizon)
     if keep_last:
-        ended = np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon]
+        ended = np.bincount(lengths, weights=kept, minlength=horizon + 1)[:horizon]
         step_mass = step_mass + np.cumsum(ended)
     paid = np.bincount(weighted.timestep, weights=weighted.weight * weighted.reward, minlength=horizon)
-    if np.any((step_mass == 0.0) & (np.bincount(weighted.timestep, minlength=horizon) > 0)):
-        empty = step_mass == 0.0
-        paid, step_mass = np.where(empty, 0.0, paid), np.where(empty, 1.0, step_mass)
+    if np.any(step_mass == 0.0):
+        return float("nan"), None
     step_value = paid / step_mass
     value = float(step_value.sum())
     # linearised: sum_t (w_it r_it - step_value_t w_it) n / step_mass_t, an ended episode counting with its kept weight
@@ -146,7 +160,7 @@ def combine(
     influence = np.add.reduceat(terms, starts[:-1])
     if keep_last:
         tail = np.concatenate([np.cumsum((step_value * n / step_mass)[::-1])[::-1], [0.0]])
-        influence = influence - last * tail[lengths]
+        influence = influence - kept * tail[lengths]
     return value, mean_and_error(influence)[1]
 
 

@@ -131,13 +131,17 @@ class FiniteMDP:
         return self._reward_data
 
     def absorbing(self) -> _checks.BoolArray:
-        """(S,) mask of the states that every action leads back to, with reward 0: where an episode is over."""
+        """(S,) mask of the closed states that pay nothing: where an episode is over."""
+        unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
+        return self.closed() & unpaid
+
+    def closed(self) -> _checks.BoolArray:
+        """(S,) mask of the states that every action leads back to."""
         rows = row_of_entry(self.transitions)
         stays = self.transitions.indices == rows // self.n_actions
         leaves = np.zeros(self.n_states, dtype=np.bool_)
         leaves[rows[~stays] // self.n_actions] = True
-        unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
-        return ~leaves & unpaid
+        return ~leaves
 
     def with_transitions(self, new: Any) -> Self:
         """The same MDP under other dynamics; r(s, a, s') is averaged again.

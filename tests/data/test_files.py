@@ -61,7 +61,9 @@ def test_a_minari_data_set_made_by_minari_itself(tmp_path, monkeypatch):
     for k in range(3):
         state, _ = env.reset(seed=k)
         env.action_space.seed(k)
-        buffer = EpisodeBuffer(id=k, observations=[state], actions=[], rewards=[], terminations=[], truncations=[], infos={})
+        buffer = EpisodeBuffer(
+            id=k, observations=[state], actions=[], rewards=[], terminations=[], truncations=[], infos={}
+        )
         over = False
         while not over:
             action = env.action_space.sample()
@@ -86,7 +88,9 @@ def test_a_minari_data_set_made_by_minari_itself(tmp_path, monkeypatch):
 
 def test_a_csv_written_by_hand(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("state,action,next_state,reward,terminated,episode\n0,1,2,0.5,False,0\n2,0,3,1,True,0\n1,1,1,0,0,1\n")
+    path.write_text(
+        "state,action,next_state,reward,terminated,episode\n0,1,2,0.5,False,0\n2,0,3,1,True,0\n1,1,1,0,0,1\n"
+    )
     log = Transitions.load(path)
     assert_array_equal(log.reward, [0.5, 1, 0])
     assert_array_equal(log.terminated, [False, True, False])
@@ -94,7 +98,9 @@ def test_a_csv_written_by_hand(tmp_path):
 
 
 def test_columns_that_a_log_does_not_know_are_named(tmp_path):
-    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_csv(tmp_path / "l.csv", index=False)
+    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_csv(
+        tmp_path / "l.csv", index=False
+    )
     with pytest.warns(UserWarning, match="left out: battery"):
         Transitions.load(tmp_path / "l.csv")
 

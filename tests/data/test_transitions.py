@@ -39,7 +39,9 @@ def test_counts_and_discounted_counts():
     assert counts[0, 0, 1] == counts[1, 1, 2] == counts[2, 0, 3] == counts[0, 1, 2] == 1
     assert counts.sum() == 4
     discounted = log.counts(4, 2, discount=0.5).toarray().reshape(4, 2, 4)
-    assert_allclose([discounted[0, 0, 1], discounted[1, 1, 2], discounted[2, 0, 3], discounted[0, 1, 2]], [1, 0.5, 0.25, 1])
+    assert_allclose(
+        [discounted[0, 0, 1], discounted[1, 1, 2], discounted[2, 0, 3], discounted[0, 1, 2]], [1, 0.5, 0.25, 1]
+    )
 
 
 @given(rngs)

@@ -76,7 +76,9 @@ def test_without_shrinkage_it_is_the_maximum_likelihood_model(rng):
 def test_rows_agree_with_clarabel(rng, options):
     simulator, target = pair(rng, n_states=4, n_actions=2)
     counts = counts_of(rng, target, 60)
-    ours, theirs = (oee.transition_ratio(counts, simulator, solver=solver, **options) for solver in ("dual", "CLARABEL"))
+    ours, theirs = (
+        oee.transition_ratio(counts, simulator, solver=solver, **options) for solver in ("dual", "CLARABEL")
+    )
     assert ours.gap < 1e-12
     assert ours.row_sum_error < 1e-12
     assert theirs.gap < 1e-6
@@ -156,7 +158,9 @@ def test_moves_without_support_are_named_with_the_ways_out():
     simulator = oee.tasks.gridworld(4, 0.0)
     target = oee.tasks.gridworld(4, 0.3)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 5, 30, seed=0)
-    with pytest.raises(ValueError, match=r"probability 0 to \d+ different moves .*s=\d+, a=\d -> s'=\d+.*with_action_noise"):
+    with pytest.raises(
+        ValueError, match=r"probability 0 to \d+ different moves .*s=\d+, a=\d -> s'=\d+.*with_action_noise"
+    ):
         oee.transition_ratio(log, simulator)
     noisy = simulator.with_action_noise(0.2)
     assert oee.transition_ratio(log, noisy).row_sum_error < 1e-12

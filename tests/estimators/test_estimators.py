@@ -1,0 +1,346 @@
+import numpy as np
+import pytest
+from helpers import paths, random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import Transitions, exact
+from oee_tabular.estimators import ImportanceSampling, ModelBased, OffEnvironment, Oracle, Problem, Simulator
+from oee_tabular.estimators.rollouts import rollout_horizon
+
+
+def grids(size=5, **options):
+    return oee.tasks.gridworld(size, 0.3, **options), oee.tasks.gridworld(size, 0.1, **options)
+
+
+def covering_log(target, n=3000, seed=0):
+    weights = np.full((target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions))
+    return oee.sample_transitions(target, weights, n, seed=seed)
+
+
+@given(rngs, st.sampled_from([None, 5]))
+def test_simulator_and_oracle_are_the_two_ends(rng, horizon):
+    simulator = random_mdp(rng)
+    target = random_mdp(rng, like=simulator)
+    problem = Problem(simulator, covering_log(target, 50), horizon=horizon)
+    policy = random_policy(rng, simulator)
+    assert Simulator()(problem, policy).value == oee.policy_value(simulator, policy, horizon=horizon)
+    truth = oee.policy_value(target, policy, horizon=horizon)
+    assert_allclose(Oracle(target)(problem, policy).value, truth, rtol=0, atol=1e-9 * max(1, abs(truth)))
+
+
+def test_off_environment_is_the_value_of_zeta_times_p():
+    simulator, target = grids()
+    log = covering_log(target)
+    problem = Problem(simulator, log, horizon=60)
+    policy = oee.tasks.gridworld_policy(5, 0.5)
+    model = oee.transition_ratio(log, simulator).target_model(simulator)
+    estimate = OffEnvironment()(problem, policy)
+    assert_allclose(estimate.value, oee.policy_value(model, policy, horizon=60), rtol=1e-12)
+    assert estimate.diagnostics["coverage"] == 1.0
+    assert estimate.diagnostics["gap"] < 1e-12
+    given_ratio = OffEnvironment(ratio=oee.true_ratio(target, simulator))(problem, policy)
+    assert_allclose(given_ratio.value, oee.policy_value(target, policy, horizon=60), rtol=1e-12)
+    by_function = OffEnvironment(ratio=lambda log, sim: oee.transition_ratio(log, sim, strength=9.0))(problem, policy)
+    assert by_function.value != estimate.value
+
+
+def test_off_environment_reports_what_the_log_has_not_seen():
+    simulator, target = grids()
+    log = oee.sample_episodes(target, oee.tasks.gridworld_expert(5), 20, 50, seed=0)
+    facts = OffEnvironment()(Problem(simulator, log), oee.uniform_policy(simulator)).diagnostics
+    zeta = oee.transition_ratio(log, simulator)
+    time = oee.occupancy(exact.reweight(simulator, zeta), oee.uniform_policy(simulator))
+    alive = np.delete(time, 24, axis=0)
+    assert_allclose(facts["coverage"], alive[zeta.visited[:24]].sum() / alive.sum(), rtol=1e-12)
+    assert_allclose(facts["coverage"] + facts["fallback_share"], 1.0)
+    assert facts["coverage"] < 0.5
+
+
+@pytest.mark.parametrize("pay", ["next", "current"])
+@pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
+def test_products_of_ratios_are_unbiased_with_the_reward_s_own_weight(pay, weighting):
+    """theory.md, reward timing: the mean over rollouts of the true zeta's product is J; also for an unnormalised zeta."""
+    simulator, target = (oee.tasks.gridworld(3, slip, pay=pay, discount=0.9) for slip in (0.3, 0.15))
+    policy = oee.tasks.gridworld_policy(3, 0.5)
+    problem = Problem(simulator, covering_log(target), horizon=6)
+    oracle = Oracle(target, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=3)
+    assert abs(oracle.value - oee.policy_value(target, policy, horizon=6)) < 4 * oracle.standard_error
+    assert oracle.standard_error < 0.02
+    zeta = oee.transition_ratio(problem.log, simulator, method="ratio_of_ratios", seed=0)
+    product = OffEnvironment(zeta, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=4)
+    if weighting == "per_decision":
+        limit = oee.policy_value(exact.reweight(simulator, zeta), policy, horizon=6)
+        assert abs(product.value - limit) < 4 * product.standard_error
+    again = OffEnvironment(zeta, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=4)
+    assert again.value == product.value
+
+
+def test_self_normalised_products_converge_to_the_same_value_for_normalised_ratios():
+    simulator, target = (oee.tasks.gridworld(3, slip, discount=0.9) for slip in (0.3, 0.15))
+    policy = oee.tasks.gridworld_policy(3, 0.5)
+    problem = Problem(simulator, covering_log(target), horizon=6)
+    truth = oee.policy_value(target, policy, horizon=6)
+    for weighting in ("per_decision", "trajectory"):
+        found = Oracle(target, "monte_carlo", weighting, self_normalized=True, n_rollouts=200_000)(
+            problem, policy, seed=1
+        )
+        assert abs(found.value - truth) < 4 * found.standard_error
+
+
+def test_rollouts_of_the_infinite_sum_stop_where_nothing_is_left():
+    assert rollout_horizon(0.9, None) == int(np.ceil(np.log(1e-12) / np.log(0.9))) + 1
+    assert rollout_horizon(0.0, None) == 1
+    assert rollout_horizon(1.0, 7) == 7
+    with pytest.raises(ValueError, match="horizon must be given for rollouts at discount 1"):
+        rollout_horizon(1.0, None)
+
+
+def test_a_divergent_kernel_is_a_status_not_a_number():
+    simulator, target = grids()
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 60, seed=0)
+    estimate = OffEnvironment("ratio_of_ratios")(Problem(simulator, log), oee.uniform_policy(simulator), seed=1)
+    assert np.isnan(estimate.value)
+    assert "spectral radius" in estimate.status
+    assert "normalise the rows or give a horizon" in estimate.status
+
+
+# ---- importance sampling: worked by hand -------------------------------------------------------------------------
+
+LOG = Transitions(
+    [0, 1, 0, 0, 1, 1], [0, 1, 1, 0, 0, 1], [1, 2, 2, 1, 1, 2], [1.0, 2.0, 4.0, 1.0, 3.0, 2.0],
+    terminated=[0, 1, 1, 0, 0, 1], episode=[0, 0, 1, 2, 2, 2], behavior_probability=[0.5, 0.25, 0.5, 0.5, 0.75, 0.25],
+)  # fmt: skip
+POLICY = np.array([[0.25, 0.75], [0.5, 0.5], [1.0, 0.0]])
+# ratios: 0.5, 2 | 1.5 | 0.5, 2/3, 2; products 0.5, 1 | 1.5 | 0.5, 1/3, 2/3
+RETURNS = np.array([1 + 0.5 * 2, 4.0, 1 + 0.5 * 3 + 0.25 * 2])
+LAST = np.array([1.0, 1.5, 2 / 3])
+
+
+def three_state_problem(horizon=None, **options):
+    transitions = np.full((3, 2, 3), 1 / 3)
+    transitions[2] = [0.0, 0.0, 1.0]
+    mdp = oee.FiniteMDP(transitions, np.array([1.0, 1.0, 0.0]), [1.0, 0.0, 0.0], 0.5)
+    return Problem(mdp, LOG, horizon=horizon, **options)
+
+
+def test_importance_sampling_by_hand():
+    problem = three_state_problem()
+    trajectory = ImportanceSampling("trajectory")(problem, POLICY)
+    assert_allclose(trajectory.value, np.mean(LAST * RETURNS), rtol=1e-14)
+    assert_allclose(trajectory.standard_error, np.std(LAST * RETURNS, ddof=1) / np.sqrt(3), rtol=1e-14)
+    assert_allclose(trajectory.diagnostics["effective_sample_size"], LAST.sum() ** 2 / (LAST**2).sum())
+    weighted = ImportanceSampling("trajectory", self_normalized=True)(problem, POLICY)
+    assert_allclose(weighted.value, (LAST * RETURNS).sum() / LAST.sum(), rtol=1e-14)
+    decisions = np.array([0.5 * 1 + 1 * 0.5 * 2, 1.5 * 4, 0.5 * 1 + 1 / 3 * 0.5 * 3 + 2 / 3 * 0.25 * 2])
+    assert_allclose(ImportanceSampling()(problem, POLICY).value, decisions.mean(), rtol=1e-14)
+
+
+def test_the_two_conventions_for_episodes_that_ended():
+    """Step 0: weights .5, 1.5, .5; step 1: 1, (1.5), 1/3; step 2: (1), (1.5), 2/3. In brackets: ended, pad or zero."""
+    problem = three_state_problem()
+    first = (0.5 * 1 + 1.5 * 4 + 0.5 * 1) / 2.5
+    pad = first + 0.5 * (1 * 2 + 1 / 3 * 3) / (1 + 1.5 + 1 / 3) + 0.25 * (2 / 3 * 2) / (1 + 1.5 + 2 / 3)
+    zero = first + 0.5 * (1 * 2 + 1 / 3 * 3) / (1 + 1 / 3) + 0.25 * 2
+    for ragged, expected in (("pad", pad), ("zero", zero)):
+        found = ImportanceSampling(self_normalized=True, ragged=ragged)(problem, POLICY)
+        assert_allclose(found.value, expected, rtol=1e-14)
+
+
+def test_a_horizon_cuts_episodes():
+    problem = three_state_problem(horizon=2)
+    decisions = np.array([0.5 * 1 + 1 * 0.5 * 2, 1.5 * 4, 0.5 * 1 + 1 / 3 * 0.5 * 3])
+    found = ImportanceSampling()(problem, POLICY)
+    assert_allclose(found.value, decisions.mean(), rtol=1e-14)
+    assert found.diagnostics["truncated_share"] == 0.0
+    last = np.array([1.0, 1.5, 1 / 3])
+    returns = np.array([2.0, 4.0, 2.5])
+    assert_allclose(ImportanceSampling("trajectory")(problem, POLICY).value, (last * returns).mean(), rtol=1e-14)
+
+
+def test_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
+    """theory.md: on the survival chain the truth is 1/(1 - .7 gamma) = 2.70; "zero" gives E[r | alive] = 10."""
+    chain = survival_chain(0.9)
+    policy = np.ones((2, 1))
+    log = oee.sample_episodes(chain, policy, 20_000, 60, seed=0)
+    problem = Problem(chain, log, horizon=60)
+    truth = oee.policy_value(chain, policy, horizon=60)
+    assert_allclose(ImportanceSampling(self_normalized=True)(problem, policy).value, truth, rtol=0.02)
+    zero = ImportanceSampling(self_normalized=True, ragged="zero")(problem, policy).value
+    longest = int(np.diff(log.episode_starts).max())
+    assert_allclose(zero, (1 - 0.9**longest) / 0.1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
+@pytest.mark.parametrize("self_normalized", [False, True])
+def test_importance_sampling_converges_to_the_target_s_value(kind, self_normalized):
+    rng = np.random.default_rng(5)
+    target = random_mdp(rng, n_states=3, n_actions=2, discount=0.9, form=3)
+    behavior, policy = (random_policy(rng, target, zeros=0.0) for _ in range(2))
+    truth = sum(p * sum(0.9**t * r for t, (_, _, _, r) in enumerate(steps)) for p, steps in paths(target, policy, 3))
+    log = oee.sample_episodes(target, behavior, 200_000, 3, seed=1)
+    found = ImportanceSampling(kind, self_normalized)(Problem(target, log, horizon=3), policy)
+    assert found.standard_error < 0.05
+    assert abs(found.value - truth) < 4 * found.standard_error
+    estimated = ImportanceSampling(kind, self_normalized, behavior="estimated")(Problem(target, log, horizon=3), policy)
+    assert_allclose(estimated.value, truth, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
+def test_the_linearised_error_of_self_normalised_estimates(kind):
+    rng = np.random.default_rng(6)
+    target = random_mdp(rng, n_states=4, n_actions=2, discount=0.9, form=2)
+    behavior, policy = (random_policy(rng, target, zeros=0.0) for _ in range(2))
+    values, errors = [], []
+    for seed in range(500):
+        log = oee.sample_episodes(target, behavior, 300, 4, seed=seed)
+        found = ImportanceSampling(kind, self_normalized=True)(Problem(target, log, horizon=4), policy)
+        values.append(found.value)
+        errors.append(found.standard_error)
+    assert_allclose(np.mean(errors), np.std(values, ddof=1), rtol=0.12)
+
+
+def test_self_normalised_estimates_move_with_the_reward():
+    """theory.md 31: SN(r + b) = SN(r) + b sum gamma^t exactly (episodes of full length)."""
+    simulator, target = (oee.tasks.gridworld(4, slip, pay="current") for slip in (0.3, 0.1))
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 40, 5, seed=0)
+    moved = Transitions(**(log.columns() | {"reward": log.reward + 2.0}))
+    policy = oee.tasks.gridworld_policy(4, 0.7)
+    shift = 2.0 * (0.99 ** np.arange(5)).sum()
+    for kind in ("trajectory", "per_decision"):
+        estimator = ImportanceSampling(kind, self_normalized=True)
+        values = [estimator(Problem(simulator, data, horizon=5), policy).value for data in (log, moved)]
+        assert_allclose(values[1], values[0] + shift, rtol=1e-12)
+
+
+def test_on_the_behaviour_policy_itself_all_weights_are_one():
+    simulator, target = grids()
+    behavior = oee.uniform_policy(target)
+    log = oee.sample_episodes(target, behavior, 50, 30, seed=0)
+    problem = Problem(simulator, log, horizon=30)
+    returns = [
+        (0.99 ** log.timestep[a:b] * log.reward[a:b]).sum()
+        for a, b in zip(log.episode_starts[:-1], log.episode_starts[1:], strict=True)
+    ]
+    for kind in ("trajectory", "per_decision"):
+        for self_normalized in (False, True):
+            found = ImportanceSampling(kind, self_normalized)(problem, behavior)
+            assert_allclose(found.value, np.mean(returns), rtol=1e-12)
+            assert_allclose(found.diagnostics["effective_sample_size"], 50)
+
+
+def test_truncation_is_reported_with_a_bound_that_holds():
+    simulator, target = grids()
+    behavior = oee.uniform_policy(target)
+    short = oee.sample_episodes(target, behavior, 400, 40, seed=0)
+    problem = Problem(simulator, short)
+    found = ImportanceSampling()(problem, behavior)
+    truth = oee.policy_value(target, behavior)
+    assert found.diagnostics["truncated_share"] > 0.3
+    bias = abs(oee.policy_value(target, behavior, horizon=40) - truth)
+    assert bias <= found.diagnostics["truncation_bias_bound"]
+    whole = ImportanceSampling()(Problem(simulator, short, horizon=40), behavior)
+    assert whole.diagnostics["truncation_bias_bound"] == 0.0
+
+
+def test_a_behaviour_policy_may_be_given_instead_of_recorded():
+    simulator, target = grids()
+    behavior = oee.tasks.gridworld_policy(5, 0.3)
+    log = oee.sample_episodes(target, behavior, 20, 30, seed=0)
+    columns = {name: column for name, column in log.columns().items() if name != "behavior_probability"}
+    policy = oee.tasks.gridworld_policy(5, 0.5)
+    given_policy = Problem(simulator, Transitions(**columns), horizon=30, behavior_policy=behavior)
+    recorded = ImportanceSampling()(Problem(simulator, log, horizon=30), policy)
+    assert ImportanceSampling()(given_policy, policy).value == recorded.value
+
+
+def test_the_log_s_rewards_count_and_the_simulator_s_where_there_are_none():
+    problem = three_state_problem()
+    bare = Transitions(**{name: column for name, column in LOG.columns().items() if name != "reward"})
+    without = Problem(problem.simulator, bare)
+    ones = Transitions(**(LOG.columns() | {"reward": np.ones(6)}))
+    expected = ImportanceSampling()(Problem(problem.simulator, ones), POLICY).value
+    assert ImportanceSampling()(without, POLICY).value == expected
+
+
+# ---- model based -------------------------------------------------------------------------------------------------
+
+
+def test_model_based_by_hand():
+    """State 0 seen going to 1 (twice) and 0 (once): V = r / (1 - gamma / 3)."""
+    transitions = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
+    simulator = oee.FiniteMDP(transitions, [1.0, 0.0], [1.0, 0.0], 0.9)
+    problem = Problem(simulator, Transitions([0, 0, 0], [0, 0, 0], [1, 1, 0]))
+    policy = np.ones((2, 1))
+    found = ModelBased()(problem, policy)
+    assert_allclose(found.value, 1 / (1 - 0.9 / 3), rtol=1e-14)
+    # V = 1 / (1 - gamma p), dV/dp = gamma V^2, Var p = p (1 - p) / n
+    assert_allclose(found.standard_error, 0.9 * found.value**2 * np.sqrt(1 / 3 * 2 / 3 / 3), rtol=1e-12)
+
+
+def test_fallbacks_of_the_model():
+    """State 1 was never left in the log: "stay" stays there for ever, "simulator" leaves with probability 1/2."""
+    transitions = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]])
+    simulator = oee.FiniteMDP(transitions, [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], 0.9)
+    problem = Problem(simulator, Transitions([0], [0], [1]))
+    policy = np.ones((3, 1))
+    assert_allclose(ModelBased()(problem, policy).value, 0.9 * 1 / (1 - 0.9), rtol=1e-12)
+    assert_allclose(ModelBased("simulator")(problem, policy).value, 0.9 / (1 - 0.45), rtol=1e-12)
+    assert ModelBased()(problem, policy).diagnostics["fallback_share"] > 0.5
+
+
+# ---- the problem -------------------------------------------------------------------------------------------------
+
+
+def test_terminated_moves_go_to_the_simulator_s_terminal_states():
+    taxi = oee.tasks.toy_text("Taxi-v4")
+    destination = int(np.flatnonzero(taxi.terminal_state != np.arange(500))[0])
+    before = taxi.transitions.tocsc()[:, [taxi.terminal_state[destination]]].nonzero()[0]
+    row = int(before[before < 3000][0])
+    log = Transitions([row // 6], [row % 6], [destination], [20.0], terminated=[True])
+    problem = Problem(taxi, log)
+    assert problem.log.next_state[0] == taxi.terminal_state[destination]
+    assert problem.log.reward[0] == 20.0
+    assert problem.reward_conflict is None
+
+
+def test_log_rewards_replace_the_simulator_s_where_seen():
+    simulator, _ = grids(3)
+    log = Transitions([0, 0, 3], [0, 0, 0], [3, 3, 6], [5.0, 7.0, -0.4])
+    problem = Problem(simulator, log, rewards="log")
+    table = problem.model.transition_rewards.toarray().reshape(9, 4, 9)
+    assert table[0, 0, 3] == 6.0
+    assert table[3, 0, 6] == -0.4
+    own = simulator.transition_rewards.toarray().reshape(9, 4, 9)
+    table[0, 0, 3], own[0, 0, 3] = 0, 0
+    assert_array_equal(table, own)
+    assert str(problem.reward_conflict).startswith(
+        "the log's rewards contradict the simulator's in 2 of 3 transitions (1 diff"
+    )
+    assert Problem(simulator, Transitions([0], [0], [3], [-0.6])).reward_conflict is None
+
+
+def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
+    simulator, target = grids()
+    episodes = oee.sample_episodes(target, oee.uniform_policy(target), 20, 30, seed=0)
+    policy = oee.tasks.gridworld_policy(5, 0.2)
+    drawn = Problem(simulator, episodes.draw(50, seed=0), horizon=30, episodes=episodes)
+    whole = Problem(simulator, episodes, horizon=30)
+    assert ImportanceSampling()(drawn, policy).value == ImportanceSampling()(whole, policy).value
+    with pytest.raises(ValueError, match="needs whole episodes"):
+        ImportanceSampling()(Problem(simulator, episodes.draw(50, seed=0)), policy)
+
+
+@pytest.mark.parametrize("estimator", [Simulator(), OffEnvironment(), OffEnvironment("ratio_of_ratios"), ModelBased(),
+                                       ImportanceSampling(), OffEnvironment(evaluation="monte_carlo")])  # fmt: skip
+def test_no_estimator_changes_its_input(estimator):
+    simulator, target = grids(3)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 20, 30, seed=0)
+    policy = oee.uniform_policy(target)
+    before = policy.copy()
+    estimate = estimator(Problem(simulator, log, horizon=10), policy, seed=0)
+    assert_array_equal(policy, before)
+    assert np.isfinite(estimate.value)
+    assert repr(estimate).startswith("Estimate(")
