@@ -53,7 +53,7 @@ def require_nonnegative(array: Array, name: str) -> None:
 def require_sums_to_one(sums: Array, name: str) -> None:
     """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the tolerance."""
     bad = np.argwhere(~(np.abs(sums - 1.0) <= SUM_TOLERANCE))
-    if bad.size:
+    if len(bad):  # of a single sum the index is empty: its size says nothing
         first = tuple(bad[0])
         where = place(name, first) if first else name
         more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""

@@ -76,11 +76,12 @@ def load_npz(path: str | os.PathLike[str], kind: str) -> dict[str, NDArray[Any]]
 def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     """Every array of an npz or npy file (the npy's under the name "array"); pickles are refused."""
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return {"array": loaded}
-        with loaded:
-            return {name: loaded[name] for name in loaded.files}
+        with open(path, "rb") as handle:
+            loaded = np.load(handle, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {"array": loaded}
+            with loaded:
+                return {name: loaded[name] for name in loaded.files}
     except (zipfile.BadZipFile, ValueError, EOFError) as error:
         raise ValueError(f"{str(path)!r} must be an npz or npy file of plain arrays; {error}") from None
 

@@ -283,7 +283,7 @@ def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
             raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
         _checks.require_nonnegative(dense, "transitions")
         n_states = dense.shape[0]
-        rows = dense.reshape(-1, n_states)
+        rows = dense.reshape(dense.shape[0] * dense.shape[1], n_states)
     if n_states == 0 or rows.shape[0] == 0:
         raise ValueError(f"transitions must have at least one state and one action; it has shape {transitions.shape}")
     n_actions = rows.shape[0] // n_states
