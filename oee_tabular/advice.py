@@ -67,14 +67,13 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
         )
     samples = facts.get("n_episodes", facts.get("n_rollouts"))
     effective = facts.get("effective_sample_size", float("inf"))
-    if samples is not None and effective < max(10.0, 0.1 * samples):
+    if samples is not None and effective < max(10.0, 0.05 * samples):
         noun = "episodes" if "n_episodes" in facts else "rollouts"
         add(
             "weights",
             -effective,
             f"{effective:.1f}",
-            f"the weights rest on about {{}} of {samples} {noun}; the value is mostly chance, and its standard error is too "
-            "small.",
+            f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, and its standard error too small.",
         )
     bound = facts.get("truncation_bias_bound", 0.0)
     if bound > max(1e-3 * abs(estimate.value), 0.1 * (estimate.standard_error or 0.0)):
