@@ -23,7 +23,10 @@ def place(name: str, index: tuple[int, ...]) -> str:
 def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None = None) -> Array:
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
     try:
-        array = np.array(value, dtype=np.float64)
+        given: Any = np.array(value)
+        if np.iscomplexobj(given):
+            raise TypeError("complex numbers")
+        array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
@@ -72,15 +75,25 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def number_in(value: Any, name: str, low: float, high: float, *, open_ends: bool = False) -> float:
-    """``value`` as a float in [low, high], or in (low, high)."""
+def number_in(
+    value: Any, name: str, low: float, high: float, *, open_ends: bool = False, infinite: bool = False
+) -> float:
+    """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
+        if isinstance(value, str | bytes):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number; got {value!r}") from None
     inside = low < number < high if open_ends else low <= number <= high
+    if np.isinf(number) and not infinite:
+        raise ValueError(f"{name} must be finite; it is {number:g}")
     if not inside:
-        ends = f"({low:g}, {high:g})" if open_ends else f"[{low:g}, {high:g}]"
+        ends = (
+            f"({low:g}, {high:g})"
+            if open_ends
+            else f"[{low:g}, {high:g}{']' if infinite or np.isfinite(high) else ')'}"
+        )
         raise ValueError(f"{name} must be in {ends}; it is {number:g}")
     return number
 
@@ -88,6 +101,8 @@ def number_in(value: Any, name: str, low: float, high: float, *, open_ends: bool
 def positive_integer(value: Any, name: str) -> int:
     """``value`` as an int of at least 1."""
     try:
+        if isinstance(value, bool):
+            raise TypeError
         number = operator.index(value)
     except TypeError:
         raise ValueError(f"{name} must be a positive integer; got {value!r}") from None
@@ -106,6 +121,14 @@ def one_of(value: object, name: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
         raise ValueError(f"{name} must be one of {words}; got {value!r}")
+
+
+def generator(seed: Any) -> np.random.Generator:
+    """``numpy.random.default_rng(seed)``, with an error that names the argument."""
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"seed must be what numpy.random.default_rng takes; got {seed!r} ({error})") from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

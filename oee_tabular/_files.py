@@ -26,6 +26,8 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     target = Path(path)
     if suffixes and target.suffix.lower() not in suffixes:
         raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {str(target)!r}")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(2, "no such folder", str(target.parent))
     temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
     try:
         with open(temporary, "xb") as handle:

@@ -73,7 +73,7 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             "weights",
             -effective,
             f"{effective:.1f}",
-            f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, and its standard error too small.",
+            f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, its standard error too small.",
         )
     bound = facts.get("truncation_bias_bound", 0.0)
     if bound > max(1e-3 * abs(estimate.value), 0.1 * (estimate.standard_error or 0.0)):

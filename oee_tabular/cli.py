@@ -305,5 +305,5 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _sentence(error: Exception) -> str:
     if isinstance(error, FileNotFoundError) and error.filename:
-        return f"no such file: {error.filename}"
+        return f"{'no such folder' if error.strerror == 'no such folder' else 'no such file'}: {error.filename}"
     return str(error)

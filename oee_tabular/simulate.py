@@ -33,7 +33,7 @@ def running_sums(data: Array, indptr: Any) -> Array:
 
 def stream_key(seed: Any) -> np.uint64:
     """A 64-bit key from anything that ``numpy.random.default_rng`` takes."""
-    return np.uint64(np.random.default_rng(seed).integers(0, 2**64, dtype=np.uint64))
+    return np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
 
 
 def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, *, seed: Any) -> Transitions:
@@ -87,7 +87,11 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     from oee_tabular.kernels import rollout
 
     size = _checks.positive_integer(n, "n")
-    weights = _checks.distribution(distribution, "distribution", (mdp.n_states, mdp.n_actions))
+    weights = _checks.float_array(distribution, "distribution", ndim=2)
+    own = len(mdp.terminal_state)
+    if weights.shape == (own, mdp.n_actions):  # of the environment's own shape: twins are not drawn from
+        weights = np.concatenate([weights, np.zeros((mdp.n_states - own, mdp.n_actions))])
+    weights = _checks.distribution(weights, "distribution", (mdp.n_states, mdp.n_actions))
     indptr = mdp.transitions.indptr.astype(np.int64)
     cumulative = running_sums(mdp.transitions.data, indptr)
     rows, entries = rollout.transitions(stream_key(seed), size, np.cumsum(weights.reshape(-1)), indptr, cumulative)

@@ -112,7 +112,7 @@ TABLE = {
     ),
     "terminal states of a wrong type": (
         lambda: mdp(terminal_state=[0.5]),
-        r"terminal_state must be at most 2 integers",
+        r"terminal_state must be 1 to 2 integers; got float64",
     ),
     "other transitions of another size": (
         lambda: mdp().with_transitions(GRID.transitions),
@@ -336,17 +336,103 @@ TABLE = {
         lambda: oee.density_ratio([1, 1], [1, 1], lower=1.5, upper=2),
         r"the box \[lower, upper\] must contain 1 for sum q g = 1 to be possible; it is \[1.5, 2\]",
     ),
-    "negative lower": (lambda: oee.density_ratio([1], [1], lower=-1), r"lower must be in \[0, inf\]; it is -1"),
+    "negative lower": (lambda: oee.density_ratio([1], [1], lower=-1), r"lower must be in \[0, inf\); it is -1"),
     "negative weights": (lambda: oee.density_ratio([1, -1], [1, 1]), r"p\[1\] must be nonnegative; it is -1"),
     "nan weights": (lambda: oee.density_ratio([1, 1], [1, np.nan]), r"q\[1\] must be finite; it is nan"),
-    "all-zero p": (lambda: oee.density_ratio([0, 0], [1, 1]), r"p must have a positive sum; it is 0"),
-    "all-zero q": (lambda: oee.density_ratio([1, 1], [0, 0]), r"q must have a positive sum; it is 0"),
+    "all-zero p": (lambda: oee.density_ratio([0, 0], [1, 1]), r"p must have a positive, finite sum; it is 0"),
+    "all-zero q": (lambda: oee.density_ratio([1, 1], [0, 0]), r"q must have a positive, finite sum; it is 0"),
     "unequal lengths": (lambda: oee.density_ratio([1], [1, 1]), r"p and q must have one length; they have 1 and 2"),
     "matrices": (lambda: oee.density_ratio([[1]], [[1]]), r"p must have 1 dimension\(s\); it has shape \(1, 1\)"),
     "negative ridge": (
         lambda: oee.density_ratio([1], [1], ridge=-1.0),
-        r"ridge must be finite and nonnegative; it is -1.0",
+        r"ridge must be in \[0, inf\); it is -1",
     ),
+    "a ridge that is infinite at n": (
+        lambda: oee.density_ratio([2], [1], ridge=lambda n: np.inf),
+        r"ridge\(2\) must be finite; it is inf",
+    ),
+    "an infinite center": (
+        lambda: oee.density_ratio([1], [1], ridge=1, toward=np.inf),
+        r"toward must be finite; it is inf",
+    ),
+    "an infinite lower": (
+        lambda: oee.density_ratio([1], [1], lower=np.inf, normalized=False),
+        r"lower must be finite; it is inf",
+    ),
+    "an upper of 0": (
+        lambda: oee.density_ratio([1], [1], upper=0, normalized=False),
+        r"upper must be positive: .*; it is 0",
+    ),
+    "a sum that overflows": (
+        lambda: oee.density_ratio([1e308] * 2, [1, 1]),
+        r"p must have a positive, finite sum; it is inf",
+    ),
+    "a ridge that overflows": (
+        lambda: oee.density_ratio([1, 2], [2, 1], ridge=1e308, toward=1),
+        r"the program must have numbers that double precision holds; ridge 1e\+308",
+    ),
+    "complex weights": (
+        lambda: oee.density_ratio([1j], [1]),
+        r"p must be an array of numbers; got list \(complex numbers\)",
+    ),
+    "a word for a ridge": (lambda: oee.density_ratio([1], [1], ridge="a"), r"ridge must be a number; got 'a'"),
+    "data of the simulator where it has no use": (
+        lambda: oee.transition_ratio(LOG, GRID, simulator_data="exact"),
+        r"simulator_data must not be given with method 'conditional', which does not use it; got 'exact'",
+    ),
+    "a prior where it has no use": (
+        lambda: oee.transition_ratio(LOG, GRID, method="ratio_of_ratios", strength=2.0),
+        r"strength must not be given with method 'ratio_of_ratios', which does not use it; got 2.0",
+    ),
+    "simulator data that a problem cannot use": (
+        lambda: Problem(GRID, LOG, simulator_data="foo"),
+        r"simulator_data must be Transitions, 'exact' or None; got 'foo'",
+    ),
+    "a true ratio of what": (lambda: oee.true_ratio(None, GRID), r"target must be a FiniteMDP; got NoneType"),
+    "an oracle of what": (lambda: Oracle(5), r"target must be a FiniteMDP; got int"),
+    "a value of what": (lambda: oee.policy_value(GOOD, UNIFORM), r"mdp must be a FiniteMDP; got ndarray"),
+    "an occupancy of what": (lambda: oee.occupancy(GOOD, UNIFORM), r"mdp must be a FiniteMDP; got ndarray"),
+    "a ratio of another simulator": (
+        lambda: OffEnvironment(oee.true_ratio(GRID, GRID))(
+            Problem(oee.tasks.gridworld(3, 0.0), Transitions([0], [0], [3])), UNIFORM
+        ),
+        r"ratio must have the support of this simulator's transitions",
+    ),
+    "a ratio of another size": (
+        lambda: OffEnvironment(oee.true_ratio(mdp(), mdp()))(Problem(GRID, LOG), UNIFORM),
+        r"ratio must be for \(36, 9\) rows and states; it is for \(4, 2\)",
+    ),
+    "a seed that is a word": (
+        lambda: oee.sample_episodes(GRID, UNIFORM, 1, 1, seed="a"),
+        r"seed must be what numpy.random",
+    ),
+    "a negative seed": (lambda: LOG.draw(3, seed=-1), r"seed must be what numpy.random.default_rng takes; got -1"),
+    "horizon True": (
+        lambda: oee.policy_value(GRID, UNIFORM, horizon=True),
+        r"horizon must be a positive integer; got True",
+    ),
+    "a number as a word": (lambda: GRID.with_action_noise("0.1"), r"epsilon must be a number; got '0.1'"),
+    "complex transitions": (lambda: mdp(GOOD + 0j), r"transitions must be an array of numbers; .*complex numbers"),
+    "complex sparse transitions": (
+        lambda: mdp(sparse.csr_array(GOOD.reshape(4, 2) + 0j)),
+        r"transitions must be real numbers; they are complex",
+    ),
+    "no rows chosen": (lambda: LOG.select([]), r"rows must choose at least one row; they choose none"),
+    "rows that are not there": (
+        lambda: LOG.select([10**6]),
+        r"rows must be a mask or row numbers of the log's \d+ rows",
+    ),
+    "counts for a word": (lambda: LOG.counts("3", 2), r"n_states must be a positive integer; got '3'"),
+    "ragged states": (lambda: Transitions([[0], [1, 2]], [0], [1]), r"state must be a column of integers"),
+    "an episode number past all integers": (
+        lambda: Transitions([0], [0], [1], episode=[1e300]),
+        r"episode\[0\] must be an integer; it is 1e\+300",
+    ),
+    "a state past 2**63": (
+        lambda: Transitions(np.array([2**63 + 5], dtype=np.uint64), [0], [1]),
+        r"state\[0\] must be below",
+    ),
+    "saving into a folder that is not there": (lambda: GRID.save("nowhere/mdp.npz"), r"no such folder.*nowhere"),
     "unknown solver": (
         lambda: oee.density_ratio([1], [1], solver="dial"),
         r"solver must be 'dual' or one of .*; got 'dial'",
@@ -361,7 +447,7 @@ TABLE = {
     ),
     "negative strength": (
         lambda: oee.transition_ratio(LOG, GRID, strength=-1),
-        r"strength must be in \[0, inf\]; it is -1",
+        r"strength must be in \[0, inf\); it is -1",
     ),
     "dense counts": (
         lambda: oee.transition_ratio(np.zeros((36, 9)), GRID),
@@ -415,7 +501,7 @@ TABLE = {
 @pytest.mark.parametrize("name", TABLE)
 def test_bad_calls(name):
     call, text = TABLE[name]
-    with pytest.raises(ValueError, match=text):
+    with pytest.raises((ValueError, FileNotFoundError), match=text):
         call()
 
 
@@ -429,6 +515,8 @@ def test_files_that_hold_something_else(tmp_path):
     (tmp_path / "gap.csv").write_text("state,action,next_state\n0,1,2\n1,,2\n")
     (tmp_path / "words.csv").write_text("state,action,next_state\n0,left,2\n")
     (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "surplus.csv").write_text("state,action,next_state\n0,0,1,9\n")
+    np.savez(tmp_path / "parts.npz", oee_tabular_kind=np.array("finite_mdp"), shape=np.array([2, 1]))
     table = [
         (FiniteMDP.load, "log.npz", r"must hold a finite_mdp; it holds transitions"),
         (Transitions.load, "mdp.npz", r"must hold a transitions; it holds finite_mdp"),
@@ -438,6 +526,12 @@ def test_files_that_hold_something_else(tmp_path):
         (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),
         (Transitions.load, "gap.csv", r"column 'action' of .* must have a value in every row; row 1 has none"),
         (Transitions.load, "words.csv", r"words.csv': action must hold integers"),
+        (Transitions.load, "surplus.csv", r"must be a CSV table with a header; Length of header"),
+        (
+            FiniteMDP.load,
+            "parts.npz",
+            r"must hold every part of a FiniteMDP; 'rewards_data' is missing",
+        ),
         (Transitions.load, "empty.csv", r"must be a CSV table with a header"),
     ]
     for load, name, text in table:

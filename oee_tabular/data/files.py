@@ -56,8 +56,10 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
         import pandas as pd
 
         try:
-            frame = pd.read_csv(name)
-        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
+                frame = pd.read_csv(name, index_col=False)
+        except (pd.errors.ParserWarning, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
             raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
         return _from_columns(kind, _frame_columns(frame, name), name)
     if suffix == ".parquet":

@@ -141,6 +141,8 @@ class Transitions:
         With ``discount`` each move counts discount**timestep, the paper's discounted d (needs timesteps).
         Raises ValueError where a state or action is outside the given numbers.
         """
+        _checks.positive_integer(n_states, "n_states")
+        _checks.positive_integer(n_actions, "n_actions")
         for name, column, limit in (
             ("state", self.state, n_states),
             ("action", self.action, n_actions),
@@ -162,7 +164,15 @@ class Transitions:
 
     def select(self, rows: Any) -> Self:
         """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
-        chosen = np.arange(len(self))[np.asarray(rows)]
+        asked = np.asarray(rows)
+        if asked.size == 0:
+            raise ValueError("rows must choose at least one row; they choose none")
+        try:
+            chosen = np.arange(len(self))[asked]
+        except IndexError as error:
+            raise ValueError(f"rows must be a mask or row numbers of the log's {len(self)} rows; {error}") from None
+        if chosen.size == 0:
+            raise ValueError("rows must choose at least one row; they choose none")
         return type(self)(
             self.state[chosen],
             self.action[chosen],
@@ -189,7 +199,7 @@ class Transitions:
         size = _checks.positive_integer(n, "n")
         if size > len(self):
             raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
-        return self.select(np.random.default_rng(seed).permutation(len(self))[:size])
+        return self.select(_checks.generator(seed).permutation(len(self))[:size])
 
     def summary(self) -> dict[str, Any]:
         """What the log holds, as plain numbers."""
@@ -248,7 +258,10 @@ class Transitions:
 
 
 def _integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
-    array = np.array(value)
+    try:
+        array = np.array(value)
+    except ValueError as error:
+        raise ValueError(f"{name} must be a column of integers; {error}") from None
     if array.ndim != 1:
         raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
     if array.size == 0:
@@ -256,9 +269,11 @@ def _integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{name} must hold integers; it holds {array.dtype}")
     if array.dtype.kind == "f":
-        bad = np.flatnonzero(~(np.isfinite(array) & (array == np.floor(array))))
+        bad = np.flatnonzero(~((np.abs(array) <= 2.0**53) & (array == np.floor(array))))
         if bad.size:
             raise ValueError(f"{name}[{bad[0]}] must be an integer; it is {array[bad[0]]}")
+    if array.dtype.kind == "u" and (bad := np.flatnonzero(array > np.iinfo(np.int64).max)).size:
+        raise ValueError(f"{name}[{bad[0]}] must be below 2**63; it is {array[bad[0]]}")
     whole: IntArray = array.astype(np.int64)
     if low is not None and (bad := np.flatnonzero(whole < low)).size:
         raise ValueError(f"{name}[{bad[0]}] must be at least {low}; it is {whole[bad[0]]}")

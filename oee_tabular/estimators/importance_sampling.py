@@ -80,10 +80,13 @@ class ImportanceSampling:
             "effective_sample_size": effective_sample_size(last),
             "largest_weight": float(weight.max()),
             "mean_weight": float(last.mean()),
-            **_truncation(log, problem, lengths, cut, weight),
+            **_truncation(log, problem, lengths, last, self.self_normalized),
             **_starts(log, problem.simulator),
         }
-        return Estimate(value, error, diagnostics=diagnostics, status=weight_status(value))
+        status = weight_status(value)
+        if not last.any():
+            status, error = "every weight is 0: no episode of the log is one that the policy could have made", None
+        return Estimate(value, error, diagnostics=diagnostics, status=status)
 
     def _behavior(self, problem: Problem, log: Transitions) -> Array:
         """Probability of each recorded action under the policy that recorded it."""
@@ -110,8 +113,14 @@ class ImportanceSampling:
         return np.asarray(probability)
 
 
-def _truncation(log: Transitions, problem: Problem, lengths: Any, cut: Any, weight: Array) -> dict[str, float]:
-    """Share of episodes cut before the horizon, and a bound on what their missing rewards can change."""
+def _truncation(
+    log: Transitions, problem: Problem, lengths: Any, last: Array, self_normalized: bool
+) -> dict[str, float]:
+    """Share of episodes cut before the horizon, and a bound on what their missing rewards can change.
+
+    A missing reward has at most the largest size that the log or the simulator's moves have, and in expectation the
+    episode's last weight.
+    """
     starts = log.episode_starts
     assert starts is not None
     ended = log.terminated[starts[1:] - 1] & (lengths == np.diff(starts))
@@ -119,14 +128,19 @@ def _truncation(log: Transitions, problem: Problem, lengths: Any, cut: Any, weig
     if not missing.any():
         return {"truncated_share": 0.0, "truncation_bias_bound": 0.0}
     gamma = problem.simulator.discount
-    largest = max(float(np.abs(problem.rewards_of(log)).max()), float(np.abs(problem.simulator.rewards).max()))
+    paid = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
+    largest = max(float(np.abs(problem.rewards_of(log)).max()), float(np.abs(paid).max()))
     if gamma == 1.0:
-        tail = np.inf if problem.horizon is None else np.asarray(problem.horizon - lengths, dtype=np.float64)
+        steps = np.inf if problem.horizon is None else problem.horizon
+        tail = np.asarray(steps - lengths, dtype=np.float64)
     else:
         end = 0.0 if problem.horizon is None else gamma**problem.horizon
         tail = (gamma ** lengths.astype(np.float64) - end) / (1.0 - gamma)
-    bound = np.where(missing, weight[cut[1:] - 1] * largest * tail, 0.0)
-    return {"truncated_share": float(missing.mean()), "truncation_bias_bound": float(bound.mean())}
+    counted = missing & (last > 0)
+    total = float(np.sum(last[counted] * largest * tail[counted]))
+    mass = float(last.sum()) if self_normalized else float(len(last))
+    bound = total / mass if mass > 0 else 0.0
+    return {"truncated_share": float(missing.mean()), "truncation_bias_bound": bound}
 
 
 def _starts(log: Transitions, simulator: FiniteMDP) -> dict[str, float]:

@@ -59,7 +59,7 @@ class OffEnvironment:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
         pi = check_policy(policy, problem.simulator)
-        generator = np.random.default_rng(seed)
+        generator = _checks.generator(seed)
         zeta = self._fit(problem, generator)
         if self.evaluation == "monte_carlo":
             estimate = product_estimate(
@@ -77,9 +77,12 @@ class OffEnvironment:
 
     def _fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
         if isinstance(self.ratio, TransitionRatio):
+            self.ratio.on(problem.simulator)  # or an error
             return self.ratio
         if callable(self.ratio):
             return self.ratio(problem.log, problem.simulator)
+        if self.ratio == "conditional":
+            return transition_ratio(problem.log, problem.simulator)
         return transition_ratio(
             problem.log,
             problem.simulator,

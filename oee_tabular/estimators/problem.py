@@ -16,6 +16,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.ratio import refuse_unsupported
+from oee_tabular.ratio.quotient import check_simulator_data
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class Problem:
         object.__setattr__(self, "log", settle(self.log, self.simulator, "log"))
         if self.episodes is not None:
             object.__setattr__(self, "episodes", settle(self.episodes, self.simulator, "episodes"))
+        check_simulator_data(self.simulator_data)
         if isinstance(self.simulator_data, Transitions):
             settled = settle(self.simulator_data, self.simulator, "simulator_data")
             object.__setattr__(self, "simulator_data", settled)

@@ -62,8 +62,9 @@ def product_estimate(
     steps = rollout_horizon(model.discount, horizon)
     rollouts = sample_episodes(model, policy, n_rollouts, steps, seed=seed)
     rows = rollouts.state * model.n_actions + rollouts.action
-    position, _ = find(ratio.values, rows, rollouts.next_state)
-    weighted = _weights(model, rollouts, ratio.values.data[position], weighting, steps)
+    zeta = ratio.on(model)
+    position, _ = find(model.transitions, rows, rollouts.next_state)
+    weighted = _weights(model, rollouts, zeta[position], weighting, steps)
     value, error = combine(
         weighted, self_normalized=self_normalized, keep_last=True, per_decision=weighting == "per_decision"
     )

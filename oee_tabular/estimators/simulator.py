@@ -47,6 +47,8 @@ class Oracle:
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
+        if not isinstance(self.target, FiniteMDP):
+            raise ValueError(f"target must be a FiniteMDP; got {type(self.target).__name__}")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
 

@@ -47,8 +47,12 @@ def solve_policy_system(
     Cost: dense O(S^3) up to 400 states, else a few dozen sparse sweeps.
     """
     norm_of_inverse = _inverse_norm(kernel, discount)
-    x, residual, method = _solve(_system(kernel, discount, transpose), b)
-    size = np.abs(residual).sum() if transpose else np.abs(residual).max(initial=0.0)
+    matrix = _system(kernel, discount, transpose)
+    x, residual, method = _solve(matrix, b)
+    size_of_row = np.diff(matrix.indptr) + 3  # what rounding can do to the matrix and to the residual
+    rounding = np.finfo(float).eps * size_of_row * (abs(matrix) @ np.abs(x) + np.abs(b))
+    missed = np.abs(residual) + rounding
+    size = missed.sum() if transpose else missed.max(initial=0.0)
     return LinearSolution(x, float(norm_of_inverse * size), method)
 
 
@@ -78,14 +82,15 @@ def _inverse_norm(kernel: sparse.csr_array, discount: float) -> float:
 
 def _radius(kernel: sparse.csr_array, discount: float) -> float:
     vector = np.ones(kernel.shape[0])
-    size = 0.0
+    growth = []
     for _ in range(2000):
         vector = discount * (kernel @ vector)
         size = float(vector.max(initial=0.0))
         if size == 0.0:
             return 0.0
         vector /= size
-    return size
+        growth.append(np.log(size))
+    return float(np.exp(np.mean(growth[1000:])))  # the mean, for kernels that are periodic
 
 
 def _solve(matrix: sparse.csr_array, b: Array) -> tuple[Array, Array, str]:

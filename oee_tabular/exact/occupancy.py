@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular.exact.linear import solve_policy_system
-from oee_tabular.exact.reweighted import Model
+from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import check_policy
 
@@ -46,6 +46,7 @@ def occupancy(
     -----
     It sums to 1, and J = d . r * sum_t gamma^t. Cost: O(T * nnz), or one sparse solve.
     """
+    require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, mdp, horizon=steps)

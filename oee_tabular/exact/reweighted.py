@@ -13,8 +13,9 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, on_pattern, row_sums
+from oee_tabular._sparse import align, canonical, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.finite_mdp import name_move
 
 
 class Model(Protocol):
@@ -67,6 +68,12 @@ class ReweightedModel:
     terminal_state: IntArray
 
 
+def require_model(value: object) -> None:
+    """A ValueError for what is neither a FiniteMDP nor a ReweightedModel."""
+    if not isinstance(value, FiniteMDP | ReweightedModel):
+        raise ValueError(f"mdp must be a FiniteMDP; got {type(value).__name__}")
+
+
 def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     """The model K_zeta = zeta * P.
 
@@ -81,9 +88,11 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     if not sparse.issparse(values) or values.shape != mdp.transitions.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ValueError(f"ratio must be sparse of shape {mdp.transitions.shape}, row s*A + a; got {found}")
-    zeta, _ = align(sparse.csr_array(values), mdp.transitions)
-    if not np.all(np.isfinite(zeta) & (zeta >= 0)):
-        raise ValueError(f"ratio must be finite and nonnegative; it has the value {zeta[~(zeta >= 0)][:1]}")
+    zeta, _ = align(canonical(values, drop_zeros=False), mdp.transitions)
+    bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
+    if bad.size:
+        where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions)
+        raise ValueError(f"ratio must be finite and nonnegative; at {where} it is {zeta[bad[0]]}")
     kernel = on_pattern(mdp.transitions, zeta * mdp.transitions.data)
     rewards = mdp.rewards
     if mdp.reward_data is not None:

@@ -15,8 +15,9 @@ from scipy.sparse import csgraph
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.exact.linear import solve_policy_system
-from oee_tabular.exact.reweighted import Model
+from oee_tabular._sparse import row_sums
+from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
+from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.mdp import check_policy
 
 
@@ -70,6 +71,7 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) ->
     -----
     Cost: O(T * nnz), or one sparse solve.
     """
+    require_model(model)
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, model, horizon=steps)
     if steps is not None:
@@ -109,10 +111,11 @@ def _undiscounted(kernel: sparse.csr_array, rewards: Array) -> tuple[Array, floa
     crossing = flows & (component[entries.row] != component[entries.col])
     closed = np.ones(component.max() + 1, dtype=np.bool_)
     closed[component[entries.row[crossing]]] = False
+    closed[component[row_sums(kernel) < 1.0 - 2.0 * _checks.SUM_TOLERANCE]] = False  # a kernel may lose mass
     recurrent = closed[component]
     paying: IntArray = np.flatnonzero(recurrent & (rewards != 0.0))
     if paying.size:
-        raise ValueError(
+        raise DivergentKernelError(
             "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
             f"that pay nothing; it stays for ever in {paying.size} states that do, the first: {paying[0]} "
             f"(reward {rewards[paying[0]]:g})"

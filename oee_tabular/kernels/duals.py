@@ -32,7 +32,7 @@ def coordinate(b: Any, a: Any, p: Any, lower: Any, upper: Any) -> Any:
     return min(max(g, lower), upper)
 
 
-coordinate = njit(cache=True)(coordinate)
+coordinate = njit(cache=True, error_model="numpy")(coordinate)
 
 
 def fill_row(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
@@ -44,13 +44,14 @@ def fill_row(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low
         if q[x] > 0.0:
             total += q[x] * value
             if lower < value < upper:
-                curvature = p[x] / (value * value) + a[x]
-                if curvature > 0.0:
-                    slope += q[x] * q[x] / curvature
+                mass = q[x] * value  # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
+                bend = p[x] + a[x] * value * value
+                if bend > 0.0:
+                    slope += mass * (mass / bend)
     return total, slope
 
 
-fill_row = njit(cache=True)(fill_row)
+fill_row = njit(cache=True, error_model="numpy")(fill_row)
 
 
 def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
@@ -78,7 +79,7 @@ def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low:
     return gap - (m - 1.0) * excess
 
 
-row_gap = njit(cache=True)(row_gap)
+row_gap = njit(cache=True, error_model="numpy")(row_gap)
 
 
 def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any) -> Any:
@@ -91,7 +92,7 @@ def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, hi
     return True
 
 
-_is_one = njit(cache=True)(_is_one)
+_is_one = njit(cache=True, error_model="numpy")(_is_one)
 
 
 def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any, other: Any) -> Any:
@@ -194,7 +195,7 @@ def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, 
     return (left, gap_left) if gap_left < gap_right else (right, gap_right)
 
 
-solve_row = njit(cache=True)(solve_row)
+solve_row = njit(cache=True, error_model="numpy")(solve_row)
 
 
 def solve_rows(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any) -> Any:
@@ -208,7 +209,7 @@ def solve_rows(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: A
     return g, multiplier, gap
 
 
-solve_rows = njit(cache=True)(solve_rows)
+solve_rows = njit(cache=True, error_model="numpy")(solve_rows)
 
 
 def solve_free(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any) -> Any:
@@ -219,4 +220,4 @@ def solve_free(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any) -> Any:
     return g
 
 
-solve_free = njit(cache=True)(solve_free)
+solve_free = njit(cache=True, error_model="numpy")(solve_free)

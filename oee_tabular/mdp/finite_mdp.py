@@ -233,7 +233,12 @@ class FiniteMDP:
             terminal = arrays["terminal_state"]
         except KeyError as error:
             raise ValueError(f"{str(path)!r} must hold every part of a FiniteMDP; {error} is missing") from None
-        return cls(transitions, rewards, *rest, terminal_state=terminal)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{str(path)!r} must hold the parts of a FiniteMDP; {error}") from None
+        try:
+            return cls(transitions, rewards, *rest, terminal_state=terminal)
+        except ValueError as error:
+            raise ValueError(f"{str(path)!r}: {error}") from None
 
     @classmethod
     def from_gymnasium(cls, env: Any, discount: float = 0.99) -> Self:
@@ -287,6 +292,8 @@ def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
     if n_states == 0 or rows.shape[0] == 0:
         raise ValueError(f"transitions must have at least one state and one action; it has shape {transitions.shape}")
     n_actions = rows.shape[0] // n_states
+    if np.iscomplexobj(rows):
+        raise ValueError("transitions must be real numbers; they are complex")
     raw = sparse.csr_array(rows, dtype=np.float64)
     bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
     if bad.size:
@@ -347,8 +354,8 @@ def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]
 
 def _terminal_states(value: Any, n_states: int) -> IntArray:
     array = np.array(value)
-    if array.ndim != 1 or array.dtype.kind not in "iu" or array.size > n_states:
-        raise ValueError(f"terminal_state must be at most {n_states} integers; got {array.dtype} {array.shape}")
+    if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
+        raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
     bad = np.flatnonzero((array < 0) | (array >= n_states))
     if bad.size:
         raise ValueError(f"terminal_state[{bad[0]}] must be in 0..{n_states - 1}; it is {array[bad[0]]}")

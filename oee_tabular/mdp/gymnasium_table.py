@@ -14,7 +14,16 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical
 
-_CHANGING_WRAPPERS = {"ActionWrapper", "ObservationWrapper", "RewardWrapper", "StickyAction", "TransformReward"}
+# wrappers of Gymnasium that change neither actions nor observations nor rewards (a time limit is a horizon)
+_HARMLESS = {
+    "HumanRendering",
+    "OrderEnforcing",
+    "PassiveEnvChecker",
+    "RecordEpisodeStatistics",
+    "RecordVideo",
+    "RenderCollection",
+    "TimeLimit",
+}
 
 
 @dataclass(frozen=True)
@@ -49,10 +58,10 @@ def read_table(env: Any) -> Table:
 def _refuse_changing_wrappers(env: Any) -> None:
     layer = env
     while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
-        if any(kind.__name__ in _CHANGING_WRAPPERS for kind in type(layer).__mro__):
+        if type(layer).__name__ not in _HARMLESS:
             raise ValueError(
                 "env must not change actions, observations or rewards outside its table P; "
-                f"the wrapper {type(layer).__name__} does (pass env.unwrapped to leave it out)"
+                f"the wrapper {type(layer).__name__} may (pass env.unwrapped to leave it out)"
             )
         layer = layer.env
 

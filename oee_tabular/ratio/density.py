@@ -16,6 +16,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio import dual, programs
 
+ACCURATE = 1e-8  # nats
+
 
 @dataclass(frozen=True)
 class RatioFit:
@@ -31,7 +33,7 @@ class RatioFit:
     divergence : the dual estimate of KL(p || q), sum p log g - sum q g + 1
     n_undetermined : entries with p = q = 0, which the data says nothing about
     p_total, q_total : sums of the p and q handed over, before they were scaled to 1
-    status : "optimal"
+    status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1)
     """
 
     ratio: Array
@@ -57,9 +59,11 @@ class Box:
 def check_box(lower: float | None, upper: float | None, *, normalized: bool) -> Box:
     """The bounds as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
     low = 0.0 if lower is None else _checks.number_in(lower, "lower", 0.0, np.inf)
-    high = np.inf if upper is None else _checks.number_in(upper, "upper", 0.0, np.inf)
+    high = np.inf if upper is None else _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     if low > high:
         raise ValueError(f"lower must not exceed upper; they are {low:g} and {high:g}")
+    if high == 0.0:
+        raise ValueError("upper must be positive: the logarithm of the ratio is part of the objective; it is 0")
     if normalized and not low <= 1.0 <= high:
         raise ValueError(
             f"the box [lower, upper] must contain 1 for sum q g = 1 to be possible; it is [{low:g}, {high:g}]"
@@ -67,12 +71,11 @@ def check_box(lower: float | None, upper: float | None, *, normalized: bool) -> 
     return Box(low, high)
 
 
-def check_ridge(ridge: float | Callable[[Any], Any], n: Any) -> Any:
-    """The ridge as finite nonnegative number(s): given, or a function of the sample size(s)."""
-    value = np.asarray(ridge(n) if callable(ridge) else ridge, dtype=np.float64)
-    if not np.all(np.isfinite(value) & (value >= 0)):
-        raise ValueError(f"ridge must be finite and nonnegative; it is {ridge if not callable(ridge) else value}")
-    return value
+def check_ridge(ridge: float | Callable[[float], float], n: float) -> float:
+    """The ridge as a finite nonnegative number: given, or a function of the sample size."""
+    value = ridge(n) if callable(ridge) else ridge
+    name = f"ridge({n:g})" if callable(ridge) else "ridge"
+    return _checks.number_in(value, name, 0.0, np.inf)
 
 
 def density_ratio(
@@ -130,17 +133,23 @@ def density_ratio(
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     box = check_box(lower, upper, normalized=normalized)
-    totals = [float(w.sum()) for w in weights]
+    with np.errstate(over="ignore"):
+        totals = [float(w.sum()) for w in weights]
     for total, name in zip(totals, ("p", "q"), strict=True):
-        if total <= 0.0:
-            raise ValueError(f"{name} must have a positive sum; it is {total:g}")
-    strength = float(check_ridge(ridge, totals[0]))
+        if not 0.0 < total < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+    strength = check_ridge(ridge, totals[0])
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known = (weights[0] > 0) | (weights[1] > 0)
     pk, qk = (weights[i][known] / totals[i] for i in (0, 1))
     curvature = np.full(len(pk), strength) if toward is None else strength * qk
     _refuse_unbounded(np.flatnonzero(known), pk, qk, curvature, box)
     g, m, gap = _solve(pk, qk, curvature, center, box, normalized, solver)
+    if not (np.all(np.isfinite(g)) and np.isfinite(gap)):
+        raise ValueError(
+            f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
+            f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
+        )
     value = dual.objective(g, pk, qk, curvature, center)
     ratio = np.full(len(known), min(max(1.0 if toward is None else center, box.lower), box.upper))
     ratio[known] = g
@@ -155,7 +164,7 @@ def density_ratio(
         n_undetermined=int((~known).sum()),
         p_total=totals[0],
         q_total=totals[1],
-        status="optimal",
+        status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
     )
 
 

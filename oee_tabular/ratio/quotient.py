@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.data import Transitions
@@ -71,11 +72,18 @@ def fit_quotient(
         "lower": lower,
         "upper": upper,
         "undetermined_moves": int(undetermined.sum()),
+        "share_at_the_box": float(np.mean((moves.ratio <= (lower or 0.0)) | (moves.ratio >= (upper or np.inf)))),
         "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
         "divergence_moves": moves.divergence,
         "divergence_pairs": pairs.divergence,
     }
     return Quotient(zeta, max(moves.gap, pairs.gap), details)
+
+
+def check_simulator_data(value: object) -> None:
+    """Transitions, "exact" or None."""
+    if not (value is None or isinstance(value, Transitions) or (isinstance(value, str) and value == "exact")):
+        raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {value!r}")
 
 
 def _simulator_weights(
@@ -87,19 +95,19 @@ def _simulator_weights(
     seed: Any,
 ) -> Array:
     """Counts or probabilities of the simulator's moves, on its entries."""
+    check_simulator_data(simulator_data)
     steps = _LONGEST_EPISODE
     if log is not None and log.timestep is not None:
         steps = int(log.timestep.max()) + 1
     if isinstance(simulator_data, Transitions):
         return aligned_counts(simulator_data.counts(simulator.n_states, simulator.n_actions), simulator)
-    if simulator_data == "exact":
+    if simulator_data is not None:
         undiscounted = simulator.with_discount(1.0)
         share = occupancy(undiscounted, behavior, horizon=steps, of="transition")
-        return np.array(share.data)
-    if simulator_data is not None:
-        raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {simulator_data!r}")
+        over = simulator.absorbing()[row_of_entry(simulator.transitions) // simulator.n_actions]
+        return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
     n = max(round(float(observed.sum())), 1)
-    generator = np.random.default_rng(seed)
+    generator = _checks.generator(seed)
     episodes = max(1, -(-n // steps))
     while True:  # episodes end early, so more of them may be needed; each try is a fresh sample
         sample = sample_episodes(simulator, behavior, episodes, steps, seed=generator)

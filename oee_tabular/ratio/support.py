@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align, find, row_of_entry
+from oee_tabular._sparse import align, canonical, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 
@@ -35,11 +35,10 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
     if counts.shape != simulator.transitions.shape:
         raise ValueError(f"counts must have shape {simulator.transitions.shape}; they have shape {counts.shape}")
-    matrix = sparse.csr_array(counts, dtype=np.float64)
+    matrix = canonical(counts, drop_zeros=True)
     bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
     if bad.size:
         where = name_move(matrix, int(bad[0]), simulator.n_actions)
         raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]}")
     refuse_unsupported(matrix, simulator)
-    matrix.sum_duplicates()
     return align(matrix, simulator.transitions)[0]

@@ -22,7 +22,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, programs
@@ -66,12 +66,23 @@ class TransitionRatio:
             f"row-sum error {self.row_sum_error:.1e})"
         )
 
+    def on(self, simulator: FiniteMDP) -> Array:
+        """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
+        if self.values.shape != simulator.transitions.shape:
+            raise ValueError(
+                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
+            )
+        zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
+        if not stored.all() or self.values.nnz != simulator.transitions.nnz:
+            raise ValueError("ratio must have the support of this simulator's transitions; it is another simulator's")
+        return zeta
+
     def target_model(self, simulator: FiniteMDP, *, normalize: bool = False) -> FiniteMDP:
         """zeta * P as a FiniteMDP.
 
         Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
         """
-        zeta, _ = align(self.values, simulator.transitions)
+        zeta = self.on(simulator)
         data = zeta * simulator.transitions.data
         sums = row_sums(simulator.transitions, data)
         if normalize:
@@ -136,8 +147,8 @@ def transition_ratio(
     *,
     method: str = "conditional",
     simulator_data: SimulatorData = None,
-    prior: str = "simulator",
-    strength: float = 1.0,
+    prior: str | None = None,
+    strength: float | None = None,
     lower: float | None = None,
     upper: float | None = None,
     ridge: float | Callable[[Any], Any] = 0.0,
@@ -153,17 +164,17 @@ def transition_ratio(
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
     method : "conditional" | "ratio_of_ratios"
-    prior, strength : "simulator" | "none", nonnegative
+    prior, strength : "simulator" (default) | "none", nonnegative (default 1)
         Conditional only: ``strength`` pseudo-counts of P are added to each row, which is the posterior mean under a
         Dirichlet prior centred on the simulator, and the KL program with the term -strength * sum P log zeta.
     lower, upper : bounds on zeta (conditional; default none) or on each beta (ratio_of_ratios; default 0.01 and 10, the
-        paper's nu and mu), so that the quotient lies in [lower/upper, upper/lower]
+        paper's nu and mu; ``numpy.inf`` for none), so that the quotient lies in [lower/upper, upper/lower]
     ridge, toward : as in ``density_ratio``; conditional: a row's program has ridge/2 * sum P (zeta - toward)^2 (toward
-        None: sum zeta^2), and a function gets the row's count n_sa
+        None: sum zeta^2), and a function gets the count n_sa of each row that has one
     simulator_data : ratio_of_ratios only
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         ``seed``; "exact": the simulator's exact occupancy under that policy
-    behavior_policy : (S, A), instead of the estimated one
+    behavior_policy : (S, A), instead of the estimated one; ratio_of_ratios only
     solver : "dual", or a cvxpy solver
 
     Returns
@@ -190,9 +201,18 @@ def transition_ratio(
     observed = aligned_counts(counts, simulator)
     if not observed.sum() > 0:
         raise ValueError("log_or_counts must have at least one move; it has none")
-    if method == "conditional":
+    conditional = method == "conditional"
+    foreign = {"simulator_data": simulator_data, "behavior_policy": behavior_policy}
+    if not conditional:
+        foreign = {"prior": prior, "strength": strength}
+    for name, value in foreign.items():
+        if value is not None:
+            raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
+    if conditional:
+        prior = "simulator" if prior is None else prior
         _checks.one_of(prior, "prior", PRIORS)
-        added = _checks.number_in(strength, "strength", 0.0, np.inf) if prior == "simulator" else 0.0
+        added = _checks.number_in(1.0 if strength is None else strength, "strength", 0.0, np.inf)
+        added = added if prior == "simulator" else 0.0
         box = check_box(lower, upper, normalized=True)
         return _conditional(observed, simulator, added, box, ridge, toward, solver)
     quotient = fit_quotient(
@@ -202,10 +222,10 @@ def transition_ratio(
         simulator_data,
         behavior_policy=behavior_policy,
         seed=seed,
-        lower=0.01 if lower is None and upper is None else lower,
-        upper=10.0 if lower is None and upper is None else upper,
+        lower=0.01 if lower is None else lower,
+        upper=10.0 if upper is None else upper,
         ridge=ridge,
-        toward=toward if np.any(np.asarray(ridge(1.0) if callable(ridge) else ridge) > 0) else None,
+        toward=toward,
         solver=solver,
     )
     return _result(simulator, quotient.zeta, "ratio_of_ratios", quotient.gap, observed, quotient.details, None)
@@ -227,7 +247,7 @@ def _conditional(
     weight = n_row + strength
     known = weight > 0
     p = np.where(known[rows], (observed + strength * q) / np.where(known, weight, 1.0)[rows], q)
-    bend = np.broadcast_to(check_ridge(ridge, n_row), n_row.shape)[rows]
+    bend = _ridge_by_row(ridge, n_row)[rows]
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     curvature = np.asarray(bend if toward is None else bend * q)
     unseen = n_row[rows] == 0
@@ -247,7 +267,8 @@ def _conditional(
             for low, high, m in zip(indptr[:-1], indptr[1:], found.multiplier, strict=True)
         )
     inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
-    stiffness = np.where(inside, p / np.where(zeta > 0, zeta, 1.0) ** 2 + curvature, 0.0)
+    safe = np.where(inside, zeta, 1.0)
+    stiffness = np.where(inside, (p / safe) / safe + curvature, 0.0)
     influence = Influence(
         frequencies=np.where(unseen, 0.0, observed / np.maximum(n_row, 1e-300)[rows]),
         row_counts=n_row,
@@ -261,11 +282,20 @@ def _conditional(
     return _result(simulator, zeta, "conditional", gap, observed, details, influence)
 
 
+def _ridge_by_row(ridge: float | Callable[[Any], Any], n_row: Array) -> Array:
+    """The ridge of each row: a number, or a function of the row's count, asked once for each positive count."""
+    sizes, index = np.unique(n_row, return_inverse=True)
+    return np.array([check_ridge(ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
+
+
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     """zeta = P_target / P_simulator on the simulator's support.
 
     Raises ValueError where the target moves outside that support, naming the moves.
     """
+    for name, value in (("target", target), ("simulator", simulator)):
+        if not isinstance(value, FiniteMDP):
+            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
     if target.transitions.shape != simulator.transitions.shape:
         raise ValueError(
             f"target and simulator must have the same states and actions; their transitions have shapes "

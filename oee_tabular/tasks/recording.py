@@ -44,7 +44,7 @@ def record_episodes(
     _checks.require_sums_to_one(pi.sum(axis=1), "policy")
     from tqdm.auto import tqdm
 
-    generator = np.random.default_rng(seed)
+    generator = _checks.generator(seed)
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     rows: list[tuple[int, int, int, float, bool, bool, int]] = []

@@ -344,3 +344,29 @@ def test_no_estimator_changes_its_input(estimator):
     assert_array_equal(policy, before)
     assert np.isfinite(estimate.value)
     assert repr(estimate).startswith("Estimate(")
+
+
+def test_weights_that_are_all_zero_are_a_status():
+    """No episode follows the policy: plain sampling says 0, without a standard error; self-normalised sampling nothing."""
+    simulator, target = grids(3)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 4, 60, seed=1)
+    never = np.zeros((9, 4))
+    never[:, 1] = 1.0
+    problem = Problem(simulator, log, horizon=60)
+    plain, weighted = (ImportanceSampling(self_normalized=flag)(problem, never) for flag in (False, True))
+    assert "every weight is 0" in plain.status
+    assert plain.standard_error is None
+    assert np.isnan(weighted.value)
+    assert "every weight is 0" in weighted.status
+
+
+def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean():
+    transitions = np.array([[[0.0, 0.5, 0.5]], [[1.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]]])
+    rewards = np.zeros((3, 1, 3))
+    rewards[0, 0, 1:] = [100.0, -100.0]
+    mdp = oee.FiniteMDP(transitions, rewards, [0.0, 1.0, 0.0], 0.9)
+    log = Transitions([1], [0], [0], [0.0], episode=[0], behavior_probability=[1.0])
+    facts = ImportanceSampling()(Problem(mdp, log), np.ones((3, 1))).diagnostics
+    assert_allclose(facts["truncation_bias_bound"], 100 * 0.9 / 0.1)
+    endless = ImportanceSampling()(Problem(mdp.with_discount(1.0), log), np.zeros((3, 1)) + 1.0).diagnostics
+    assert endless["truncation_bias_bound"] == np.inf

@@ -195,3 +195,30 @@ def test_a_kernel_above_one_but_below_the_radius_is_certified():
     found = exact.evaluate_policy(exact.reweight(mdp, zeta), np.ones((2, 1)))
     assert_allclose(found.values, [1 + 0.5 * 3 * 2, 2.0], rtol=1e-14)
     assert 0 <= found.error_bound < 1e-12
+
+
+def test_a_kernel_that_loses_mass_has_a_value_at_discount_one():
+    mdp = FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0)
+    leaking = exact.reweight(mdp, sparse.csr_array([[0.5]]))
+    assert_allclose(oee.policy_value(leaking, np.ones((1, 1))), 2.0, rtol=1e-12)
+
+
+def test_the_radius_of_a_periodic_kernel():
+    cycle = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [1.0, 1.0], [1, 0], 0.9)
+    with pytest.raises(ValueError, match=r"spectral radius of 1\.00[12]"):
+        oee.policy_value(exact.reweight(cycle, sparse.csr_array(np.array([[0, 2.0], [0.62, 0]]))), np.ones((2, 1)))
+
+
+def test_the_error_bound_covers_rounding_near_discount_one():
+    """Rows (.3, .7), (.6, .4) at 1 - 1e-8, against exact rationals of the stored numbers."""
+    from fractions import Fraction
+
+    gamma = 1 - 1e-8
+    mdp = FiniteMDP(np.array([[[0.3, 0.7]], [[0.6, 0.4]]]), [1 / 3, 0.1], [1, 0], gamma)
+    found = exact.evaluate_policy(mdp, np.ones((2, 1)))
+    g, (a, b, c, d) = Fraction(gamma), map(Fraction, mdp.transitions.toarray().reshape(-1).tolist())
+    r = [Fraction(x) for x in mdp.rewards[:, 0].tolist()]
+    determinant = (1 - g * a) * (1 - g * d) - g * b * g * c
+    truth = [((1 - g * d) * r[0] + g * b * r[1]) / determinant, (g * c * r[0] + (1 - g * a) * r[1]) / determinant]
+    error = max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True))
+    assert error <= found.error_bound

@@ -100,10 +100,10 @@ def test_refusals():
     with pytest.raises(ValueError, match="BlackjackEnv has none"):
         FiniteMDP.from_gymnasium(gymnasium.make("Blackjack-v1"))
     flipped = gymnasium.wrappers.TransformReward(gymnasium.make("FrozenLake-v1"), lambda r: -r)
-    with pytest.raises(ValueError, match="the wrapper TransformReward does"):
+    with pytest.raises(ValueError, match="the wrapper TransformReward may"):
         FiniteMDP.from_gymnasium(flipped)
     sticky = gymnasium.wrappers.StickyAction(gymnasium.make("FrozenLake-v1"), 0.25)
-    with pytest.raises(ValueError, match="the wrapper StickyAction does"):
+    with pytest.raises(ValueError, match="the wrapper StickyAction may"):
         FiniteMDP.from_gymnasium(sticky)
 
 
@@ -113,3 +113,18 @@ def test_terminal_states_survive_saving_and_noise(tmp_path):
     for other in (FiniteMDP.load(tmp_path / "taxi.npz"), mdp.with_action_noise(0.1), mdp.with_discount(0.5)):
         assert_array_equal(other.terminal_state, mdp.terminal_state)
         assert other.absorbing()[500:].all()
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        gymnasium.wrappers.NormalizeReward,
+        lambda env: gymnasium.wrappers.FrameStackObservation(env, 2),
+        lambda env: gymnasium.wrappers.DelayObservation(env, 1),
+    ],
+)
+def test_wrappers_that_may_change_anything_are_refused(wrap):
+    with pytest.raises(ValueError, match=r"the wrapper .* may"):
+        FiniteMDP.from_gymnasium(wrap(gymnasium.make("FrozenLake-v1")))
+    harmless = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.make("FrozenLake-v1"))
+    assert FiniteMDP.from_gymnasium(harmless).n_states == 16

@@ -54,8 +54,33 @@ def test_the_structured_answer_against_clarabel(seed):
     if statement.equality is not None:
         value += float(statement.equality.dual_value[0]) * float(qs @ peer - 1.0)
     assert fit.objective <= value + 1e-10
-    if options["upper"] is not None and statement.problem.status == "optimal":
-        assert_allclose(fit.ratio[known], peer, rtol=0, atol=1e-6)
+    if options["upper"] is not None:
+        # the peer's own suboptimality, by our certificate, bounds its distance: h'' >= p / g^2 where p > 0
+        multiplier = 1.0 if statement.equality is None else 1.0 + float(statement.equality.dual_value[0])
+        peer_gap = max(value - dual.dual_value(multiplier, ps, qs, bend, center, low, high), 1e-16)
+        seen = ps > 0
+        reach = np.sqrt(2 * peer_gap / ps[seen]) * np.maximum(peer, fit.ratio[known])[seen]
+        assert (np.abs(fit.ratio[known] - peer)[seen] <= np.maximum(1e-6, 2 * reach)).all()
+
+
+def test_with_a_box_the_two_ratios_agree_to_1e_6():
+    """The paper's grid, 1572 triples, counts of 10 000 moves against exact occupancies, box [0.1, 4], ridges."""
+    simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
+    uniform = oee.uniform_policy(simulator)
+    shares = oee.occupancy(simulator.with_discount(1.0), uniform, horizon=200, of="transition").data[:1572]
+    log = oee.sample_episodes(target, uniform, 60, 1000, seed=0).draw(10_000, seed=0)
+    counts = log.counts(100, 4)
+    p = np.asarray(
+        counts[np.repeat(np.arange(400), np.diff(simulator.transitions.indptr)), simulator.transitions.indices]
+    )
+    for options in ({}, {"normalized": False}, {"ridge": 0.1, "toward": 1.0}, {"ridge": 1e-4}):
+        ours, theirs = (
+            oee.density_ratio(p.reshape(-1)[:1572], shares, lower=0.1, upper=4.0, solver=solver, **options)
+            for solver in ("dual", "CLARABEL")
+        )
+        assert ours.gap < 1e-12
+        assert ours.objective <= theirs.objective + 1e-9
+        assert_allclose(ours.ratio, theirs.ratio, rtol=0, atol=1e-6)
 
 
 @given(rngs, st.booleans())
@@ -207,3 +232,22 @@ def test_a_solver_that_stops_short_hands_on_no_numbers(monkeypatch):
     monkeypatch.setattr(programs, "clarabel_options", lambda tolerance: {"max_iter": 2})
     with pytest.raises(RuntimeError, match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used"):
         oee.density_ratio([3, 1, 4], [2, 2, 4], upper=1.4, solver="CLARABEL")
+
+
+@pytest.mark.parametrize(
+    ("p", "q", "options"),
+    [
+        ([1e-200, 1], [0.5, 0.5], {}),
+        ([0, 0, 20, 0], [1e-297, 1.9e-16, 0.007, 7e-11], {"ridge": 1.0}),
+        ([1, 1], [1e-300, 1], {"upper": 1e6}),
+    ],
+)
+def test_numbers_that_underflow_are_solved(p, q, options):
+    fit = oee.density_ratio(p, q, **options)
+    assert np.isfinite(fit.ratio).all()
+    assert 0 <= fit.gap < 1e-12
+
+
+def test_a_box_within_rounding_of_one_says_what_it_reached():
+    fit = oee.density_ratio([3, 1, 0], [1, 1, 2], lower=1 - 1e-12)
+    assert (fit.status == "optimal") == (fit.gap <= 1e-8)

@@ -140,7 +140,7 @@ def test_ratio_of_ratios_stays_in_its_box_and_reports_its_rows():
         zeta.target_model(simulator)
     assert zeta.target_model(simulator, normalize=True).n_states == 25
     with pytest.raises(ValueError, match=r"the program is unbounded at the .* give a finite upper bound"):
-        oee.transition_ratio(log, simulator, method="ratio_of_ratios", simulator_data=data, lower=0.2)
+        oee.transition_ratio(log, simulator, method="ratio_of_ratios", simulator_data=data, upper=np.inf)
     again = [oee.transition_ratio(log, simulator, method="ratio_of_ratios", seed=4).values.data for _ in range(2)]
     assert_array_equal(*again)
 
@@ -200,3 +200,66 @@ def test_counts_may_come_in_any_sparse_format():
     for form in (sparse.coo_array, sparse.csc_matrix):
         other = oee.transition_ratio(form(counts), simulator)
         assert_array_equal(other.values.data, oee.transition_ratio(log, simulator).values.data)
+
+
+@pytest.mark.parametrize("options", [{"strength": 1e-170}, {"prior": "none", "ridge": 1e-200}])
+def test_extreme_numbers_are_solved(options):
+    simulator, target = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 5, 20, seed=0)
+    plain = oee.transition_ratio(log, simulator, prior="none")
+    assert_allclose(
+        oee.transition_ratio(log, simulator, **options).values.data, plain.values.data, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_a_ridge_function_is_asked_for_visited_rows_only():
+    import math
+
+    simulator, target = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+    log = oee.sample_episodes(target, oee.tasks.gridworld_expert(3), 5, 20, seed=0)
+    asked = []
+
+    def ridge(n):
+        asked.append(n)
+        return 1 / math.sqrt(n)
+
+    zeta = oee.transition_ratio(log, simulator, ridge=ridge)
+    assert sorted(asked) == sorted(set(zeta.counts[zeta.visited].tolist()))
+    # the quotient asks at the number of moves, and a function that is 0 at 1 is no other program than its value
+    by_function, by_number = (
+        oee.transition_ratio(log, simulator, method="ratio_of_ratios", ridge=r, toward=1.0, seed=0).values.data
+        for r in (lambda n: math.log(n) / n, math.log(len(log)) / len(log))
+    )
+    assert_array_equal(by_function, by_number)
+
+
+def test_exact_data_of_the_simulator_stop_where_episodes_are_over():
+    """With absorbed time counted, p / q of the live moves leaves the box and the quotient is the simulator's."""
+    transitions = np.full((4, 1, 4), 0.0)
+    transitions[0, 0] = [0.1, 0.3, 0.3, 0.3]
+    transitions[1, 0] = [0.3, 0.1, 0.3, 0.3]
+    transitions[2, 0] = [0.3, 0.3, 0.1, 0.3]
+    transitions[3, 0, 3] = 1.0
+    simulator = oee.FiniteMDP(transitions, [1.0, 0.0, -1.0, 0.0], [1, 0, 0, 0], 0.9)
+    changed = transitions.copy()
+    changed[:2, 0] = [[0.3, 0.1, 0.4, 0.2], [0.1, 0.5, 0.2, 0.2]]
+    target = simulator.with_transitions(changed)
+    log = oee.sample_episodes(target, np.ones((4, 1)), 100_000, 100, seed=0)
+    zeta = oee.transition_ratio(log, simulator, method="ratio_of_ratios", simulator_data="exact")
+    truth = oee.true_ratio(target, simulator)
+    assert_allclose(zeta.values.data, truth.values.data, atol=0.03)
+    assert zeta.details["share_at_the_box"] == 0.0
+
+
+def test_matrices_in_any_order_are_read_right_and_left_alone():
+    simulator = oee.FiniteMDP(np.full((3, 2, 3), 1 / 3), np.zeros(3), [1, 0, 0], 0.9)
+    parts = (np.array([30.0, 10, 20]), np.array([2, 0, 1]), np.array([0, 3, 3, 3, 3, 3, 3]))
+    unsorted = sparse.csr_array(parts, shape=(6, 3))
+    assert_allclose(exact.reweight(simulator, unsorted).transitions.toarray()[0] * 3, [10, 20, 30])
+    twice = (np.ones(7), np.array([2, 0, 2, 1, 0, 1, 2]), np.array([0, 3, 4, 5, 6, 7, 7]))
+    counts = sparse.csr_array(twice, shape=(6, 3))
+    before = counts.toarray()
+    zeta = oee.transition_ratio(counts, simulator, prior="none")
+    assert_allclose(zeta.values.toarray()[0], [1, 0, 2])
+    assert_array_equal(counts.toarray(), before)
+    assert counts.nnz == 7
