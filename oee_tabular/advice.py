@@ -93,6 +93,15 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
             "own starts.",
         )
+    apart = facts.get("one_step_distance", 0.0)
+    if apart > 3.0:
+        add(
+            "prior",
+            apart,
+            f"{facts['one_step_value']:.5g}",
+            "the prior that the ratio is shrunk to does not fit the log along this policy; the one-step corrected value, {} "
+            "(as a discounted sum), does not rest on it.",
+        )
     error_bound = facts.get("error_bound", 0.0)
     if error_bound > 1e-6 * max(1.0, abs(estimate.value)):
         add("linear algebra", error_bound, f"{error_bound:.1e}", "the linear algebra is certain only to {}.")

@@ -1,12 +1,15 @@
 """Convex risk minimisation: density ratios (beta) and transition ratios (zeta), each with a duality gap."""
 
 from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported
-from oee_tabular.ratio.transition import TransitionRatio, transition_ratio, true_ratio
+from oee_tabular.ratio.tilt import action_displacement
+from oee_tabular.ratio.transition import transition_ratio, true_ratio
 
 __all__ = [
     "RatioFit",
     "TransitionRatio",
+    "action_displacement",
     "density_ratio",
     "refuse_unsupported",
     "transition_ratio",

@@ -44,7 +44,7 @@ def test_conditional_is_the_dirichlet_posterior_mean(rng, strength):
     """numerics.md A2, A3: zeta = (n/P + kappa) / (n_sa + kappa); rows never visited are the simulator's."""
     simulator, target = pair(rng)
     counts = counts_of(rng, target, int(rng.integers(1, 60)))
-    zeta = oee.transition_ratio(counts, simulator, strength=strength)
+    zeta = oee.transition_ratio(counts, simulator, prior="simulator", strength=strength)
     probability = simulator.transitions.toarray()
     n = counts.toarray()
     total = n.sum(axis=1, keepdims=True)
@@ -77,7 +77,8 @@ def test_rows_agree_with_clarabel(rng, options):
     simulator, target = pair(rng, n_states=4, n_actions=2)
     counts = counts_of(rng, target, 60)
     ours, theirs = (
-        oee.transition_ratio(counts, simulator, solver=solver, **options) for solver in ("dual", "CLARABEL")
+        oee.transition_ratio(counts, simulator, prior="simulator", strength=1.0, solver=solver, **options)
+        for solver in ("dual", "CLARABEL")
     )
     assert ours.gap < 1e-12
     assert ours.row_sum_error < 1e-12
@@ -99,7 +100,7 @@ def test_ridge_per_row_as_a_function_of_its_count():
     simulator, target = pair(np.random.default_rng(2), n_states=5, n_actions=2)
     counts = counts_of(np.random.default_rng(3), target, 200)
     by_row = oee.transition_ratio(counts, simulator, prior="none", ridge=lambda n: 5.0 / np.maximum(n, 1))
-    dirichlet = oee.transition_ratio(counts, simulator, strength=5.0)
+    dirichlet = oee.transition_ratio(counts, simulator, prior="simulator", strength=5.0)
     plain = oee.transition_ratio(counts, simulator, prior="none")
     # numerics.md A3: KL with a quadratic pull agrees with the Dirichlet prior to second order
     near = np.abs(by_row.values.data - dirichlet.values.data).mean()
@@ -148,7 +149,7 @@ def test_ratio_of_ratios_stays_in_its_box_and_reports_its_rows():
 def test_unseen_rows_fall_back_to_one_and_are_counted():
     simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
     log = oee.sample_episodes(target, oee.tasks.gridworld_expert(4), 3, 20, seed=0)
-    zeta = oee.transition_ratio(log, simulator)
+    zeta = oee.transition_ratio(log, simulator, prior="simulator")
     rows = np.repeat(np.arange(64), np.diff(simulator.transitions.indptr))
     assert_array_equal(zeta.values.data[~zeta.visited.reshape(-1)[rows]], 1.0)
     assert zeta.visited.sum() == log.summary()["state_action_pairs_seen"]
@@ -168,8 +169,15 @@ def test_moves_without_support_are_named_with_the_ways_out():
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"strength": 5.0}, {"prior": "none", "ridge": 0.5}, {"ridge": 0.5, "lower": 0.2, "upper": 1.25}],
-    ids=["default", "dirichlet", "ridge", "box"],
+    [
+        {"prior": "simulator", "strength": 5.0},
+        {"prior": "simulator", "strength": 500.0},
+        {"prior": "none", "ridge": 0.5},
+        {"prior": "simulator", "strength": 1.0, "ridge": 0.5, "lower": 0.2, "upper": 1.25},
+        {"strength": 300.0},
+        {"strength": 1e5},
+    ],
+    ids=["dirichlet", "strong", "ridge", "box", "tilt", "strong tilt"],
 )
 def test_the_standard_error_is_the_spread_over_logs(options):
     """Delta method against 400 logs of 20 000 moves; the sd of 400 values is known to 3.5%."""
@@ -202,7 +210,7 @@ def test_counts_may_come_in_any_sparse_format():
         assert_array_equal(other.values.data, oee.transition_ratio(log, simulator).values.data)
 
 
-@pytest.mark.parametrize("options", [{"strength": 1e-170}, {"prior": "none", "ridge": 1e-200}])
+@pytest.mark.parametrize("options", [{"prior": "simulator", "strength": 1e-170}, {"prior": "none", "ridge": 1e-200}])
 def test_extreme_numbers_are_solved(options):
     simulator, target = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 5, 20, seed=0)

@@ -1,0 +1,126 @@
+"""zeta row by row against the known simulator: shrunk frequencies, then the KL program of each row.
+
+A row's frequencies get ``strength`` pseudo-counts of a prior row m (the simulator, or its tilt), p = (n + kappa m) / (n_sa +
+kappa), and zeta minimises sum_s' P z - p log z (+ ridge) over the box, subject to sum_s' P z = 1. Without ridge and box that is
+zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio.density import Box, check_ridge
+from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
+from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
+from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.ratio.tilt import fit_tilt
+
+PRIORS = ("tilt", "simulator", "none")
+Ridge = float | str | Callable[[float], float]
+
+
+def fit_conditional(
+    observed: Array,
+    simulator: FiniteMDP,
+    *,
+    prior: str,
+    strength: float | str,
+    features: Any,
+    box: Box,
+    ridge: Ridge,
+    toward: float | None,
+    solver: str,
+) -> TransitionRatio:
+    """zeta from counts on the simulator's entries; see ``transition_ratio``."""
+    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
+    q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
+    n_row = segment_sums(observed, indptr)
+    tilt = fit_tilt(observed, simulator, features) if prior == "tilt" else None
+    base = q if tilt is None else q * tilt.ratio
+    kappa, details = _strength(observed, base, indptr, prior, strength)
+    if tilt is not None:
+        details |= {"theta": tilt.theta, "tilt_gap": tilt.gap, "feature_rank": tilt.rank}
+    weight = n_row + kappa
+    known = weight > 0
+    smoothed = (observed + kappa * base) / spread(np.where(known, weight, 1.0), indptr)
+    unseen = spread(n_row == 0, indptr)
+    p = np.where(unseen, base, smoothed)
+    bend = spread(_ridge_by_row(ridge, observed, q, n_row, indptr, details), indptr)
+    center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
+    curvature = np.asarray(bend if toward is None else bend * q)
+    zeta, gap = _solve(p, q, curvature, center, box, indptr, solver)
+    inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
+    safe = np.where(inside, zeta, 1.0)
+    influence = Influence(
+        frequencies=np.where(unseen, 0.0, observed / spread(np.maximum(n_row, 1e-300), indptr)),
+        row_counts=n_row,
+        kernel=zeta * q,
+        weights=q,
+        stiffness=np.where(inside, (p / safe) / safe + curvature, 0.0),
+        share=np.divide(n_row, weight, out=np.zeros_like(n_row), where=known),
+        prior=base,
+        indptr=indptr,
+        scores=None if tilt is None else tilt.scores,
+        information=None if tilt is None else tilt.information,
+    )
+    details |= {"prior": prior, "lower": box.lower, "upper": box.upper}
+    return make_result(simulator, zeta, "conditional", gap, observed, details, influence)
+
+
+def _strength(
+    observed: Array, base: Array, indptr: IntArray, prior: str, strength: float | str
+) -> tuple[float, dict[str, Any]]:
+    if prior == "none":
+        return 0.0, {"strength": 0.0}
+    if not isinstance(strength, str):
+        return (kappa := _checks.number_in(strength, "strength", 0.0, np.inf)), {"strength": kappa}
+    _checks.one_of(strength, "strength", CRITERIA)
+    choice = choose_strength(observed, base, indptr, strength)
+    n_row = segment_sums(observed, indptr)
+    return choice.strength, {
+        "strength": choice.strength,
+        "strength_by": choice.criterion,
+        "strength_score": choice.score,
+        "strength_curve": (choice.grid, choice.curve),
+        "meaning": meaning(choice.strength, n_row, prior),
+    }
+
+
+def _ridge_by_row(
+    ridge: Ridge, observed: Array, q: Array, n_row: Array, indptr: IntArray, details: dict[str, Any]
+) -> Array:
+    """The ridge of each row: a number, a function of the row's count, or kappa / n_sa with kappa chosen on the data.
+
+    The last is the quadratic form of a Dirichlet prior centred on the simulator (equal to it to second order).
+    """
+    if isinstance(ridge, str):
+        _checks.one_of(ridge, "ridge", CRITERIA)
+        choice = choose_strength(observed, q, indptr, ridge)
+        details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
+        return np.divide(choice.strength, n_row, out=np.zeros_like(n_row), where=n_row > 0)
+    sizes, index = np.unique(n_row, return_inverse=True)
+    return np.array([check_ridge(ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
+
+
+def _solve(
+    p: Array, q: Array, curvature: Array, center: float, box: Box, indptr: IntArray, solver: str
+) -> tuple[Array, float]:
+    arguments = (p, q, curvature, center, box.lower, box.upper)
+    if solver == "dual":
+        solution = dual.solve_rows(*arguments, indptr)
+        return solution.ratio, float(solution.gap.max())
+    found = programs.solve_rows(*arguments, indptr, solver=solver)
+    zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
+    gaps = []
+    for low, high, m in zip(indptr[:-1], indptr[1:], found.multiplier, strict=True):
+        row = slice(low, high)
+        value = dual.objective(zeta[row], p[row], q[row], curvature[row], center)
+        gaps.append(abs(value - dual.dual_value(1.0 + m, p[row], q[row], curvature[row], *arguments[3:])))
+    return zeta, max(gaps)

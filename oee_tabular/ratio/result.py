@@ -1,0 +1,190 @@
+"""What a fit of zeta returns: the ratio, its certificate, and how the log's noise moves what is computed from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.segments import segment_sums, spread
+
+
+@dataclass(frozen=True, eq=False)
+class TransitionRatio:
+    """zeta on the simulator's support, with what it rests on.
+
+    Attributes
+    ----------
+    values : csr of shape (S*A, S) with the entries of ``simulator.transitions``
+    method : how it was found
+    gap : the largest duality gap of the programs solved (nats, each program scaled to probabilities)
+    visited : (S, A), where the log has moves; elsewhere zeta is the prior's (1)
+    row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
+    counts : (S, A) moves of the log in each row
+    details : what the method adds (sums, bounds, how much was undetermined)
+    """
+
+    values: sparse.csr_array
+    method: str
+    gap: float
+    visited: BoolArray
+    row_sum_error: float
+    counts: Array
+    details: dict[str, Any] = field(default_factory=dict)
+    _influence: Influence | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        data = self.values.data
+        return (
+            f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g} to {data.max():.4g}, "
+            f"{int(self.visited.sum())} of {self.visited.size} (s, a) visited, gap {self.gap:.1e}, "
+            f"row-sum error {self.row_sum_error:.1e})"
+        )
+
+    def on(self, simulator: FiniteMDP) -> Array:
+        """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
+        if self.values.shape != simulator.transitions.shape:
+            raise ValueError(
+                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
+            )
+        zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
+        if not stored.all() or self.values.nnz != simulator.transitions.nnz:
+            raise ValueError("ratio must have the support of this simulator's transitions; it is another simulator's")
+        return zeta
+
+    def target_model(self, simulator: FiniteMDP, *, normalize: bool = False) -> FiniteMDP:
+        """zeta * P as a FiniteMDP.
+
+        Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
+        """
+        zeta = self.on(simulator)
+        data = zeta * simulator.transitions.data
+        sums = row_sums(simulator.transitions, data)
+        if normalize:
+            data = data / sums[row_of_entry(simulator.transitions)]
+        elif np.abs(sums - 1.0).max() > _checks.SUM_TOLERANCE:
+            raise ValueError(
+                f"rows of zeta * P must sum to 1; they sum to {sums.min():.4g} to {sums.max():.4g} (method {self.method!r} "
+                "does not make them; normalize=True divides each row, exact.reweight keeps them as they are)"
+            )
+        return simulator.with_transitions(on_pattern(simulator.transitions, data))
+
+    def log_standard_error(self, gradient: Array) -> float | None:
+        """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.
+
+        ``gradient`` is its derivative in each entry of zeta * P (``exact.transition_gradient``). Rows are taken as
+        multinomial given their counts, the prior's strength as given; unvisited rows add only what they share with others
+        (a tilt). The error that a wrong prior makes is not in it. None where no formula is known.
+        """
+        return None if self._influence is None else self._influence.standard_error(gradient)
+
+    def one_step(self, gradient: Array) -> OneStep | None:
+        """The first-order correction of a function of zeta * P towards maximum likelihood.
+
+        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has visited: it removes, to first order, the bias
+        that the prior brings, and takes on the variance of maximum likelihood.
+        """
+        return None if self._influence is None else self._influence.one_step(gradient)
+
+
+@dataclass(frozen=True)
+class OneStep:
+    """A one-step correction: what to add, the standard error of the corrected value, and of the correction itself."""
+
+    change: float
+    standard_error: float
+    change_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """How a row's frequencies move the entries of zeta * P, by differentiating the conditions that determine them.
+
+    Attributes
+    ----------
+    frequencies : n_x / n_sa; row_counts : n_sa; weights : P in each row; kernel : zeta P
+    stiffness : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
+    share : of the data in a row, n_sa / (n_sa + strength); prior : the prior's row
+    scores, information : of the tilt, where the prior is one (``Tilt``)
+    """
+
+    frequencies: Array
+    row_counts: Array
+    kernel: Array
+    weights: Array
+    stiffness: Array
+    share: Array
+    prior: Array
+    indptr: IntArray
+    scores: Array | None = None
+    information: Array | None = None
+
+    def standard_error(self, gradient: Array) -> float:
+        """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
+        psi = self._by_probability(gradient)
+        share = spread(self.share, self.indptr)
+        counts = spread(np.maximum(self.row_counts, 1.0), self.indptr)
+        each = share * psi / counts
+        if self.scores is not None and self.information is not None:
+            pull = ((1.0 - share) * self.prior * psi) @ self.scores  # d value / d theta
+            each = each + self.scores @ np.linalg.solve(self.information, pull)
+        return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
+
+    def one_step(self, gradient: Array) -> OneStep:
+        """See ``TransitionRatio.one_step``; the correction's own error takes the prior's rows as given."""
+        seen = spread(self.row_counts, self.indptr) > 0
+        change = float(gradient[seen] @ (self.frequencies - self.kernel)[seen])
+        n = np.maximum(self.row_counts, 1.0)
+        visited = self.row_counts > 0
+        corrected = np.sum(np.where(visited, self._variance(gradient) / n, 0.0))
+        mean = spread(segment_sums(self.kernel * gradient, self.indptr), self.indptr)
+        around = segment_sums(self.kernel * (gradient - mean) ** 2, self.indptr)
+        own = np.sum(np.where(visited, (1.0 - self.share) ** 2 * around / n, 0.0))
+        return OneStep(change, float(np.sqrt(corrected)), float(np.sqrt(own)))
+
+    def _variance(self, values: Array) -> Array:
+        """Variance of ``values`` under the frequencies of each row."""
+        mean = spread(segment_sums(self.frequencies * values, self.indptr), self.indptr)
+        return segment_sums(self.frequencies * (values - mean) ** 2, self.indptr)
+
+    def _by_probability(self, gradient: Array) -> Array:
+        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each row."""
+        soft = np.divide(1.0, self.stiffness, out=np.zeros_like(self.stiffness), where=self.stiffness > 0)
+        q = self.weights
+        pull = gradient * q
+        slope = spread(segment_sums(pull * q * soft, self.indptr), self.indptr)
+        scale = spread(segment_sums(q * q * soft, self.indptr), self.indptr)
+        mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
+        zeta = np.divide(self.kernel, q, out=np.zeros_like(q), where=q > 0)
+        return np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
+
+
+def make_result(
+    simulator: FiniteMDP,
+    zeta: Array,
+    method: str,
+    gap: float,
+    observed: Array,
+    details: dict[str, Any],
+    influence: Influence | None = None,
+) -> TransitionRatio:
+    """A TransitionRatio from values and counts on the simulator's entries."""
+    shape = (simulator.n_states, simulator.n_actions)
+    sums = row_sums(simulator.transitions, zeta * simulator.transitions.data)
+    counts = row_sums(simulator.transitions, observed).reshape(shape)
+    return TransitionRatio(
+        values=on_pattern(simulator.transitions, zeta),
+        method=method,
+        gap=gap,
+        visited=counts > 0,
+        row_sum_error=float(np.abs(sums - 1.0).max()),
+        counts=counts,
+        details=details,
+        _influence=influence,
+    )

@@ -1,0 +1,173 @@
+"""The conditional exponential tilt of the simulator: few parameters, every row.
+
+    zeta_theta(s, a, s') = exp(theta . phi(s, a, s')) / sum_s'' P(s'' | s, a) exp(theta . phi(s, a, s''))
+
+normalised in each row by construction. theta minimises the KL risk over this class, which is the negative log-likelihood
+of the counts, plus a unit Gaussian penalty on the standardised coordinates (worth one observation; it keeps theta finite
+where the counts alone do not):
+
+    f(theta) = sum_k n_k log Z_k(theta) - sum_x n_x theta . phi_x + 1/2 |theta|^2,
+
+smooth and strongly convex. Newton's method; since f is 1-strongly convex, f(theta) - min f <= |grad f|^2 / 2 certifies the
+answer. The class, exponential tilting, is Efron and Tibshirani's [1].
+
+Reference: [1] B. Efron and R. Tibshirani, Using specially designed exponential families for density estimation, Annals of
+Statistics 24(6), 1996.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.segments import segment_max, segment_sums, spread
+
+
+@dataclass(frozen=True, eq=False)
+class Tilt:
+    """A fitted tilt.
+
+    Attributes
+    ----------
+    ratio : zeta_theta on the simulator's entries
+    theta : (d,) in the units of the features
+    gap : bound on f(theta) - min f, divided by the number of moves (nats)
+    rank : how many directions of the features differ within rows
+    scores : (entries, d), phi less its mean under the tilt, standardised; information : (d, d), Hessian of f
+    """
+
+    ratio: Array
+    theta: Array
+    gap: float
+    rank: int
+    scores: Array
+    information: Array
+
+
+def feature_array(features: Any, simulator: FiniteMDP) -> Array:
+    """phi as an (entries, d) array of finite numbers.
+
+    ``features``: None (log P, one parameter), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
+    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
+    """
+    matrix = simulator.transitions
+    rows = row_of_entry(matrix)
+    state, action, arrival = rows // simulator.n_actions, rows % simulator.n_actions, matrix.indices.astype(np.int64)
+    if features is None:
+        return np.asarray(np.log(matrix.data)[:, None])
+    given = features(state, action, arrival) if callable(features) else features
+    array = _checks.float_array(given, "features")
+    shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
+    if array.ndim >= 3 and array.shape[:3] == shape:
+        array = array[state, action, arrival]
+    if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
+        raise ValueError(
+            f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
+            f"they have shape {array.shape}"
+        )
+    _checks.require_finite(array, "features")
+    return array.reshape(matrix.nnz, -1)
+
+
+def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
+    """Indicator features of (action, displacement), which share what is learned between all states.
+
+    Parameters
+    ----------
+    coordinates : (S,) or (S, c): where each state is; the displacement is the difference of the two ends' coordinates
+
+    Returns
+    -------
+    (entries, d) : one column per action and displacement; of each action the commonest displacement is the reference
+    """
+    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2)).reshape(len(coordinates), -1)
+    if places.shape[0] != simulator.n_states:
+        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
+    matrix = simulator.transitions
+    rows = row_of_entry(matrix)
+    state, action = rows // simulator.n_actions, rows % simulator.n_actions
+    keys = np.column_stack([action, np.round(places[matrix.indices] - places[state], 9)])
+    kinds, kind = np.unique(keys, axis=0, return_inverse=True)
+    kind = kind.reshape(-1)
+    mass = np.bincount(kind, weights=matrix.data)
+    reference = [
+        int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])
+    ]
+    kept = np.setdiff1d(np.arange(len(kinds)), reference)
+    return np.asarray(kind[:, None] == kept, dtype=np.float64)
+
+
+def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Tilt:
+    """Fit theta to counts on the simulator's entries.
+
+    Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
+    Cost: O(entries d^2) a step, about ten steps.
+    """
+    phi = feature_array(features, simulator)
+    matrix = simulator.transitions
+    indptr: IntArray = matrix.indptr.astype(np.int64)
+    weights = matrix.data / spread(segment_sums(matrix.data, indptr), indptr)
+    phi = phi - spread(segment_sums(weights[:, None] * phi, indptr), indptr)
+    n_row = segment_sums(observed, indptr)
+    gram = (phi * weights[:, None]).T @ phi / max(len(n_row), 1)
+    scale = np.sqrt(np.diag(gram))
+    scale = np.where(scale > 1e-12 * max(1.0, float(np.abs(phi).max(initial=0.0))), scale, np.inf)  # constant: no use
+    phi = phi / scale
+    rank = _warn_if_collinear(gram / np.outer(scale, scale), len(scale))
+
+    def tilted(theta: Array) -> tuple[Array, Array]:
+        exponent = phi @ theta
+        top = segment_max(exponent, indptr)
+        raw = weights * np.exp(exponent - spread(top, indptr))
+        total = segment_sums(raw, indptr)
+        return raw / spread(total, indptr), top + np.log(total)
+
+    def risk(theta: Array, log_normalizer: Array) -> float:
+        return float(n_row @ log_normalizer - observed @ (phi @ theta) + 0.5 * theta @ theta)
+
+    theta = np.zeros(phi.shape[1])
+    model, log_normalizer = tilted(theta)
+    value = risk(theta, log_normalizer)
+    for _ in range(100):
+        mean = segment_sums(model[:, None] * phi, indptr)
+        scores = phi - spread(mean, indptr)
+        gradient = n_row @ mean - observed @ phi + theta
+        mass = model * spread(n_row, indptr)
+        information = (scores * mass[:, None]).T @ scores + np.eye(len(theta))
+        step = -np.linalg.solve(information, gradient)
+        decrement = float(-gradient @ step)
+        if decrement <= 1e-22 * max(1.0, abs(value)):
+            break
+        length = 1.0
+        while length > 1e-12:
+            trial = theta + length * step
+            trial_model, trial_normalizer = tilted(trial)
+            trial_value = risk(trial, trial_normalizer)
+            if trial_value <= value - 1e-4 * length * decrement:
+                break
+            length *= 0.5
+        else:  # no further fall that rounding would show
+            break
+        theta, model, value = trial, trial_model, trial_value
+    gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
+    ratio = model / weights
+    return Tilt(ratio, theta / scale, gap, rank, scores, information)
+
+
+def _warn_if_collinear(gram: Array, d: int) -> int:
+    eigenvalues = np.linalg.eigvalsh(gram)
+    rank = int(np.sum(eigenvalues > 1e-10 * max(float(eigenvalues.max()), 1e-300)))
+    if rank < d:
+        warnings.warn(
+            f"features should be linearly independent within rows; they have rank {rank} of {d} (the smallest parameters "
+            "that fit are taken)",
+            stacklevel=5,
+        )
+    return rank

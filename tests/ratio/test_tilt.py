@@ -1,0 +1,244 @@
+import warnings
+
+import numpy as np
+import pytest
+from helpers import random_mdp, rngs
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import optimize, special
+
+import oee_tabular as oee
+from oee_tabular.ratio import action_displacement, prior
+from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.ratio.tilt import feature_array, fit_tilt
+
+
+def observed_from(rng, mdp, n):
+    weights = np.full((mdp.n_states, mdp.n_actions), 1 / (mdp.n_states * mdp.n_actions))
+    log = oee.sample_transitions(mdp, weights, n, seed=int(rng.integers(1 << 30)))
+    counts = log.counts(mdp.n_states, mdp.n_actions).toarray()
+    rows = np.repeat(np.arange(mdp.transitions.shape[0]), np.diff(mdp.transitions.indptr))
+    return counts[rows, mdp.transitions.indices]
+
+
+def grids(size=5):
+    return oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
+
+
+@given(rngs, st.integers(1, 3))
+def test_the_tilt_minimises_its_risk(rng, d):
+    """Against scipy's BFGS on the risk written out anew, with standardised features and unit penalty."""
+    simulator = random_mdp(rng, n_states=5, n_actions=2, zeros=0.0)
+    observed = observed_from(rng, simulator, int(rng.integers(1, 80)))
+    phi = rng.normal(size=(simulator.transitions.nnz, d))
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    weights = simulator.transitions.data
+    tilt = fit_tilt(observed, simulator, phi)
+    centred = phi - spread(segment_sums(weights[:, None] * phi, indptr), indptr)
+    scale = np.sqrt((weights[:, None] * centred**2).sum(axis=0) / 10)
+    standard = centred / scale
+
+    def risk(theta):
+        parts = [
+            special.logsumexp(standard[a:b] @ theta, b=weights[a:b])
+            for a, b in zip(indptr[:-1], indptr[1:], strict=True)
+        ]
+        return segment_sums(observed, indptr) @ np.array(parts) - observed @ (standard @ theta) + 0.5 * theta @ theta
+
+    found = optimize.minimize(risk, np.zeros(d), method="BFGS", options={"gtol": 1e-9})
+    assert risk(tilt.theta * scale) <= found.fun + 1e-10
+    assert_allclose(tilt.theta * scale, found.x, atol=1e-5)
+    assert 0 <= tilt.gap < 1e-15
+    assert_allclose(segment_sums(weights * tilt.ratio, indptr), 1.0, rtol=1e-12)
+
+
+def test_the_gap_is_a_bound():
+    """f is 1-strongly convex: stop Newton early and the certificate still covers the distance to the optimum."""
+    rng = np.random.default_rng(0)
+    simulator, target = grids()
+    observed = observed_from(rng, target, 500)
+    best = fit_tilt(observed, simulator)
+    assert best.gap < 1e-20
+    # at theta = 0 the gradient is known in closed form
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    phi = np.log(simulator.transitions.data)
+    centred = phi - spread(segment_sums(simulator.transitions.data * phi, indptr), indptr)
+    scale = np.sqrt((simulator.transitions.data * centred**2).sum() / 100)
+    gradient = observed @ (centred / scale)
+    n_row = segment_sums(observed, indptr)
+    theta = best.theta[0] * scale
+    log_z = np.log(segment_sums(simulator.transitions.data * np.exp(theta * centred / scale), indptr))
+    fall = -(n_row @ log_z - theta * gradient + 0.5 * theta**2)
+    assert 0 < fall <= 0.5 * gradient**2
+
+
+def test_a_target_that_is_a_tilt_is_found():
+    simulator = random_mdp(np.random.default_rng(1), n_states=6, n_actions=2, zeros=0.0)
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    raw = simulator.transitions.data**1.7
+    data = raw / spread(segment_sums(raw, indptr), indptr)
+    tilt = fit_tilt(1e7 * data, simulator)
+    assert_allclose(tilt.theta, [0.7], atol=1e-6)
+    assert_allclose(tilt.ratio, data / simulator.transitions.data, rtol=1e-6)
+
+
+def test_without_counts_the_tilt_is_the_simulator():
+    simulator, _ = grids()
+    tilt = fit_tilt(np.zeros(simulator.transitions.nnz), simulator)
+    assert_allclose(tilt.ratio, 1.0, rtol=1e-14)
+
+
+def test_features_in_every_form_are_the_same():
+    simulator, target = grids()
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 30, 100, seed=0)
+    dense = np.zeros((25, 4, 25))
+    rows = np.repeat(np.arange(100), np.diff(simulator.transitions.indptr))
+    flat = (simulator.transitions.indices - rows // 4).astype(float)
+    dense.reshape(100, 25)[rows, simulator.transitions.indices] = flat
+    forms = [flat, flat[:, None], dense, dense[..., None], lambda s, a, t: t - s]
+    values = [oee.transition_ratio(log, simulator, features=form).values.data for form in forms]
+    for other in values[1:]:
+        assert_allclose(other, values[0], rtol=1e-12)
+
+
+def test_action_displacement_shares_between_states():
+    """Different slips for the two axes: one log P parameter cannot say so, displacements can."""
+    simulator, _ = grids(6)
+    kernel = simulator.transitions.toarray().reshape(36, 4, 36).copy()
+    for s in range(35):
+        for a in (0, 1):
+            kernel[s, a] = 0.6 * kernel[s, a] + 0.4 * kernel[s].mean(axis=0)
+    target = simulator.with_transitions(kernel)
+    coordinates = np.column_stack(np.divmod(np.arange(36), 6))
+    phi = action_displacement(simulator, coordinates)
+    assert phi.shape == (simulator.transitions.nnz, 4 * 4)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 100, 200, seed=0)
+    truth = oee.true_ratio(target, simulator).values.data
+    errors = [
+        np.abs(oee.transition_ratio(log, simulator, features=features).values.data - truth).mean()
+        for features in (None, phi)
+    ]
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_collinear_features_are_solved_with_a_warning():
+    simulator, target = grids()
+    observed = observed_from(np.random.default_rng(0), target, 300)
+    one = feature_array(None, simulator)
+    with pytest.warns(UserWarning, match=r"they have rank 1 of 3"):
+        three = fit_tilt(observed, simulator, np.hstack([one, 2 * one, np.ones_like(one)]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        single = fit_tilt(observed, simulator, one)
+    assert_allclose(three.ratio, single.ratio, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("features", "text"),
+    [
+        (np.zeros(7), r"features must have 360 rows, one for each transition of the simulator, or shape \(25, 4, 25\)"),
+        (np.full(360, np.nan), r"features\[0\] must be finite; it is nan"),
+        ("log", r"features must be an array of numbers"),
+        (lambda s, a, t: np.zeros(3), r"features must have 360 rows"),
+    ],
+)
+def test_bad_features(features, text):
+    simulator, target = grids()
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 10, seed=0)
+    with pytest.raises(ValueError, match=text):
+        oee.transition_ratio(log, simulator, features=features)
+    with pytest.raises(ValueError, match="features must be left out with prior 'simulator'"):
+        oee.transition_ratio(log, simulator, prior="simulator", features=features)
+
+
+# ---- the strength ------------------------------------------------------------------------------------------------
+
+
+@given(rngs, st.floats(0.01, 1000))
+def test_the_evidence_is_the_probability_of_the_counts(rng, strength):
+    """Chain rule: the marginal likelihood is the product of the predictive probabilities, one move at a time."""
+    simulator = random_mdp(rng, n_states=3, n_actions=2)
+    moves = oee.sample_transitions(simulator, np.full((3, 2), 1 / 6), 12, seed=int(rng.integers(1 << 30)))
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    m = simulator.transitions.data
+    seen, total = np.zeros(len(m)), 0.0
+    rows = np.repeat(np.arange(6), np.diff(indptr))
+    for s, a, t in zip(moves.state, moves.action, moves.next_state, strict=True):
+        row = s * 2 + a
+        entry = indptr[row] + int(np.flatnonzero(simulator.transitions.indices[indptr[row] : indptr[row + 1]] == t)[0])
+        total += np.log((strength * m[entry] + seen[entry]) / (strength + seen[rows == row].sum()))
+        seen[entry] += 1
+    assert_allclose(prior.evidence(strength, seen, m, indptr), total, rtol=1e-9, atol=1e-9)
+
+
+@given(rngs, st.floats(0.01, 1000))
+def test_leave_one_out_leaves_one_out(rng, strength):
+    simulator = random_mdp(rng, n_states=3, n_actions=2)
+    observed = observed_from(rng, simulator, 15)
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    m = simulator.transitions.data
+    rows = np.repeat(np.arange(6), np.diff(indptr))
+    total = 0.0
+    for x in np.flatnonzero(observed):
+        rest = observed.copy()
+        rest[x] -= 1
+        total += observed[x] * np.log((rest[x] + strength * m[x]) / (rest[rows == rows[x]].sum() + strength))
+    assert_allclose(prior.leave_one_out(strength, observed, m, indptr), total, rtol=1e-12)
+
+
+@pytest.mark.parametrize("criterion", ["evidence", "loo"])
+def test_the_strength_maximises_its_criterion_and_says_what_it_means(criterion):
+    simulator, target = grids(10)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 100, 1000, seed=0)
+    zeta = oee.transition_ratio(log, simulator, prior="simulator", strength=criterion)
+    grid, curve = zeta.details["strength_curve"]
+    assert zeta.details["strength_score"] >= curve.max()
+    assert 1 < zeta.details["strength"] < 100
+    assert "does not fit" in zeta.details["meaning"]
+    tilted = oee.transition_ratio(log, simulator, strength=criterion)
+    assert tilted.details["strength"] > 300
+    assert tilted.details["meaning"].startswith("the tilt fits")
+    assert len(grid) == len(curve)
+
+
+def test_log_rising_does_not_cancel():
+    n = np.array([3.0, 1.0, 250.0])
+    for base in (1e-3, 1.0, 1e8, 1e12):
+        direct = [sum(np.log1p(i / base) for i in range(int(k))) + k * np.log(base) for k in n]
+        assert_allclose(prior.log_rising(np.full(3, base), n), direct, rtol=1e-12)
+
+
+def test_the_ridge_may_be_chosen_on_the_data():
+    """kappa / n_sa: near the Dirichlet prior of the same kappa (numerics.md A3: to second order)."""
+    simulator, target = grids(5)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, 300, seed=0)
+    ridged = oee.transition_ratio(log, simulator, prior="none", ridge="evidence")
+    dirichlet = oee.transition_ratio(log, simulator, prior="simulator")
+    plain = oee.transition_ratio(log, simulator, prior="none")
+    assert_allclose(ridged.details["ridge_times_count"], dirichlet.details["strength"])
+    distance = [np.abs(z.values.data - dirichlet.values.data).mean() for z in (ridged, plain)]
+    assert distance[0] < 0.3 * distance[1]
+    loo = oee.transition_ratio(log, simulator, prior="none", ridge="loo")
+    assert loo.details["ridge_by"] == "loo"
+    with pytest.raises(ValueError, match="ridge must be one of 'evidence', 'loo'; got 'cv'"):
+        oee.transition_ratio(log, simulator, ridge="cv")
+    with pytest.raises(ValueError, match="strength must be one of 'evidence', 'loo'; got 'cv'"):
+        oee.transition_ratio(log, simulator, strength="cv")
+
+
+def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
+    """With a prior of any strength, J1 is the model-based value to second order: far closer than the exact value."""
+    simulator, target = grids(5)
+    log = oee.sample_transitions(target, np.full((25, 4), 0.01), 40_000, seed=0)
+    policy = oee.tasks.gridworld_policy(5, 0.5)
+    problem = oee.Problem(simulator, log, horizon=60)
+    likelihood = oee.estimators.ModelBased()(problem, policy)
+    for strength in (20.0, 80.0):
+        from functools import partial
+
+        ratio = partial(oee.transition_ratio, prior="simulator", strength=strength)
+        estimate = oee.estimators.OffEnvironment(ratio)(problem, policy)
+        one_step = estimate.diagnostics["one_step_value"]
+        assert abs(one_step - likelihood.value) < 0.15 * abs(estimate.value - likelihood.value)
+        assert_allclose(estimate.diagnostics["one_step_standard_error"], likelihood.standard_error, rtol=0.3)
