@@ -30,7 +30,11 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
         raise FileNotFoundError(2, "no such folder", str(target.parent))
     temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
     try:
-        with open(temporary, "xb") as handle:
+        try:
+            temporary.touch(exist_ok=False)
+        except OSError as error:
+            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(target)) from None
+        with open(temporary, "wb") as handle:
             yield handle
             handle.flush()
             os.fsync(handle.fileno())
@@ -66,12 +70,14 @@ def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArr
         np.savez_compressed(handle, allow_pickle=False, **{KIND: np.array(kind)}, **dict(arrays))
 
 
-def load_npz(path: str | os.PathLike[str], kind: str) -> dict[str, NDArray[Any]]:
+def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:
     """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds otherwise."""
     arrays = read_npz(path)
     found = npz_kind(arrays)
     if found != kind:
-        raise ValueError(f"{str(path)!r} must hold a {kind}; it holds {found or 'none of our kinds'}")
+        raise ValueError(
+            f"{str(path)!r} must hold a {kind}; it holds {found or 'none of our kinds'}{f' ({hint})' if hint else ''}"
+        )
     return arrays
 
 

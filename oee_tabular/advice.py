@@ -24,17 +24,30 @@ class Finding:
     text: str
 
 
-def about_problem(problem: Problem) -> list[str]:
-    """What is odd about the data, whatever the policy."""
+def about_problem(problem: Problem) -> list[tuple[str, bool]]:
+    """What is odd about the data, whatever the policy; and whether it concerns every value that a model gives."""
+    found = []
     conflict = problem.reward_conflict
-    if conflict is None:
-        return []
-    if problem.rewards == "simulator":
-        remedy = 'Model-based values pay the simulator\'s; rewards="log" pays what the log has seen.'
-    else:
-        remedy = "Model-based values pay the log's mean where it has seen a move."
-    text = str(conflict)
-    return [f"{text[0].upper()}{text[1:]}. {remedy}"]
+    if conflict is not None:
+        if problem.rewards == "simulator":
+            remedy = (
+                'The simulator, oee and model-based values pay the simulator\'s; rewards="log" (--rewards log) pays what the '
+                "log has seen."
+            )
+        else:
+            remedy = "The oee and model-based values pay the log's mean where it has seen a move."
+        text = str(conflict)
+        found.append((f"{text[0].upper()}{text[1:]}. {remedy}", problem.rewards == "simulator"))
+    differ = problem.behavior_conflict
+    if differ:
+        found.append(
+            (f"The log's behaviour probabilities are used; they differ from behavior_policy in {differ} rows.", False)
+        )
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        found.append(
+            ("At discount 1 without a horizon there is no coverage, and no standard error of a model's value.", False)
+        )
+    return found
 
 
 def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Finding]:
@@ -54,7 +67,7 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             fallback,
             f"{fallback:.0%}",
             "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. Nothing there is "
-            "learned from the target, and the standard error does not cover it: record those.",
+            f"learned from the target, and the standard error does not cover it. Record first: {facts['unseen']}.",
         )
     row_sum = facts.get("row_sum_error", 0.0)
     if row_sum > 1e-3:
@@ -76,13 +89,14 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, its standard error too small.",
         )
     bound = facts.get("truncation_bias_bound", 0.0)
+    reach = f"by up to {bound:.3g} (as a discounted sum)" if bound < float("inf") else "without bound at discount 1"
     if bound > max(1e-3 * abs(estimate.value), 0.1 * (estimate.standard_error or 0.0)):
         add(
             "truncation",
             bound,
-            f"{bound:.3g}",
-            f"{facts['truncated_share']:.0%} of the episodes were cut before they were over; what they lack can change the "
-            "value by up to {} (as a discounted sum).",
+            reach,
+            f"{round(facts['truncated_share'] * facts['n_episodes'])} of {facts['n_episodes']} episodes were cut before they "
+            "were over; what they lack can change the value {}.",
         )
     foreign = facts.get("foreign_starts_share", 0.0)
     if foreign > 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +30,12 @@ SIMULATOR_HELP = (
 )
 POLICY_HELP = (
     ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
-    "are the simulator's"
+    "are the simulator's; expert is optimal where a task has none of its own"
+)
+
+ESTIMATORS_HELP = (
+    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis; with "
+    "--target: oracle, oracle-product"
 )
 
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
@@ -53,9 +59,7 @@ def evaluate(
     normalized: Annotated[
         bool | None, typer.Option("--normalized/--raw", help="Multiply values by (1 - discount).", show_default=False)
     ] = None,
-    estimators: Annotated[
-        str | None, typer.Option(help="Comma-separated names: simulator,oee,model-based,pdis,...")
-    ] = None,
+    estimators: Annotated[str | None, typer.Option(help=f"Comma-separated: {ESTIMATORS_HELP}.")] = None,
     rewards: Annotated[str, typer.Option(help="Rewards that model-based values pay: simulator or log.")] = "simulator",
     action_noise: Annotated[
         float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
@@ -94,7 +98,7 @@ def sample(
     policy: Annotated[str, typer.Option(help=POLICY_HELP)] = "uniform",
     transitions: Annotated[int | None, typer.Option(help="How many transitions to record.")] = None,
     episodes: Annotated[int | None, typer.Option(help="How many episodes to record.")] = None,
-    horizon: Annotated[int, typer.Option(help="Longest episode (tasks and .npz; Gymnasium has its own limit).")] = 1000,
+    horizon: Annotated[int, typer.Option(help="Longest episode (besides Gymnasium's own limits).")] = 1000,
     discount: Discount = None,
     seed: Seed = 0,
 ) -> None:
@@ -107,7 +111,7 @@ def sample(
         from oee_tabular.tasks import record_episodes
 
         env = task.environment()
-        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, seed=seed)
+        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=horizon, seed=seed)
         env.close()
     else:
         log = _sampled(task.mdp, pi, transitions, episodes, horizon, seed)
@@ -156,8 +160,13 @@ def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy 
     from oee_tabular.data import Transitions
     from oee_tabular.mdp import FiniteMDP
 
-    suffix = Path(file).suffix.lower()
-    if suffix in (".npz", ".npy"):
+    path = Path(file)
+    if path.is_dir() and (path / "report.json").is_file():
+        path = path / "report.json"
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        typer.echo(_report_summary(path))
+    elif suffix in (".npz", ".npy"):
         arrays = _files.read_npz(file)
         kind = _files.npz_kind(arrays)
         if kind == "finite_mdp":
@@ -168,9 +177,30 @@ def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy 
             typer.echo(repr(Transitions.load(file)))
         else:
             for name, array in arrays.items():
-                typer.echo(f"array {name!r}: {array.dtype} of shape {array.shape}")
+                policy_like = (
+                    array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
+                )
+                what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if policy_like else "array"
+                typer.echo(f"{what} ({name!r}): {array.dtype} of shape {array.shape}")
     else:
         typer.echo(repr(Transitions.load(file)))
+
+
+def _report_summary(path: Path) -> str:
+    """What a report.json says, in a few lines."""
+    import json
+
+    try:
+        report = json.loads(path.read_text())
+        lines = [
+            f"Report of {report['unit']}",
+            f"Simulator: {report['facts']['simulator']}",
+            f"Log: {report['facts']['log']}",
+        ]
+        lines += [f"{row['policy']}  {row['estimator']}  {row['value']}" for row in report["results"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
+    return "\n".join(lines)
 
 
 def _task(spec: str, discount: float | None) -> NamedTask:
@@ -263,7 +293,10 @@ def _from_files(
         rewards=options["rewards"],
     )
     truth = None if target is None else _task(target, task.mdp.discount).mdp
-    return run(problem, _policies(policy, task), target=truth, normalized=normalized, **common)
+    facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
+    if options["action_noise"]:
+        facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
+    return run(problem, _policies(policy, task), target=truth, normalized=normalized, facts=facts, **common)
 
 
 def _embedded(
@@ -294,8 +327,30 @@ def _embedded(
     return run(default.problem, policies, target=default.target, normalized=scaled, **common)
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        from oee_tabular import __version__
+
+        typer.echo(f"oee {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Evaluate policies in a target environment, given a simulator and a log."""
+
+
+def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    typer.echo(f"oee: warning: {message}", err=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error of the user's is one line on stderr and exit code 2."""
+    warnings.showwarning = _tell
     try:
         app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError) as error:
@@ -304,6 +359,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError) and error.filename:
         return f"{'no such folder' if error.strerror == 'no such folder' else 'no such file'}: {error.filename}"
     return str(error)

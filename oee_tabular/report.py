@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,6 +89,7 @@ class Report:
                     "true_value": None if truth is None else truth * factor,
                     "error": None if truth is None else (estimate.value - truth) * factor,
                     "status": estimate.status,
+                    "notes": list(self.notes.get((result.policy, result.estimator), ())),
                     **estimate.diagnostics,
                 }
             )
@@ -119,7 +121,7 @@ class Report:
         body = [self._cells(row) for row in self.records()]
         lines = _aligned([header, *body], numeric_from=2)
         lines.insert(1, "-" * max(len(line) for line in lines))
-        text = [f"Value: {self.unit}", f"Log: {self.facts['log']}", "", *lines]
+        text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}", "", *lines]
         if self.truth:
             values = ", ".join(f"{name}: {value * self.scale:.6g}" for name, value in self.truth.items())
             text += ["", f"Exact value in the target: {values}"]
@@ -194,8 +196,13 @@ def check_output(folder: str | os.PathLike[str]) -> None:
         nearest = nearest.parent
     if not nearest.is_dir():
         raise ValueError(f"output must be a folder that can be written; {str(nearest)!r} is a file")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise ValueError(f"output must be a folder that can be written; {str(nearest)!r} is not writable")
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"output must be a folder that can be written; {str(nearest)!r} is not writable ({error.strerror})"
+        ) from None
 
 
 def evaluate(
@@ -207,6 +214,7 @@ def evaluate(
     seed: Any = None,
     normalized: bool = False,
     target: FiniteMDP | None = None,
+    facts: Mapping[str, Any] | None = None,
 ) -> Report:
     """Evaluate policies in the target by several estimators.
 
@@ -220,6 +228,7 @@ def evaluate(
     seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
     normalized : whether the report multiplies by (1 - discount)
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
+    facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Raises
     ------
@@ -228,6 +237,13 @@ def evaluate(
     """
     from tqdm.auto import tqdm
 
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")
+    if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
+        raise ValueError(
+            f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "
+            f"it has {target.n_states} and {target.n_actions}"
+        )
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if normalized and problem.simulator.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
@@ -252,15 +268,19 @@ def evaluate(
             estimate = replace(estimate, interval=interval)
         results.append(Result(policy, estimator, estimate))
         findings += advice.about_estimate(policy, estimator, estimate)
-    general = [*left_out, *advice.about_problem(problem)]
+    about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
+    general = [text for text, _ in about]
+    on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
     told = advice.sentences(findings)
     notes = {
-        (result.policy, result.estimator): tuple(
+        (result.policy, result.estimator): (() if "n_episodes" in result.estimate.diagnostics else on_models)
+        + tuple(
             k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (result.policy, result.estimator) in pairs
         )
         for result in results
     }
-    facts = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    known |= facts or {}
     return Report(
         tuple(results),
         truth,
@@ -271,7 +291,7 @@ def evaluate(
         problem.simulator.discount,
         problem.horizon,
         seed,
-        facts,
+        known,
     )
 
 

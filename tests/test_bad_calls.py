@@ -253,7 +253,7 @@ TABLE = {
     # estimators
     "importance sampling without probabilities": (
         lambda: ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM),
-        r"needs behaviour probabilities: the log has none; give Problem\(behavior_policy=...\), or use behavior='estimated'",
+        r"needs behaviour probabilities: the log has none; give Problem\(behavior_policy=...\) \(--behavior\), or use beh",
     ),
     "a taken action with probability 0": (
         lambda: ImportanceSampling()(

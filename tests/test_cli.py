@@ -143,3 +143,51 @@ def test_errors_are_one_line_and_exit_with_2(capsys, tmp_path, monkeypatch, argu
     assert said.startswith("oee: ")
     assert said.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_warnings_are_lines_not_python(capsys, tmp_path, monkeypatch):
+    import warnings
+
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    path = tmp_path / "typo.csv"
+    path.write_text("state,action,next_state,behaviour_probability\n0,0,3,0.25\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit):
+            main(["info", str(path)])
+    assert "oee: warning:" in (said := capsys.readouterr().err)
+    assert "behaviour_probability (did you mean behavior_probability?)" in said
+    assert "cli.py" not in said
+
+
+def test_info_of_reports_and_of_nothing(capsys, tmp_path):
+    run(capsys, "evaluate", "--estimators", "oee", "--output", tmp_path / "out")
+    for path in (tmp_path / "out", tmp_path / "out" / "report.json"):
+        assert "Report of (1 - discount)" in run(capsys, "info", path)
+    assert "no such file: nofile" in run(capsys, "info", "nofile", code=2)
+    (tmp_path / "other.json").write_text("{}")
+    assert "must be a report that oee evaluate wrote" in run(capsys, "info", tmp_path / "other.json", code=2)
+    np.save(tmp_path / "p.npy", np.full((9, 4), 0.25))
+    assert "policy of 9 states and 4 actions" in run(capsys, "info", tmp_path / "p.npy")
+    assert run(capsys, "--version").startswith("oee 0.")
+
+
+def test_the_horizon_ends_episodes_that_would_not(capsys, tmp_path):
+    """CliffWalking has no limit of its own; going up for ever would never end."""
+    up = np.zeros((48, 4))
+    up[:, 0] = 1.0
+    np.save(tmp_path / "up.npy", up)
+    arguments = ["sample", "CliffWalking-v1", "--policy", tmp_path / "up.npy", "--episodes", 2, "--horizon", 7]
+    assert "14 transitions in 2 episodes of 7 to 7 steps" in run(capsys, *arguments, "--output", tmp_path / "l.npz")
+
+
+def test_action_noise_is_part_of_what_is_reported(capsys, tmp_path):
+    log = tmp_path / "log.npz"
+    run(capsys, "sample", "gridworld:3,slip=0.3", "--episodes", 5, "--output", log)
+    arguments = ["evaluate", "--simulator", "gridworld:3,slip=0.0", "--log", log, "--estimators", "oee"]
+    assert "(--action-noise)" in run(capsys, *arguments, code=2)
+    out = run(capsys, *arguments, "--action-noise", 0.3)
+    assert "gridworld:3,slip=0.0 with action noise 0.3" in out
+    facts = json.loads(run(capsys, *arguments, "--action-noise", 0.3, "--json"))["facts"]
+    assert facts["action_noise"] == 0.3
+    assert facts["log_name"] == str(log)

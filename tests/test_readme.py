@@ -25,9 +25,9 @@ def test_the_example_prints_what_the_readme_shows(tmp_path, monkeypatch, capsys)
             main(words[1:])
         assert not ended.value.code
     assert capsys.readouterr().out.split() == shown.split()
-    code = re.search(r"```python\n(.*?)```", after, re.S).group(1)
-    exec(compile(code, "README.md", "exec"), {})
-    assert "model-based" in capsys.readouterr().out
+    for code in re.findall(r"```python\n(.*?)```", after, re.S):
+        exec(compile(code, "README.md", "exec"), {})
+        assert "model-based" in capsys.readouterr().out
 
 
 def test_files_and_names_that_the_readme_mentions_exist():

@@ -89,7 +89,10 @@ def test_warnings_say_what_the_numbers_do_not(problem):
 def test_reward_conflicts_are_told_with_the_remedy():
     simulator = oee.tasks.gridworld(3, 0.3)
     log = oee.Transitions([0], [0], [3], [9.0])
-    for rewards, remedy in (("simulator", 'rewards="log" pays what the log has seen'), ("log", "pay the log's mean")):
+    for rewards, remedy in (
+        ("simulator", 'rewards="log" (--rewards log) pays what the log has seen'),
+        ("log", "pay the log's mean"),
+    ):
         report = oee.evaluate(Problem(simulator, log, rewards=rewards), oee.uniform_policy(simulator))
         assert "The log's rewards contradict the simulator's in 1 of 1 transitions" in report.warnings[1]
         assert remedy in report.warnings[1]
@@ -162,3 +165,71 @@ def test_the_picture_holds_what_is_credible_and_marks_the_rest(problem, policies
     assert {text.get_text() for text in ax.get_legend().get_texts()} == {"oee", "wild", "true value"}
     assert any("1e+30" in text.get_text() for text in ax.texts)
     assert [label.get_text() for label in ax.get_xticklabels()] == ["cautious", "bold"]
+
+
+def test_reward_conflicts_are_noted_on_every_value_that_a_model_gives():
+    simulator = oee.tasks.gridworld(3, 0.3)
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 30, seed=0)
+    paid = oee.Transitions(**(log.columns() | {"reward": log.reward + 1.0}))
+    report = oee.evaluate(Problem(simulator, paid, horizon=20), oee.uniform_policy(simulator))
+    assert [report.notes["policy", name][:1] for name in ("simulator", "oee", "model-based")] == [(1,)] * 3
+    assert 1 not in report.notes["policy", "pdis"]
+    assert json.loads(report.to_json())["results"][0]["notes"] == [1]
+
+
+def test_one_divergent_value_does_not_end_the_report():
+    """At discount 1 the fallback of the model stays for ever where it pays; the others have values."""
+    transitions = np.array([[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]])
+    simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
+    log = oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])
+    report = oee.evaluate(Problem(simulator, log), np.ones((3, 1)))
+    values = dict(zip(report.table["estimator"], report.table["value"], strict=True))
+    assert np.isfinite([values["simulator"], values["oee"]]).all()
+    assert np.isnan(values["model-based"])
+    text = "\n".join(report.warnings)
+    assert "model-based (policy): no value, horizon must be given" in text
+    assert "At discount 1 without a horizon there is no coverage" in text
+
+
+def test_what_to_record_first_is_named():
+    simulator = oee.tasks.gridworld(3, 0.3)
+    log = oee.Transitions([0], [0], [3])
+    report = oee.evaluate(Problem(simulator, log), oee.uniform_policy(simulator), estimators="oee")
+    assert "Record first: s=" in "\n".join(report.warnings)
+
+
+def test_a_behaviour_policy_that_the_log_contradicts_is_told():
+    simulator = oee.tasks.gridworld(3, 0.3)
+    log = oee.sample_episodes(simulator, oee.tasks.gridworld_policy(3, 0.4), 10, 20, seed=0)
+    problem = Problem(simulator, log, behavior_policy=oee.uniform_policy(simulator))
+    assert any(f"differ from behavior_policy in {len(log)} rows" in text for text in oee.evaluate(
+        problem, oee.uniform_policy(simulator)).warnings)  # fmt: skip
+
+
+def test_a_prior_that_does_not_fit_is_told():
+    simulator = oee.tasks.gridworld(6, 0.3)
+    kernel = simulator.transitions.toarray().reshape(36, 4, 36).copy()
+    kernel[:18] = kernel[:18][:, [2, 3, 0, 1]]
+    target = simulator.with_transitions(kernel)
+    log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 100_000, seed=0)
+    strong = OffEnvironment(lambda data, sim: oee.transition_ratio(data, sim, prior="simulator", strength=1e4))
+    report = oee.evaluate(
+        Problem(simulator, log, horizon=40), oee.tasks.gridworld_expert(6), estimators={"strong": strong}
+    )
+    assert "the prior that the ratio is shrunk to does not fit" in "\n".join(report.warnings)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda p: oee.evaluate(p.simulator, None), r"problem must be a Problem\(simulator, log, ...\); got FiniteMDP"),
+        (
+            lambda p: oee.evaluate(p, oee.uniform_policy(p.simulator), target=oee.tasks.gridworld(3, 0.1)),
+            r"target must have the simulator's 16 states and 4 actions; it has 9 and 4",
+        ),
+        (lambda p: oee.transition_ratio(p.log, "sim.npz"), r"simulator must be a FiniteMDP; got str"),
+    ],
+)
+def test_wrong_kinds_of_arguments(problem, call, text):
+    with pytest.raises(ValueError, match=text):
+        call(problem)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import shutil
 import tempfile
@@ -73,6 +74,8 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
                 raise
             raise ValueError(f"{name!r} must be a parquet table; {error}") from None
         return _from_columns(kind, _frame_columns(frame, name), name)
+    if suffix == "" and not Path(name).exists() and "/" not in name and not name.startswith("minari:"):
+        raise FileNotFoundError(2, "no such file", name)
     if suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name):
         return _load_minari(kind, name)
     raise ValueError(_unknown(name))
@@ -107,11 +110,17 @@ def _from_columns(kind: type[Log], columns: dict[str, NDArray[Any]], name: str) 
         )
     extra = [column for column in columns if column not in COLUMNS]
     if extra:
-        warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(extra)}", stacklevel=4)
+        named = [_with_nearest(column) for column in extra]
+        warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(named)}", stacklevel=4)
     try:
         return kind(**{column: columns[column] for column in COLUMNS if column in columns})
     except ValueError as error:
         raise ValueError(f"{name!r}: {error}") from None
+
+
+def _with_nearest(column: str) -> str:
+    near = difflib.get_close_matches(column, COLUMNS, n=1, cutoff=0.8)
+    return f"{column} (did you mean {near[0]}?)" if near else column
 
 
 def _save_minari(log: Transitions, name: str) -> None:

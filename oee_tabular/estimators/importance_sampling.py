@@ -84,6 +84,8 @@ class ImportanceSampling:
             **_starts(log, problem.simulator),
         }
         status = weight_status(value)
+        if self.self_normalized and effective_sample_size(last) < 2.0:
+            error = None  # one episode decides: its value has no spread to show
         if not last.any():
             status, error = "every weight is 0: no episode of the log is one that the policy could have made", None
         return Estimate(value, error, diagnostics=diagnostics, status=status)
@@ -100,8 +102,8 @@ class ImportanceSampling:
             probability, name = problem.behavior_policy[log.state, log.action], "behavior_policy"
         else:
             raise ValueError(
-                "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...), "
-                "or use behavior='estimated'"
+                "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...) "
+                "(--behavior), or use behavior='estimated'"
             )
         zero = np.flatnonzero(probability == 0)
         if zero.size:
@@ -123,7 +125,9 @@ def _truncation(
     """
     starts = log.episode_starts
     assert starts is not None
-    ended = log.terminated[starts[1:] - 1] & (lengths == np.diff(starts))
+    final = starts[1:] - 1
+    over = log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]]
+    ended = over & (lengths == np.diff(starts))
     missing = ~ended if problem.horizon is None else ~ended & (lengths < problem.horizon)
     if not missing.any():
         return {"truncated_share": 0.0, "truncation_bias_bound": 0.0}

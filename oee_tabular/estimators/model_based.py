@@ -15,6 +15,7 @@ from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -44,7 +45,10 @@ class ModelBased:
         counts = problem.counts
         totals = row_sums(counts)
         model = self._model(problem, counts, totals)
-        found = evaluate_policy(model, pi, horizon=problem.horizon)
+        try:
+            found = evaluate_policy(model, pi, horizon=problem.horizon)
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
         shape = (model.n_states, model.n_actions)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
         diagnostics |= coverage(problem, model, pi, totals.reshape(shape))

@@ -41,7 +41,7 @@ def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> d
         elif name in WITH_TARGET and target is not None:
             found[name] = WITH_TARGET[name](target)
         elif name in WITH_TARGET:
-            raise ValueError(f"estimator {name!r} needs the target environment, which is not given")
+            raise ValueError(f"estimator {name!r} needs the target environment, which is not given (--target)")
         else:
             known = [*NAMED, *WITH_TARGET]
             near = difflib.get_close_matches(name, known, n=1)

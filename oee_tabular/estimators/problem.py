@@ -113,6 +113,15 @@ class Problem:
         """Where the log and the simulator pay differently for one move; None where they agree or nothing is known."""
         return _conflict(self.simulator, self.log)
 
+    @cached_property
+    def behavior_conflict(self) -> int:
+        """In how many rows the log's behaviour probability is not that of ``behavior_policy`` (0 where one is missing)."""
+        log = self.log if self.episodes is None else self.episodes
+        if self.behavior_policy is None or log.behavior_probability is None:
+            return 0
+        given = self.behavior_policy[log.state, log.action]
+        return int(np.sum(np.abs(given - log.behavior_probability) > 1e-6))
+
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
@@ -140,8 +149,9 @@ def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
     if going_on.size:
         row = int(going_on[0])
         raise ValueError(
-            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {arrival[row]}: there it goes "
-            f"on or pays ({going_on.size} such rows; FiniteMDP.from_gymnasium adds states where termination leads)"
+            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {arrival[row]}, every action "
+            f"leading back to it and paying 0; there it goes on or pays ({going_on.size} such rows). Make that row of the "
+            "transitions lead to itself, or name where termination leads with terminal_state= (FiniteMDP.from_gymnasium does)"
         )
     if np.array_equal(arrival, log.next_state):
         return log

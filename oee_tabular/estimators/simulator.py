@@ -10,6 +10,7 @@ from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import true_ratio
 
@@ -23,7 +24,10 @@ class Simulator:
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
-        found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
+        try:
+            found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
 
 
@@ -67,7 +71,10 @@ class Oracle:
                 n_rollouts=self.n_rollouts,
                 seed=seed,
             )
-        found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
+        try:
+            found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
         return Estimate(
             found.value,
             diagnostics={

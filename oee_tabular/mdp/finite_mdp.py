@@ -218,7 +218,9 @@ class FiniteMDP:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what ``save`` wrote; the same checks as in the constructor."""
-        arrays = _files.load_npz(path, KIND)
+        arrays = _files.load_npz(
+            path, KIND, hint="make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
+        )
         try:
             n_states, n_actions = (int(n) for n in arrays["shape"])
             shape = (n_states * n_actions, n_states)

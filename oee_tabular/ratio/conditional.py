@@ -44,12 +44,12 @@ def fit_conditional(
     n_row = segment_sums(observed, indptr)
     tilt = fit_tilt(observed, simulator, features) if prior == "tilt" else None
     base = q if tilt is None else q * tilt.ratio
-    kappa, details = _strength(observed, base, indptr, prior, strength)
+    kappa, details = _strength(observed, base, q, indptr, prior, strength)
     if tilt is not None:
         details |= {"theta": tilt.theta, "tilt_gap": tilt.gap, "feature_rank": tilt.rank}
     weight = n_row + kappa
     known = weight > 0
-    smoothed = (observed + kappa * base) / spread(np.where(known, weight, 1.0), indptr)
+    smoothed = (observed + spread(kappa, indptr) * base) / spread(np.where(known, weight, 1.0), indptr)
     unseen = spread(n_row == 0, indptr)
     p = np.where(unseen, base, smoothed)
     bend = spread(_ridge_by_row(ridge, observed, q, n_row, indptr, details), indptr)
@@ -75,21 +75,24 @@ def fit_conditional(
 
 
 def _strength(
-    observed: Array, base: Array, indptr: IntArray, prior: str, strength: float | str
-) -> tuple[float, dict[str, Any]]:
-    if prior == "none":
-        return 0.0, {"strength": 0.0}
-    if not isinstance(strength, str):
-        return (kappa := _checks.number_in(strength, "strength", 0.0, np.inf)), {"strength": kappa}
-    _checks.one_of(strength, "strength", CRITERIA)
-    choice = choose_strength(observed, base, indptr, strength)
+    observed: Array, base: Array, q: Array, indptr: IntArray, prior: str, strength: float | str
+) -> tuple[Array, dict[str, Any]]:
+    """kappa of each row, and the diagnostics of the choice."""
     n_row = segment_sums(observed, indptr)
-    return choice.strength, {
+    if prior == "none":
+        return np.zeros(len(n_row)), {"strength": 0.0}
+    if not isinstance(strength, str):
+        kappa = _checks.number_in(strength, "strength", 0.0, np.inf)
+        return np.full(len(n_row), kappa), {"strength": kappa}
+    _checks.one_of(strength, "strength", CRITERIA)
+    choice = choose_strength(observed, base, q, indptr, strength)
+    return choice.by_row, {
         "strength": choice.strength,
         "strength_by": choice.criterion,
         "strength_score": choice.score,
         "strength_curve": (choice.grid, choice.curve),
-        "meaning": meaning(choice.strength, n_row, prior),
+        "strength_kinds": choice.kinds,
+        "meaning": meaning(choice, n_row, prior),
     }
 
 
@@ -102,9 +105,9 @@ def _ridge_by_row(
     """
     if isinstance(ridge, str):
         _checks.one_of(ridge, "ridge", CRITERIA)
-        choice = choose_strength(observed, q, indptr, ridge)
+        choice = choose_strength(observed, q, q, indptr, ridge)
         details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
-        return np.divide(choice.strength, n_row, out=np.zeros_like(n_row), where=n_row > 0)
+        return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
     sizes, index = np.unique(n_row, return_inverse=True)
     return np.array([check_ridge(ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
 

@@ -6,7 +6,9 @@ closed in form and one-dimensional in kappa:
 evidence       sum_k [lnG(kappa) - lnG(kappa + n_k)] + sum_x [lnG(kappa m_x + n_x) - lnG(kappa m_x)]   (Polya [1])
 leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
 
-kappa is its own diagnosis: it is the number of moves that the prior's row is worth.
+Rows in which the simulator has the same probabilities (in any order) are alike to it, and share one kappa: where a
+prior fits most rows and misses a few (a grid's corners), one kappa for all would trust it in those few as well. Kinds with
+fewer than five visited rows are pooled. kappa is its own diagnosis: the number of moves that the prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 """
@@ -16,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -25,15 +27,30 @@ SMALLEST, LARGEST = 1e-3, 1e8
 CRITERIA = ("evidence", "loo")
 
 
+FEWEST_ROWS = 5
+
+
 @dataclass(frozen=True, eq=False)
 class StrengthChoice:
-    """kappa, the criterion's value there, and its curve over a grid of kappa (nats, all moves together)."""
+    """kappa of each row, and how it was found.
 
+    Attributes
+    ----------
+    by_row : (rows,) kappa
+    strength : the kappa of the median move
+    score : the criterion at ``by_row`` (nats, all moves together)
+    criterion : "evidence" or "loo"
+    grid, curve : the criterion if all rows shared one kappa
+    kinds : for each kind of rows its number of visited rows, of moves, and its kappa
+    """
+
+    by_row: Array
     strength: float
     score: float
     criterion: str
     grid: Array
     curve: Array
+    kinds: list[tuple[int, int, float]]
 
 
 def log_rising(base: Array, n: Array) -> Array:
@@ -41,47 +58,118 @@ def log_rising(base: Array, n: Array) -> Array:
     return np.asarray(special.gammaln(n) - special.betaln(base, n))
 
 
-def evidence(strength: float, observed: Array, prior: Array, indptr: IntArray) -> float:
-    """Log marginal likelihood of the counts."""
-    n_row = segment_sums(observed, indptr)
-    seen, rows = observed > 0, n_row > 0
-    gained = log_rising(strength * prior[seen], observed[seen]).sum()
-    return float(gained - log_rising(np.full(int(rows.sum()), strength), n_row[rows]).sum())
+def evidence(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
+    """Log marginal likelihood of the counts, one kappa or one a row."""
+    return float(_evidence_by_row(strength, observed, prior, indptr).sum())
 
 
-def leave_one_out(strength: float, observed: Array, prior: Array, indptr: IntArray) -> float:
+def leave_one_out(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
     """Log predictive probability of each move, given all the others."""
-    n_row = spread(segment_sums(observed, indptr), indptr)
+    return float(_leave_one_out_by_row(strength, observed, prior, indptr).sum())
+
+
+def _evidence_by_row(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> Array:
+    n_row = segment_sums(observed, indptr)
+    kappa = np.broadcast_to(strength, n_row.shape)
+    rows, seen = n_row > 0, observed > 0
+    gained = np.zeros(len(observed))
+    gained[seen] = log_rising((spread(kappa, indptr) * prior)[seen], observed[seen])
+    total = segment_sums(gained, indptr)
+    total[rows] -= log_rising(kappa[rows], n_row[rows])
+    return total
+
+
+def _leave_one_out_by_row(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> Array:
+    n_row = segment_sums(observed, indptr)
+    kappa = spread(np.broadcast_to(strength, n_row.shape), indptr)
     seen = observed > 0
-    n, total, m = observed[seen], n_row[seen], prior[seen]
-    with np.errstate(divide="ignore"):
-        predicted = (np.maximum(n - 1.0, 0.0) + strength * m) / (np.maximum(total - 1.0, 0.0) + strength)
-        return float(n @ np.log(predicted))
+    n, total, k = observed[seen], spread(n_row, indptr)[seen], kappa[seen]
+    gained = np.zeros(len(observed))
+    predicted = (np.maximum(n - 1.0, 0.0) + k * prior[seen]) / (np.maximum(total - 1.0, 0.0) + k)
+    gained[seen] = n * np.log(predicted)
+    return segment_sums(gained, indptr)
 
 
-def choose_strength(observed: Array, prior: Array, indptr: IntArray, criterion: str = "evidence") -> StrengthChoice:
-    """The kappa in [1e-3, 1e8] that maximises the criterion: a grid of four a decade, then Brent's method."""
-    score = evidence if criterion == "evidence" else leave_one_out
-    grid = np.logspace(np.log10(SMALLEST), np.log10(LARGEST), 45)
-    curve = np.array([score(k, observed, prior, indptr) for k in grid])
-    best = int(np.argmax(curve))
-    low, high = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, len(grid) - 1)])
-    found = optimize.minimize_scalar(
-        lambda t: -score(float(np.exp(t)), observed, prior, indptr), bounds=(low, high), method="bounded",
-        options={"xatol": 1e-6},
-    )  # fmt: skip
-    strength, value = float(np.exp(found.x)), float(-found.fun)
-    if curve[best] >= value:
-        strength, value = float(grid[best]), float(curve[best])
-    return StrengthChoice(strength, value, criterion, grid, curve)
+def kinds_of_rows(weights: Array, observed: Array, indptr: IntArray) -> IntArray:
+    """The kind of each row: rows with the same probabilities in any order, kinds with few visited rows pooled.
+
+    Told apart by the number of entries, the largest, and the sums of squares and of cubes.
+    """
+    keys = np.column_stack(
+        [
+            np.diff(indptr),
+            np.round(np.maximum.reduceat(weights, indptr[:-1]), 6),
+            np.round(segment_sums(weights**2, indptr), 6),
+            np.round(segment_sums(weights**3, indptr), 6),
+        ]
+    )
+    _, kind = np.unique(keys, axis=0, return_inverse=True)
+    kind = kind.reshape(-1)
+    visited = np.bincount(kind[segment_sums(observed, indptr) > 0], minlength=kind.max() + 1)
+    few = visited < FEWEST_ROWS
+    return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)
 
 
-def meaning(strength: float, n_row: Array, name: str) -> str:
+def choose_strength(
+    observed: Array, prior: Array, weights: Array, indptr: IntArray, criterion: str = "evidence"
+) -> StrengthChoice:
+    """For each kind of rows the kappa in [1e-3, 1e8] that maximises the criterion.
+
+    A grid of four a decade, then three finer grids around the best point. ``weights`` is the simulator's P.
+    """
+    by_row = _evidence_by_row if criterion == "evidence" else _leave_one_out_by_row
+    kind = kinds_of_rows(weights, observed, indptr)
+    n_kinds = int(kind.max()) + 1
+    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 45)
+    width = grid[1] - grid[0]
+    scores = np.array([np.bincount(kind, by_row(float(np.exp(t)), observed, prior, indptr), n_kinds) for t in grid])
+    best, value = grid[np.argmax(scores, axis=0)], scores.max(axis=0)
+    for _ in range(3):
+        center = best
+        for offset in np.linspace(-width, width, 9):
+            trial = np.clip(center + offset, grid[0], grid[-1])
+            found = np.bincount(kind, by_row(np.exp(trial)[kind], observed, prior, indptr), n_kinds)
+            best, value = np.where(found > value, trial, best), np.maximum(found, value)
+        width /= 4.0
+    strength = np.exp(best)
+    n_row = segment_sums(observed, indptr)
+    table = [
+        (int((n_row[kind == j] > 0).sum()), int(n_row[kind == j].sum()), float(strength[j]))
+        for j in range(n_kinds)
+        if (n_row[kind == j] > 0).any()
+    ]
+    kappa = strength[kind]
+    return StrengthChoice(
+        by_row=kappa,
+        strength=_weighted_median(kappa, n_row),
+        score=float(value.sum()),
+        criterion=criterion,
+        grid=np.exp(grid),
+        curve=scores.sum(axis=1),
+        kinds=table,
+    )
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    order = np.argsort(values, kind="stable")
+    running = np.cumsum(weights[order])
+    if running[-1] == 0:
+        return float(values[order[-1]])
+    return float(values[order[np.searchsorted(running, 0.5 * running[-1])]])
+
+
+def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     """What kappa says about the prior, in words."""
     typical = float(np.median(n_row[n_row > 0]))
+    strength = choice.strength
     compared = f"a row of it is worth {strength:.3g} moves, and the log has {typical:.3g} in the median row"
-    if strength >= 10.0 * max(typical, 10.0):
-        return f"the {name} fits: {compared}"
-    if strength >= max(typical, 10.0):
-        return f"the {name} fits roughly: {compared}"
-    return f"the {name} does not fit: {compared}"
+    enough = max(typical, 10.0)
+    if strength >= 10.0 * enough:
+        verdict = f"the {name} fits"
+    elif strength >= enough:
+        verdict = f"the {name} fits roughly"
+    else:
+        return f"the {name} does not fit: {compared}"
+    misses = sum(rows for rows, _, kappa in choice.kinds if kappa < enough)
+    apart = f"; in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows it does not" if misses else ""
+    return f"{verdict}: {compared}{apart}"

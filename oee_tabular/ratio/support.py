@@ -27,7 +27,8 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     raise ValueError(
         f"{what} must stay where the simulator has probability: it gives probability 0 to {bad.size} different moves "
         f"({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. Ways out: "
-        "simulator.with_action_noise(epsilon), a mixture of simulator parameters, or states that tell such moves apart"
+        "simulator.with_action_noise(epsilon) (--action-noise), a mixture of simulator parameters, or states that tell such "
+        "moves apart"
     )
 
 

@@ -120,7 +120,7 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Til
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 1e-12 * max(1.0, float(np.abs(phi).max(initial=0.0))), scale, np.inf)  # constant: no use
     phi = phi / scale
-    rank = _warn_if_collinear(gram / np.outer(scale, scale), len(scale))
+    rank = _rank(gram / np.outer(scale, scale), len(scale), warn=features is not None)
 
     def tilted(theta: Array) -> tuple[Array, Array]:
         exponent = phi @ theta
@@ -161,10 +161,11 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Til
     return Tilt(ratio, theta / scale, gap, rank, scores, information)
 
 
-def _warn_if_collinear(gram: Array, d: int) -> int:
+def _rank(gram: Array, d: int, *, warn: bool) -> int:
+    """Independent directions within rows; log P may have none (a simulator of even rows), which is no fault of the caller."""
     eigenvalues = np.linalg.eigvalsh(gram)
     rank = int(np.sum(eigenvalues > 1e-10 * max(float(eigenvalues.max()), 1e-300)))
-    if rank < d:
+    if rank < d and warn:
         warnings.warn(
             f"features should be linearly independent within rows; they have rank {rank} of {d} (the smallest parameters "
             "that fit are taken)",

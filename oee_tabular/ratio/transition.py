@@ -59,7 +59,8 @@ def transition_ratio(
         zeta proportional to exp(theta . phi), fitted to all rows together.
     strength : "evidence" (default) | "loo", or a nonnegative number; conditional only
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
-        likelihood, by leave-one-out, or given. ``details`` has the choice, its curve and its meaning.
+        likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
+        probabilities), or given. ``details`` has the choice, its curve and its meaning.
     features : phi for the tilt: None (log P, one parameter), an array aligned with ``simulator.transitions.data``, one of
         shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
     lower, upper : bounds on zeta (conditional; default none) or on each beta (ratio_of_ratios; default 0.01 and 10, the
@@ -88,6 +89,8 @@ def transition_ratio(
     conditional -> the true zeta on every row visited, at rate n^-1/2; O(nnz) with "dual".
     """
     _checks.one_of(method, "method", METHODS)
+    if not isinstance(simulator, FiniteMDP):
+        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
     if isinstance(log_or_counts, Transitions):
         counts = log_or_counts.counts(simulator.n_states, simulator.n_actions)
     elif sparse.issparse(log_or_counts):

@@ -11,7 +11,13 @@ from oee_tabular.data import Transitions
 
 
 def record_episodes(
-    env: Any, policy: Any, *, n_transitions: int | None = None, n_episodes: int | None = None, seed: Any = None
+    env: Any,
+    policy: Any,
+    *,
+    n_transitions: int | None = None,
+    n_episodes: int | None = None,
+    max_steps: int | None = None,
+    seed: Any = None,
 ) -> Transitions:
     """Step ``env`` under ``policy`` and write down what it does.
 
@@ -24,6 +30,8 @@ def record_episodes(
         Rows sum to 1; S at least the number of observations (twins of a FiniteMDP may follow).
     n_transitions, n_episodes : positive int
         Exactly one of them. With n_transitions the last episode is truncated where the log ends.
+    max_steps : positive int, optional
+        Truncate episodes here, besides the environment's own limit (some have none).
     seed : anything that ``numpy.random.default_rng`` takes
         For the actions and for the first ``env.reset``.
 
@@ -48,7 +56,8 @@ def record_episodes(
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     rows: list[tuple[int, int, int, float, bool, bool, int]] = []
-    episode, over = 0, True
+    longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
+    episode, over, steps = 0, True, 0
     state = 0
     first_seed: int | None = int(generator.integers(2**31))
     progress = tqdm(total=limit or episodes, desc="recording", disable=None, delay=1.0, leave=False)
@@ -62,6 +71,11 @@ def record_episodes(
         following, reward, terminated, truncated, _ = env.step(action)
         rows.append((state, action, int(following), float(reward), bool(terminated), bool(truncated), episode))
         over = bool(terminated or truncated)
+        steps += 1
+        if longest is not None and steps == longest and not over:
+            rows[-1] = (*rows[-1][:5], True, episode)
+            over = True
+        steps = 0 if over else steps
         state = int(following)
         episode += over
         progress.update(1 if limit is not None else int(over))

@@ -7,7 +7,7 @@ most 1000 steps, made in the target by the uniform policy (where the true (s, a)
 and by pi_0.5 (where it is not). For each n, REPETITIONS logs; the error is J_hat - J. The ratios: maximum likelihood
 (prior "none"), shrinkage to the simulator with strength 1, and the default (shrinkage to the tilt by evidence), which is
 far more accurate as long as the tilt is as good as the data, and joins the others after that: its slope is flatter. The
-slope is the least-squares slope of log10 RMSE on log10 n from n = 10^4 on. Where the data policy hardly visits what the
+slope is the least-squares slope of log10 RMSE on log10 n from n = 3 10^4 on. Where the data policy hardly visits what the
 evaluated policy needs (data by pi_0.5, evaluated pi_0.1), n = 10^6 is not yet large: the slope is shallower there.
 """
 
@@ -80,7 +80,7 @@ def study():
     return pd.DataFrame(rows)
 
 
-def slopes(table, start=10_000):
+def slopes(table, start=30_000):
     """Least-squares slope of log10 RMSE on log10 n, for each ratio, data policy and policy."""
     late = table[table["n"] >= start]
     return late.groupby(["ratio", "data_policy", "policy"])[["n", "rmse"]].apply(
