@@ -283,7 +283,7 @@ TABLE = {
     "unknown fallback": (lambda: ModelBased("go"), r"fallback must be one of 'stay', 'simulator'; got 'go'"),
     "unknown ratio": (
         lambda: OffEnvironment("joined"),
-        r"ratio must be one of 'conditional', 'ratio_of_ratios'; got 'joined'",
+        r"ratio must be one of 'conditional', 'ratio_of_ratios', 'joint'; got",
     ),
     "ratio of a wrong type": (
         lambda: OffEnvironment(3.0),
@@ -375,6 +375,7 @@ TABLE = {
         lambda: oee.density_ratio([1j], [1]),
         r"p must be an array of numbers; got list \(complex numbers\)",
     ),
+    "an unknown loss": (lambda: oee.density_ratio([1], [1], loss="l2"), r"loss must be one of .kl., .chi2.; got .l2."),
     "a word for a ridge": (lambda: oee.density_ratio([1], [1], ridge="a"), r"ridge must be a number; got 'a'"),
     "data of the simulator where it has no use": (
         lambda: oee.transition_ratio(LOG, GRID, simulator_data="exact"),

@@ -187,7 +187,7 @@ def test_one_divergent_value_does_not_end_the_report():
     assert np.isfinite([values["simulator"], values["oee"]]).all()
     assert np.isnan(values["model-based"])
     text = "\n".join(report.warnings)
-    assert "model-based (policy): no value, horizon must be given" in text
+    assert "model-based (policy): no value: horizon must be given" in text
     assert "At discount 1 without a horizon there is no coverage" in text
 
 

@@ -1,6 +1,7 @@
 """The separable KL program with one equality per row, solved through its one-dimensional dual.
 
-In a row: minimise sum_x [q g - p log g + A/2 (g - c)^2] over lower <= g <= upper, subject to sum_x q g = sum_x q. With the
+In a row: minimise sum_x [q g - p log g + a/2 (g - c)^2] over lower <= g <= upper, subject to sum_x q g = sum_x q; a and c
+differ between entries, so that LSIF (chi-square) is the case p = 0 with c moved. With the
 multiplier eta of the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels) each coordinate has the
 closed form of ``coordinate``, and phi(m) = sum_x q g_x(m) is nonincreasing: a bracketed root.
 """
@@ -39,7 +40,7 @@ def fill_row(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low
     """g_x(m) for the entries low..high; returns sum q g and minus its derivative in m."""
     total, slope = 0.0, 0.0
     for x in range(low, high):
-        value = coordinate(q[x] * m - a[x] * c, a[x], p[x], lower, upper)
+        value = coordinate(q[x] * m - a[x] * c[x], a[x], p[x], lower, upper)
         g[x] = value
         if q[x] > 0.0:
             total += q[x] * value
@@ -62,7 +63,7 @@ def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low:
     """
     gap, excess = 0.0, 0.0
     for x in range(low, high):
-        b = q[x] * m - a[x] * c
+        b = q[x] * m - a[x] * c[x]
         y = coordinate(b, a[x], p[x], lower, upper)
         step = g[x] - y
         excess += q[x] * (g[x] - 1.0)
@@ -87,7 +88,7 @@ def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, hi
     if lower > 1.0 or upper < 1.0:
         return False
     for x in range(low, high):
-        if p[x] != q[x] or (a[x] > 0.0 and c != 1.0):
+        if p[x] != q[x] or (a[x] > 0.0 and c[x] != 1.0):
             return False
     return True
 
@@ -95,8 +96,10 @@ def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, hi
 _is_one = njit(cache=True, error_model="numpy")(_is_one)
 
 
-def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any, other: Any) -> Any:
-    """Solve one row into ``g`` (``other`` is scratch); returns m and the duality gap.
+def solve_row(
+    p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any, below: Any, above: Any
+) -> Any:
+    """Solve one row into ``g``, enclosed by ``below`` and ``above``; returns m and the duality gap.
 
     Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); it shrinks by Newton steps
     from whichever end, or by halving where Newton leaves it, until its ends are neighbours. g is the convex combination
@@ -117,7 +120,7 @@ def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, 
         m = -np.inf
         for x in range(low, high):
             if q[x] > 0.0:
-                m = max(m, side * (p[x] - a[x] * (1.0 - c)) / q[x])
+                m = max(m, side * (p[x] - a[x] * (1.0 - c[x])) / q[x])
         m = side * m
     elif mass == 0.0 and pull == 0.0:  # nothing observed where q is: every feasible point is optimal
         m = 0.0
@@ -125,10 +128,13 @@ def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, 
         known = False
     if known:
         for x in range(low, high):
-            g[x] = 1.0 if q[x] > 0.0 else coordinate(-a[x] * c, a[x], p[x], lower, upper)
+            g[x] = 1.0 if q[x] > 0.0 else coordinate(-a[x] * c[x], a[x], p[x], lower, upper)
+            below[x], above[x] = g[x], g[x]
         return m, row_gap(m, p, q, a, c, lower, upper, low, high, g)
     total, slope = fill_row(1.0, p, q, a, c, lower, upper, low, high, g)
     if total == target:
+        for x in range(low, high):
+            below[x], above[x] = g[x], g[x]
         return 1.0, row_gap(1.0, p, q, a, c, lower, upper, low, high, g)
     left, right = 1.0, 1.0
     width = 1.0
@@ -170,26 +176,25 @@ def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, 
         # a Newton step converges from one side; probe just beyond it so that the bracket closes from both
         probe = m + (4e-16 * abs(m) + 1e-300) * (1.0 if total >= target else -1.0)
         if left < probe < right:
-            total_probe, _ = fill_row(probe, p, q, a, c, lower, upper, low, high, other)
+            total_probe, _ = fill_row(probe, p, q, a, c, lower, upper, low, high, below)
             if total_probe >= target:
                 left = probe
             if total_probe <= target:
                 right = probe
-    above, _ = fill_row(left, p, q, a, c, lower, upper, low, high, g)
-    below, _ = fill_row(right, p, q, a, c, lower, upper, low, high, other)
-    share = (target - below) / (above - below) if above > below else 1.0
+    most, _ = fill_row(left, p, q, a, c, lower, upper, low, high, above)
+    least, _ = fill_row(right, p, q, a, c, lower, upper, low, high, below)
+    share = (target - least) / (most - least) if most > least else 1.0
     share = min(max(share, 0.0), 1.0)
-    if above < np.inf:
+    if most < np.inf:
         for x in range(low, high):
-            if g[x] != other[x]:
-                g[x] = other[x] + share * (g[x] - other[x])
+            g[x] = above[x] if above[x] == below[x] else below[x] + share * (above[x] - below[x])
     else:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
         open_mass = 0.0
         for x in range(low, high):
-            if g[x] == np.inf:
+            if above[x] == np.inf:
                 open_mass += q[x]
         for x in range(low, high):
-            g[x] = other[x] + (target - below) / open_mass if g[x] == np.inf else other[x]
+            g[x] = below[x] + (target - least) / open_mass if above[x] == np.inf else below[x]
     gap_left = row_gap(left, p, q, a, c, lower, upper, low, high, g)
     gap_right = row_gap(right, p, q, a, c, lower, upper, low, high, g)
     return (left, gap_left) if gap_left < gap_right else (right, gap_right)
@@ -199,14 +204,14 @@ solve_row = njit(cache=True, error_model="numpy")(solve_row)
 
 
 def solve_rows(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any) -> Any:
-    """Every row by itself: the ratios, m of each row, the gap of each row."""
+    """Every row by itself: the ratios with their enclosure, m of each row, the gap of each row."""
     n_rows = len(indptr) - 1
-    g, other = np.empty(len(p)), np.empty(len(p))
+    g, below, above = np.empty(len(p)), np.empty(len(p)), np.empty(len(p))
     multiplier, gap = np.empty(n_rows), np.empty(n_rows)
     for k in range(n_rows):
         low, high = indptr[k], indptr[k + 1]
-        multiplier[k], gap[k] = solve_row(p, q, a, c, lower, upper, low, high, g, other)
-    return g, multiplier, gap
+        multiplier[k], gap[k] = solve_row(p, q, a, c, lower, upper, low, high, g, below, above)
+    return g, below, above, multiplier, gap
 
 
 solve_rows = njit(cache=True, error_model="numpy")(solve_rows)
@@ -216,7 +221,7 @@ def solve_free(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any) -> Any:
     """Without the equality: m = 1."""
     g = np.empty(len(p))
     for x in range(len(p)):
-        g[x] = coordinate(q[x] - a[x] * c, a[x], p[x], lower, upper)
+        g[x] = coordinate(q[x] - a[x] * c[x], a[x], p[x], lower, upper)
     return g
 
 

@@ -55,7 +55,7 @@ def fit_conditional(
     bend = spread(_ridge_by_row(ridge, observed, q, n_row, indptr, details), indptr)
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     curvature = np.asarray(bend if toward is None else bend * q)
-    zeta, gap = _solve(p, q, curvature, center, box, indptr, solver)
+    zeta, gap, enclosure = _solve(dual.kl_coordinates(p, q, curvature, center), box, indptr, solver)
     inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
     safe = np.where(inside, zeta, 1.0)
     influence = Influence(
@@ -70,7 +70,7 @@ def fit_conditional(
         scores=None if tilt is None else tilt.scores,
         information=None if tilt is None else tilt.information,
     )
-    details |= {"prior": prior, "lower": box.lower, "upper": box.upper}
+    details |= {"prior": prior, "lower": box.lower, "upper": box.upper, **enclosure}
     return make_result(simulator, zeta, "conditional", gap, observed, details, influence)
 
 
@@ -112,18 +112,16 @@ def _ridge_by_row(
     return np.array([check_ridge(ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
 
 
-def _solve(
-    p: Array, q: Array, curvature: Array, center: float, box: Box, indptr: IntArray, solver: str
-) -> tuple[Array, float]:
-    arguments = (p, q, curvature, center, box.lower, box.upper)
+def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -> tuple[Array, float, dict[str, Any]]:
+    """zeta, the largest gap of a row, and the enclosure where the solver gives one."""
     if solver == "dual":
-        solution = dual.solve_rows(*arguments, indptr)
-        return solution.ratio, float(solution.gap.max())
-    found = programs.solve_rows(*arguments, indptr, solver=solver)
+        solution = dual.solve_rows(program, box.lower, box.upper, indptr)
+        return solution.ratio, float(solution.gap.max()), {"enclosure": (solution.below, solution.above)}
+    found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
     zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     gaps = []
     for low, high, m in zip(indptr[:-1], indptr[1:], found.multiplier, strict=True):
         row = slice(low, high)
-        value = dual.objective(zeta[row], p[row], q[row], curvature[row], center)
-        gaps.append(abs(value - dual.dual_value(1.0 + m, p[row], q[row], curvature[row], *arguments[3:])))
-    return zeta, max(gaps)
+        part = dual.Coordinates(program.p[row], program.q[row], program.curvature[row], program.center[row])
+        gaps.append(abs(dual.objective(zeta[row], part) - dual.dual_value(1.0 + m, part, box.lower, box.upper)))
+    return zeta, max(gaps), {}

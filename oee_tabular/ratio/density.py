@@ -1,7 +1,8 @@
 """The ratio of two distributions by minimising the dual of the KL divergence: the paper's Section III.C.
 
-References: Nguyen, Wainwright and Jordan, Estimating divergence functionals and the likelihood ratio by convex risk
-minimization, IEEE Trans. Information Theory 56(11), 2010.
+References: [1] Nguyen, Wainwright and Jordan, Estimating divergence functionals and the likelihood ratio by convex risk
+minimization, IEEE Trans. Information Theory 56(11), 2010. [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares approach
+to direct importance estimation, JMLR 10, 2009.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ class RatioFit:
     Attributes
     ----------
     ratio : (n,) array, beta = dP/dQ
+    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry
     objective : value of the program at ``ratio``, p and q scaled to sum to 1
     dual_bound : a lower bound on the program's optimum, from the multiplier
     gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
@@ -37,6 +39,7 @@ class RatioFit:
     """
 
     ratio: Array
+    enclosure: tuple[Array, Array]
     objective: float
     dual_bound: float
     gap: float
@@ -87,6 +90,7 @@ def density_ratio(
     ridge: float | Callable[[Any], Any] = 0.0,
     toward: float | None = None,
     normalized: bool = True,
+    loss: str = "kl",
     solver: str = "dual",
 ) -> RatioFit:
     """The ratio p/q as the solution of a convex program.
@@ -104,6 +108,7 @@ def density_ratio(
     ridge : nonnegative number, or a function of n (the sum of p)
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
+    loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
     solver : "dual" (structured, exact), or a cvxpy solver ("CLARABEL", "SCS")
 
     Returns
@@ -132,6 +137,7 @@ def density_ratio(
     weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
+    _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = check_box(lower, upper, normalized=normalized)
     with np.errstate(over="ignore"):
         totals = [float(w.sum()) for w in weights]
@@ -144,23 +150,31 @@ def density_ratio(
     pk, qk = (weights[i][known] / totals[i] for i in (0, 1))
     curvature = np.full(len(pk), strength) if toward is None else strength * qk
     _refuse_unbounded(np.flatnonzero(known), pk, qk, curvature, box)
-    g, m, gap = _solve(pk, qk, curvature, center, box, normalized, solver)
+    build = dual.kl_coordinates if loss == "kl" else dual.lsif_coordinates
+    program = build(pk, qk, curvature, center)
+    g, m, gap, (below, above) = _solve(program, box, normalized, solver)
     if not (np.all(np.isfinite(g)) and np.isfinite(gap)):
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
             f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
         )
-    value = dual.objective(g, pk, qk, curvature, center)
-    ratio = np.full(len(known), min(max(1.0 if toward is None else center, box.lower), box.upper))
-    ratio[known] = g
+    value = _value(g, pk, qk, curvature, center, loss)
+    default = min(max(1.0 if toward is None else center, box.lower), box.upper)
+
+    def full(values: Array) -> Array:
+        everywhere = np.full(len(known), default)
+        everywhere[known] = values
+        return everywhere
+
     seen = pk > 0
     return RatioFit(
-        ratio=_checks.freeze(ratio),
+        ratio=_checks.freeze(full(g)),
+        enclosure=(full(below), full(above)),
         objective=value,
         dual_bound=value - gap,
         gap=gap,
         normalizer=m - 1.0,
-        divergence=float(pk[seen] @ np.log(g[seen])) - float(qk @ g) + 1.0,
+        divergence=_divergence(g[seen], pk[seen], float(qk @ g), loss),
         n_undetermined=int((~known).sum()),
         p_total=totals[0],
         q_total=totals[1],
@@ -175,6 +189,7 @@ def _nonnegative(value: Any, name: str) -> Array:
 
 
 def _refuse_unbounded(index: Any, p: Array, q: Array, curvature: Array, box: Box) -> None:
+    """q = 0 < p, where only a bound or a ridge keeps g finite."""
     bad = np.flatnonzero((q == 0) & (p > 0) & (curvature == 0))
     if bad.size and not np.isfinite(box.upper):
         named = ", ".join(str(int(i)) for i in index[bad[:5]])
@@ -184,18 +199,33 @@ def _refuse_unbounded(index: Any, p: Array, q: Array, curvature: Array, box: Box
         )
 
 
+def _value(g: Array, p: Array, q: Array, curvature: Array, center: float, loss: str) -> float:
+    penalty = 0.5 * float(curvature @ (g - center) ** 2)
+    if loss == "chi2":
+        return float(q @ g**2) / 2.0 - float(p @ g) + penalty
+    seen = p > 0
+    return float(q @ g) - float(p[seen] @ np.log(g[seen])) + penalty
+
+
+def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
+    """The dual estimate of KL(p || q); the least-squares loss estimates no KL divergence."""
+    return float(p @ np.log(g)) - mass + 1.0 if loss == "kl" else float("nan")
+
+
 def _solve(
-    p: Array, q: Array, curvature: Array, toward: float, box: Box, normalized: bool, solver: str
-) -> tuple[Array, float, float]:
-    """The minimiser, m = 1 + multiplier, and the gap."""
-    arguments = (p, q, curvature, toward, box.lower, box.upper)
-    indptr = np.array([0, len(p)], dtype=np.int64)
+    program: dual.Coordinates, box: Box, normalized: bool, solver: str
+) -> tuple[Array, float, float, tuple[Array, Array]]:
+    """The minimiser, m = 1 + multiplier, the gap, and the enclosure."""
+    indptr = np.array([0, len(program.p)], dtype=np.int64)
     if solver == "dual":
         if normalized:
-            solution = dual.solve_rows(*arguments, indptr)
-            return solution.ratio, float(solution.m[0]), float(solution.gap[0])
-        return dual.solve_free(*arguments), 1.0, 0.0
-    found = programs.solve_rows(*arguments, indptr if normalized else None, solver=solver)
+            solution = dual.solve_rows(program, box.lower, box.upper, indptr)
+            return solution.ratio, float(solution.m[0]), float(solution.gap[0]), (solution.below, solution.above)
+        g = dual.solve_free(program, box.lower, box.upper)
+        return g, 1.0, 0.0, (g, g)
+    found = programs.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
     g = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     m = 1.0 + float(found.multiplier[0]) if normalized else 1.0
-    return g, m, abs(dual.objective(g, p, q, curvature, toward) - dual.dual_value(m, *arguments))
+    gap = abs(dual.objective(g, program) - dual.dual_value(m, program, box.lower, box.upper))
+    anywhere = np.full(len(g), box.lower), np.full(len(g), box.upper)
+    return g, m, gap, anywhere

@@ -16,48 +16,79 @@ from oee_tabular._checks import Array, IntArray
 
 @dataclass(frozen=True)
 class RowSolution:
-    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute)."""
+    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
+
+    ``below`` <= the exact minimiser <= ``above``, entry by entry: the coordinates' minimisers at the two ends of the final
+    bracket of m (equal, up to rounding, but where a jump leaves the minimiser free; inf where nothing bounds it).
+    """
 
     ratio: Array
+    below: Array
+    above: Array
     m: Array
     gap: Array
 
 
-def solve_rows(
-    p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float, indptr: IntArray
-) -> RowSolution:
+@dataclass(frozen=True)
+class Coordinates:
+    """A separable program in the kernel's form: sum q g - p log g + curvature/2 (g - center)^2, entry by entry."""
+
+    p: Array
+    q: Array
+    curvature: Array
+    center: Array
+
+
+def kl_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
+    """sum q g - p log g + curvature/2 (g - toward)^2: the dual of the KL divergence, the paper's loss."""
+    return Coordinates(p, q, curvature, np.full(len(p), toward))
+
+
+def lsif_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
+    """sum q g^2 / 2 - p g + curvature/2 (g - toward)^2: least squares (LSIF), the chi-square divergence's dual.
+
+    Up to a constant, (q + A)/2 (g - c')^2 + q g with (q + A) c' = p + A toward + q.
+    """
+    bend = q + curvature
+    center = np.divide(p + curvature * toward + q, bend, out=np.zeros_like(p), where=bend > 0)
+    return Coordinates(np.zeros_like(p), q, bend, center)
+
+
+def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray) -> RowSolution:
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
-    p, q sum to 1 in each row that has entries; curvature is A >= 0; lower <= 1 <= upper. Cost: O(entries) times a few
-    Newton steps; it cannot fail, every step shrinks a bracket.
+    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few Newton
+    steps; it cannot fail, every step shrinks a bracket.
     """
     from oee_tabular.kernels import duals
 
-    ratio, m, gap = duals.solve_rows(p, q, curvature, toward, lower, upper, indptr.astype(np.int64))
-    return RowSolution(ratio, m, np.maximum(gap, 0.0))
+    ratio, below, above, m, gap = duals.solve_rows(
+        program.p, program.q, program.curvature, program.center, lower, upper, indptr.astype(np.int64)
+    )
+    return RowSolution(ratio, below, above, m, np.maximum(gap, 0.0))
 
 
-def solve_free(p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float) -> Array:
+def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
     from oee_tabular.kernels import duals
 
-    return np.asarray(duals.solve_free(p, q, curvature, toward, lower, upper))
+    return np.asarray(duals.solve_free(program.p, program.q, program.curvature, program.center, lower, upper))
 
 
-def dual_value(m: float, p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float) -> float:
+def dual_value(m: float, program: Coordinates, lower: float, upper: float) -> float:
     """The dual function of one row at multiplier m - 1: a lower bound on the optimum, whatever m is."""
     from oee_tabular.kernels import duals
 
-    y = np.empty(len(p))
-    duals.fill_row(m, p, q, curvature, toward, lower, upper, 0, len(p), y)
+    y, p, q = np.empty(len(program.p)), program.p, program.q
+    duals.fill_row(m, p, q, program.curvature, program.center, lower, upper, 0, len(p), y)
     if not np.all(np.isfinite(y)):
         return -np.inf
-    return objective(y, p, q, curvature, toward) + (m - 1.0) * float(q @ (y - 1.0))
+    return objective(y, program) + (m - 1.0) * float(q @ (y - 1.0))
 
 
-def objective(g: Array, p: Array, q: Array, curvature: Array, toward: float) -> float:
-    """sum q g - sum p log g + sum A/2 (g - c)^2."""
-    seen = p > 0
+def objective(g: Array, program: Coordinates) -> float:
+    """sum q g - p log g + curvature/2 (g - center)^2."""
+    seen = program.p > 0
     with np.errstate(divide="ignore"):
-        logs = float(p[seen] @ np.log(g[seen]))
-    return float(q @ g) - logs + 0.5 * float(curvature @ (g - toward) ** 2)
+        logs = float(program.p[seen] @ np.log(g[seen]))
+    return float(program.q @ g) - logs + 0.5 * float(program.curvature @ (g - program.center) ** 2)

@@ -8,7 +8,8 @@ leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
 
 Rows in which the simulator has the same probabilities (in any order) are alike to it, and share one kappa: where a
 prior fits most rows and misses a few (a grid's corners), one kappa for all would trust it in those few as well. Kinds with
-fewer than five visited rows are pooled. kappa is its own diagnosis: the number of moves that the prior's row is worth.
+fewer than five visited rows or a hundred moves are pooled. kappa is its own diagnosis: the number of moves that the
+prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 """
@@ -23,11 +24,15 @@ from scipy import special
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.segments import segment_sums, spread
 
-SMALLEST, LARGEST = 1e-3, 1e8
+SMALLEST, LARGEST = (
+    1.0,
+    1e8,
+)  # a row of the prior is worth at least one move: few moves must not talk the evidence out of it
+FITS, FITS_ROUGHLY = 300.0, 50.0
 CRITERIA = ("evidence", "loo")
 
 
-FEWEST_ROWS = 5
+FEWEST_ROWS, FEWEST_MOVES = 5, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,22 +110,22 @@ def kinds_of_rows(weights: Array, observed: Array, indptr: IntArray) -> IntArray
     )
     _, kind = np.unique(keys, axis=0, return_inverse=True)
     kind = kind.reshape(-1)
-    visited = np.bincount(kind[segment_sums(observed, indptr) > 0], minlength=kind.max() + 1)
-    few = visited < FEWEST_ROWS
+    n_row, size = segment_sums(observed, indptr), int(kind.max()) + 1
+    few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (np.bincount(kind, n_row, size) < FEWEST_MOVES)
     return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)
 
 
 def choose_strength(
     observed: Array, prior: Array, weights: Array, indptr: IntArray, criterion: str = "evidence"
 ) -> StrengthChoice:
-    """For each kind of rows the kappa in [1e-3, 1e8] that maximises the criterion.
+    """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
 
-    A grid of four a decade, then three finer grids around the best point. ``weights`` is the simulator's P.
+    A grid of five a decade, then three finer grids around the best point. ``weights`` is the simulator's P.
     """
     by_row = _evidence_by_row if criterion == "evidence" else _leave_one_out_by_row
     kind = kinds_of_rows(weights, observed, indptr)
     n_kinds = int(kind.max()) + 1
-    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 45)
+    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 41)
     width = grid[1] - grid[0]
     scores = np.array([np.bincount(kind, by_row(float(np.exp(t)), observed, prior, indptr), n_kinds) for t in grid])
     best, value = grid[np.argmax(scores, axis=0)], scores.max(axis=0)
@@ -163,13 +168,12 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
     compared = f"a row of it is worth {strength:.3g} moves, and the log has {typical:.3g} in the median row"
-    enough = max(typical, 10.0)
-    if strength >= 10.0 * enough:
+    if strength >= FITS:
         verdict = f"the {name} fits"
-    elif strength >= enough:
+    elif strength >= FITS_ROUGHLY:
         verdict = f"the {name} fits roughly"
     else:
         return f"the {name} does not fit: {compared}"
-    misses = sum(rows for rows, _, kappa in choice.kinds if kappa < enough)
+    misses = sum(rows for rows, _, kappa in choice.kinds if kappa < FITS_ROUGHLY)
     apart = f"; in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows it does not" if misses else ""
     return f"{verdict}: {compared}{apart}"

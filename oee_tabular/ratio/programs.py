@@ -14,6 +14,8 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.ratio.dual import Coordinates
+from oee_tabular.ratio.program_types import JointProgram
 
 # Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4
 TOLERANCES = (1e-12, 1e-10, 1e-8)
@@ -57,12 +59,11 @@ class Statement:
     rows: IntArray
 
 
-def state_rows(
-    p: Array, q: Array, curvature: Array, toward: float, lower: float, upper: float, indptr: IntArray | None
-) -> Statement:
+def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray | None) -> Statement:
     """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free)."""
     import cvxpy as cp
 
+    p, q, curvature = program.p, program.q, program.curvature
     g = cp.Variable(len(p))
     seen, bent = np.flatnonzero(p > 0), np.flatnonzero(curvature > 0)
     constraints = []
@@ -75,7 +76,7 @@ def state_rows(
         cost = cost - p[seen] @ cp.log(g[seen])
     if bent.size:
         height = cp.Variable(bent.size)
-        constraints.append(cp.square(g[bent] - toward) <= height)
+        constraints.append(cp.square(g[bent] - program.center[bent]) <= height)
         cost = cost + 0.5 * (curvature[bent] @ height)
     equality = None
     filled = np.zeros(0, dtype=np.int64)
@@ -88,15 +89,7 @@ def state_rows(
 
 
 def solve_rows(
-    p: Array,
-    q: Array,
-    curvature: Array,
-    toward: float,
-    lower: float,
-    upper: float,
-    indptr: IntArray | None,
-    *,
-    solver: str = "CLARABEL",
+    program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
 ) -> ProgramSolution:
     """The statement above, solved by ``solver``.
 
@@ -104,7 +97,7 @@ def solve_rows(
     installed. Cost: a conic program with an exponential cone an entry.
     """
     check_solver(solver)
-    statement = state_rows(p, q, curvature, toward, lower, upper, indptr)
+    statement = state_rows(program, lower, upper, indptr)
     status = _run(statement.problem, solver)
     if status != "optimal":
         raise SolverStatusError(
@@ -114,6 +107,40 @@ def solve_rows(
     if statement.equality is not None:
         multiplier[statement.rows] = np.ravel(statement.equality.dual_value)
     return ProgramSolution(np.asarray(statement.variable.value, dtype=np.float64), multiplier, status)
+
+
+def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> tuple[Array, Array, Array]:
+    """beta_sas', beta_sa and the multiplier of each (s, a)'s consistency; the statement of ``ratio.joint``."""
+    import cvxpy as cp
+
+    check_solver(solver)
+    moves, pairs = cp.Variable(len(program.p)), cp.Variable(len(program.s))
+    cost = program.q @ moves + program.r @ pairs
+    constraints = [moves >= program.lower, pairs >= program.lower]
+    if program.upper < np.inf:
+        constraints += [moves <= program.upper, pairs <= program.upper]
+    for weights, variable in ((program.p, moves), (program.s, pairs)):
+        seen = np.flatnonzero(weights > 0)
+        cost = cost - weights[seen] @ cp.log(variable[seen])
+    for bend, variable in ((program.bend, moves), (program.stiffness, pairs)):
+        if bend.any():
+            height = cp.Variable(len(bend))
+            constraints.append(cp.square(variable) <= height)
+            cost = cost + 0.5 * (bend @ height)
+    rows = sparse.csr_array(
+        (program.q, np.arange(len(program.q)), program.indptr), shape=(len(program.s), len(program.q))
+    )
+    consistency = rows @ moves == cp.multiply(np.asarray(rows.sum(axis=1)).reshape(-1), pairs)
+    constraints.append(consistency)
+    problem = cp.Problem(cp.Minimize(cost), constraints)
+    status = _run(problem, solver)
+    if status != "optimal":
+        raise SolverStatusError(
+            f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
+        )
+    smallest = max(program.lower, np.finfo(float).tiny)
+    found = [np.clip(variable.value, smallest, program.upper) for variable in (moves, pairs)]
+    return found[0], found[1], np.ravel(consistency.dual_value)
 
 
 def _run(problem: Any, solver: str) -> str:

@@ -60,7 +60,7 @@ def fit_quotient(
     behavior = estimated_behavior(observed, simulator)
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    expected = _simulator_weights(observed, log, simulator, simulator_data, behavior, seed)
+    expected = simulator_weights(observed, log, simulator, simulator_data, behavior, seed)
     pattern = simulator.transitions
     options: dict[str, Any] = {"lower": lower, "upper": upper, "ridge": ridge, "toward": toward, "solver": solver}
     moves = density_ratio(observed, expected, **options)
@@ -86,7 +86,7 @@ def check_simulator_data(value: object) -> None:
         raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {value!r}")
 
 
-def _simulator_weights(
+def simulator_weights(
     observed: Array,
     log: Transitions | None,
     simulator: FiniteMDP,

@@ -162,7 +162,8 @@ class Influence:
         scale = spread(segment_sums(q * q * soft, self.indptr), self.indptr)
         mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
         zeta = np.divide(self.kernel, q, out=np.zeros_like(q), where=q > 0)
-        return np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
+        moved: Array = np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
+        return moved
 
 
 def make_result(

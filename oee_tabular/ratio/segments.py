@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from oee_tabular._checks import Array, IntArray
 
@@ -17,6 +20,6 @@ def segment_max(values: Array, indptr: IntArray) -> Array:
     return np.asarray(np.maximum.reduceat(values, indptr[:-1]))
 
 
-def spread(rows: Array, indptr: IntArray) -> Array:
+def spread(rows: NDArray[Any], indptr: IntArray) -> NDArray[Any]:
     """Each row's value at each of its entries."""
     return np.repeat(rows, np.diff(indptr), axis=0)

@@ -1,6 +1,6 @@
 """The ratio of transition probabilities zeta = P_target / P_simulator: the paper's Section IV.B.
 
-Two ways from counts to zeta:
+Three ways from counts to zeta:
 
 "conditional" (the default)
     The simulator P is known. For each (s, a): minimise sum_s' P z - p log z (+ ridge) over the box, subject to
@@ -9,6 +9,8 @@ Two ways from counts to zeta:
 "ratio_of_ratios" (the paper's)
     beta_sas' and beta_sa are fitted apart, target counts against data of the simulator, and zeta is their quotient
     (``quotient``). Nothing makes the rows of zeta * P sum to 1.
+"joint"
+    Both betas in one program, under sum_s' d(s, a, s') beta_sas' = d(s, a) beta_sa (``joint``), which makes the rows sum to 1.
 """
 
 from __future__ import annotations
@@ -20,14 +22,15 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
 from oee_tabular.ratio.density import check_box
+from oee_tabular.ratio.joint import fit_joint
 from oee_tabular.ratio.quotient import SimulatorData, fit_quotient
 from oee_tabular.ratio.result import TransitionRatio, make_result
 from oee_tabular.ratio.support import aligned_counts, refuse_unsupported
 
-METHODS = ("conditional", "ratio_of_ratios")
+METHODS = ("conditional", "ratio_of_ratios", "joint")
 
 
 def transition_ratio(
@@ -53,7 +56,7 @@ def transition_ratio(
     ----------
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
-    method : "conditional" | "ratio_of_ratios"
+    method : "conditional" | "ratio_of_ratios" | "joint"
     prior : "tilt" (default) | "simulator" | "none"; conditional only
         The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt
         zeta proportional to exp(theta . phi), fitted to all rows together.
@@ -63,15 +66,15 @@ def transition_ratio(
         probabilities), or given. ``details`` has the choice, its curve and its meaning.
     features : phi for the tilt: None (log P, one parameter), an array aligned with ``simulator.transitions.data``, one of
         shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
-    lower, upper : bounds on zeta (conditional; default none) or on each beta (ratio_of_ratios; default 0.01 and 10, the
+    lower, upper : bounds on zeta (conditional; default none) or on each beta (the other two; default 0.01 and 10, the
         paper's nu and mu; ``numpy.inf`` for none), so that the quotient lies in [lower/upper, upper/lower]
     ridge, toward : as in ``density_ratio``; conditional: a row's program has ridge/2 * sum P (zeta - toward)^2 (toward
         None: sum zeta^2), a function gets the count n_sa of each row that has one, and "evidence" or "loo" chooses
         kappa / n_sa on the data
-    simulator_data : ratio_of_ratios only
+    simulator_data : ratio_of_ratios and joint (which uses its d(s, a) alone)
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         ``seed``; "exact": the simulator's exact occupancy under that policy
-    behavior_policy : (S, A), instead of the estimated one; ratio_of_ratios only
+    behavior_policy : (S, A), instead of the estimated one; not for conditional
     solver : "dual", or a cvxpy solver
 
     Returns
@@ -125,15 +128,30 @@ def transition_ratio(
         )
     if isinstance(ridge, str):
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
+    bounds = {"lower": 0.01 if lower is None else lower, "upper": 10.0 if upper is None else upper}
+    whole = log_or_counts if isinstance(log_or_counts, Transitions) else None
+    if behavior_policy is not None:
+        behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+    if method == "joint":
+        return fit_joint(
+            observed,
+            whole,
+            simulator,
+            simulator_data,
+            behavior=behavior_policy,
+            seed=seed,
+            ridge=ridge,
+            solver=solver,
+            **bounds,
+        )
     quotient = fit_quotient(
         observed,
-        log_or_counts if isinstance(log_or_counts, Transitions) else None,
+        whole,
         simulator,
         simulator_data,
         behavior_policy=behavior_policy,
         seed=seed,
-        lower=0.01 if lower is None else lower,
-        upper=10.0 if upper is None else upper,
+        **bounds,
         ridge=ridge,
         toward=toward,
         solver=solver,

@@ -44,20 +44,21 @@ def test_the_structured_answer_against_clarabel(seed):
     low = options["lower"] or 0.0
     high = options["upper"] or np.inf
     indptr = np.array([0, len(ps)]) if options["normalized"] else None
-    statement = programs.state_rows(ps, qs, bend, center, low, high, indptr)
+    program = dual.kl_coordinates(ps, qs, bend, center)
+    statement = programs.state_rows(program, low, high, indptr)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         statement.problem.solve(solver="CLARABEL", warm_start=False, **programs.clarabel_options(1e-12))
     assert statement.problem.status in ("optimal", "optimal_inaccurate")
     peer = np.maximum(statement.variable.value, 1e-300)
-    value = dual.objective(peer, ps, qs, bend, center)
+    value = dual.objective(peer, program)
     if statement.equality is not None:
         value += float(statement.equality.dual_value[0]) * float(qs @ peer - 1.0)
     assert fit.objective <= value + 1e-10
     if options["upper"] is not None:
         # the peer's own suboptimality, by our certificate, bounds its distance: h'' >= p / g^2 where p > 0
         multiplier = 1.0 if statement.equality is None else 1.0 + float(statement.equality.dual_value[0])
-        peer_gap = max(value - dual.dual_value(multiplier, ps, qs, bend, center, low, high), 1e-16)
+        peer_gap = max(value - dual.dual_value(multiplier, program, low, high), 1e-16)
         seen = ps > 0
         reach = np.sqrt(2 * peer_gap / ps[seen]) * np.maximum(peer, fit.ratio[known])[seen]
         assert (np.abs(fit.ratio[known] - peer)[seen] <= np.maximum(1e-6, 2 * reach)).all()
@@ -97,10 +98,13 @@ def test_certificates_hold_and_are_tight(rng, box):
     known = (p > 0) | (q > 0)
     ps, qs = (p / p.sum())[known], (q / q.sum())[known]
     bend = np.full(len(ps), options["ridge"]) * (1.0 if options["toward"] is None else qs)
-    arguments = (ps, qs, bend, options["toward"] or 0.0, options["lower"] or 0.0, options["upper"] or np.inf)
+    program = dual.kl_coordinates(ps, qs, bend, options["toward"] or 0.0)
+    below, above = fit.enclosure
+    assert (below <= fit.ratio).all()
+    assert (fit.ratio <= above).all()
     multipliers = [1.0] if not options["normalized"] else [0.5, 1.0, 1.0 + fit.normalizer, 3.0]
     for m in multipliers:
-        assert dual.dual_value(m, *arguments) <= fit.objective + 1e-10
+        assert dual.dual_value(m, program, options["lower"] or 0.0, options["upper"] or np.inf) <= fit.objective + 1e-10
 
 
 def test_a_wrong_answer_is_not_certified():
@@ -109,10 +113,11 @@ def test_a_wrong_answer_is_not_certified():
 
     p, q = np.array([0.75, 0.25]), np.array([0.5, 0.5])
     zero = np.zeros(2)
+    program = dual.kl_coordinates(p, q, zero, 0.0)
     right, wrong = np.array([1.5, 0.5]), np.array([1.4, 0.6])
-    gaps = [duals.row_gap(1.0, p, q, zero, 0.0, 0.0, np.inf, 0, 2, g) for g in (right, wrong)]
+    gaps = [duals.row_gap(1.0, p, q, zero, zero, 0.0, np.inf, 0, 2, g) for g in (right, wrong)]
     assert gaps[0] == 0
-    excess = dual.objective(wrong, p, q, zero, 0.0) - dual.objective(right, p, q, zero, 0.0)
+    excess = dual.objective(wrong, program) - dual.objective(right, program)
     assert_allclose(gaps[1], excess, rtol=1e-9)
     assert excess > 1e-3
 
@@ -251,3 +256,35 @@ def test_numbers_that_underflow_are_solved(p, q, options):
 def test_a_box_within_rounding_of_one_says_what_it_reached():
     fit = oee.density_ratio([3, 1, 0], [1, 1, 2], lower=1 - 1e-12)
     assert (fit.status == "optimal") == (fit.gap <= 1e-8)
+
+
+@given(rngs)
+def test_least_squares_in_closed_form_and_against_clarabel(rng):
+    """LSIF: free (p + A c) / (q + A); its ridge towards 1 is a Dirichlet prior (numerics.md A3)."""
+    n = int(rng.integers(1, 15))
+    p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    p[0] += 1
+    ps, qs = p / p.sum(), q / q.sum()
+    free = oee.density_ratio(p, q, loss="chi2", ridge=0.4, toward=0.5, normalized=False)
+    assert_allclose(free.ratio, (ps + 0.4 * qs * 0.5) / (1.4 * qs), rtol=1e-12)
+    shrunk = oee.density_ratio(p, q, loss="chi2", ridge=3 / p.sum(), toward=1.0)
+    assert_allclose(shrunk.ratio, (p / qs + 3) / (p.sum() + 3), rtol=1e-12)
+    assert abs(shrunk.normalizer) < 1e-12
+    boxed, peer = (
+        oee.density_ratio(p, q, loss="chi2", lower=0.3, upper=1.6, ridge=0.1, toward=1.0, solver=solver)
+        for solver in ("dual", "CLARABEL")
+    )
+    assert boxed.gap < 1e-12
+    assert boxed.objective <= peer.objective + 1e-9
+    assert_allclose(boxed.ratio, peer.ratio, atol=1e-3)  # Clarabel's own accuracy here
+    assert_allclose(qs @ boxed.ratio, 1.0, rtol=1e-12)
+
+
+def test_the_enclosure_is_tight():
+    """numerics.md A6: relative width about 4e-14 where no jump leaves the minimiser free."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        p, q = rng.integers(1, 50, 40) + 0.0, rng.integers(1, 50, 40) + 0.0
+        fit = oee.density_ratio(p, q, lower=0.2, upper=3.0, ridge=0.1, toward=1.0)
+        below, above = fit.enclosure
+        assert ((above - below) <= 1e-12 * fit.ratio).all()

@@ -1,0 +1,145 @@
+"""Both ratios at once: beta_sas' and beta_sa under marginal consistency, whose quotient has rows that sum to 1.
+
+    minimise  [sum q B - sum p log B + ridge/2 I(B)^2] + [sum r b - sum s log b + ridge/2 I(b)^2]
+    subject to  lower <= B, b <= upper,   sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
+
+p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's. Since
+d(s, a, s') = d(s, a) P, the constraint says sum_s' P B / b = 1. It decouples into one root for each (s, a). The data of the
+simulator enter through d(s, a) alone: P is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.data import Transitions
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import programs
+from oee_tabular.ratio.density import check_box, check_ridge
+from oee_tabular.ratio.program_types import JointProgram
+from oee_tabular.ratio.quotient import SimulatorData, estimated_behavior, simulator_weights
+from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.segments import segment_sums, spread
+
+
+@dataclass(frozen=True, eq=False)
+class JointSolution:
+    """beta_sas', beta_sa, the multiplier and the duality gap of each (s, a), the program's value."""
+
+    moves: Array
+    pairs: Array
+    multiplier: Array
+    gap: Array
+    objective: float
+
+
+def joint_program(
+    observed: Array, share: Array, probability: Array, indptr: IntArray, *, lower: float, upper: float, ridge: float
+) -> JointProgram:
+    """From counts on the simulator's entries, d(s, a) ``share`` (rows,) and P; the paper's ridge, towards 0."""
+    p = observed / observed.sum()
+    return JointProgram(
+        p=p,
+        q=spread(share, indptr) * probability,
+        bend=np.full(len(p), ridge),
+        s=segment_sums(p, indptr),
+        r=share,
+        stiffness=np.full(len(share), ridge),
+        lower=lower,
+        upper=upper,
+        indptr=indptr,
+    )
+
+
+def solve_joint(program: JointProgram) -> JointSolution:
+    """The structured solver; every (s, a) by a bracketed root. Cost O(entries) times about sixty bisections."""
+    from oee_tabular.kernels import joint
+
+    big = segment_sums(program.q, program.indptr)  # D = sum_s' d, the simulator's d(s, a) up to rounding
+    moves, pairs, theta, gap = joint.solve_all(
+        program.p, program.q, program.bend, program.q, program.s, program.r, program.stiffness, big,
+        program.lower, program.upper, program.indptr,
+    )  # fmt: skip
+    return JointSolution(moves, pairs, theta, np.maximum(gap, 0.0), joint_objective(program, moves, pairs))
+
+
+def joint_objective(program: JointProgram, moves: Array, pairs: Array) -> float:
+    """The value that is minimised."""
+    seen, visited = program.p > 0, program.s > 0
+    value = program.q @ moves - program.p[seen] @ np.log(moves[seen]) + 0.5 * program.bend @ moves**2
+    value += program.r @ pairs - program.s[visited] @ np.log(pairs[visited]) + 0.5 * program.stiffness @ pairs**2
+    return float(value)
+
+
+def fit_joint(
+    observed: Array,
+    log: Transitions | None,
+    simulator: FiniteMDP,
+    simulator_data: SimulatorData,
+    *,
+    behavior: Array | None,
+    seed: Any,
+    lower: float,
+    upper: float,
+    ridge: float | Callable[[float], float],
+    solver: str,
+) -> TransitionRatio:
+    """zeta = beta_sas' / beta_sa from the joint program; 1 where the simulator's data have no (s, a)."""
+    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
+    box = check_box(lower, upper, normalized=True)
+    chosen = estimated_behavior(observed, simulator) if behavior is None else behavior
+    share = segment_sums(simulator_weights(observed, log, simulator, simulator_data, chosen, seed), indptr)
+    strength = check_ridge(ridge, float(observed.sum()))
+    program = joint_program(
+        observed,
+        share / share.sum(),
+        simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr),
+        indptr,
+        lower=box.lower,
+        upper=box.upper,
+        ridge=strength,
+    )
+    lost = (program.s > 0) & (share == 0)
+    if lost.any() and not np.isfinite(box.upper) and strength == 0:
+        raise ValueError(
+            "simulator_data must cover the log's (s, a), or upper be finite: the program is unbounded at "
+            f"{int(lost.sum())} of them"
+        )
+    if solver == "dual":
+        solution = solve_joint(program)
+        moves, pairs, gap = solution.moves, solution.pairs, float(solution.gap.sum())
+    else:
+        moves, pairs, theta = programs.solve_joint(program, solver=solver)
+        gap = abs(joint_objective(program, moves, pairs) - joint_dual_value(program, theta))
+    known = spread((share > 0) & (pairs > 0), indptr)
+    zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
+    details = {
+        "lower": box.lower,
+        "upper": box.upper,
+        "moves": moves,
+        "pairs": pairs,
+        "pairs_without_simulator_data": int(lost.sum()),
+    }
+    return make_result(simulator, zeta, "joint", gap, observed, details)
+
+
+def joint_dual_value(program: JointProgram, theta: Array) -> float:
+    """The dual function at multipliers ``theta`` (rows,): a lower bound on the program, whatever they are."""
+    from oee_tabular.kernels import joint
+
+    big = segment_sums(program.q, program.indptr)
+    moves, pairs = np.empty(len(program.p)), np.empty(len(big))
+    entries = (program.p, program.q, program.bend, program.q)
+    for k in range(len(big)):
+        pair = (program.s[k], program.r[k], program.stiffness[k], big[k])
+        low, high = program.indptr[k], program.indptr[k + 1]
+        pairs[k], _ = joint.fill(theta[k], entries, pair, low, high, program.lower, program.upper, moves)
+    if not (np.all(np.isfinite(moves)) and np.all(np.isfinite(pairs))):
+        return -np.inf
+    broken = segment_sums(program.q * moves, program.indptr) - big * pairs
+    return joint_objective(program, moves, pairs) + float(theta @ broken)
