@@ -35,6 +35,8 @@ _EXPORTS = {
     "sample_transitions": "simulate",
     "record_episodes": "tasks",
     "density_ratio": "ratio",
+    "density_ratio_samples": "ratio",
+    "check_assumptions": "ratio",
     "transition_ratio": "ratio",
     "true_ratio": "ratio",
     "RatioFit": "ratio",
@@ -53,7 +55,15 @@ if TYPE_CHECKING:
     from oee_tabular.exact import action_values, optimal_policy, policy_value, state_values
     from oee_tabular.exact.occupancy import occupancy
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
-    from oee_tabular.ratio import RatioFit, TransitionRatio, density_ratio, transition_ratio, true_ratio
+    from oee_tabular.ratio import (
+        RatioFit,
+        TransitionRatio,
+        check_assumptions,
+        density_ratio,
+        density_ratio_samples,
+        transition_ratio,
+        true_ratio,
+    )
     from oee_tabular.report import Report, evaluate
     from oee_tabular.simulate import sample_episodes, sample_transitions
     from oee_tabular.tasks import record_episodes
@@ -67,8 +77,10 @@ __all__ = [
     "TransitionRatio",
     "Transitions",
     "action_values",
+    "check_assumptions",
     "data",
     "density_ratio",
+    "density_ratio_samples",
     "estimators",
     "evaluate",
     "exact",

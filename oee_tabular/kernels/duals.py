@@ -117,7 +117,7 @@ def active_set(p: Any, q: Any, lower: Any, upper: Any, low: Any, high: Any, targ
         if not (inside > 0.0 and rest > 0.0):
             return np.nan
         trial = inside / rest
-        if trial == m or trial == before:
+        if trial == m or trial == before:  # noqa: SIM109
             return trial
         before, m = m, trial
     return np.nan

@@ -1,16 +1,22 @@
 """Convex risk minimisation: density ratios (beta) and transition ratios (zeta), each with a duality gap."""
 
+from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.result import TransitionRatio
+from oee_tabular.ratio.samples import SampleRatio, density_ratio_samples
 from oee_tabular.ratio.support import refuse_unsupported
 from oee_tabular.ratio.tilt import action_displacement
 from oee_tabular.ratio.transition import transition_ratio, true_ratio
 
 __all__ = [
+    "Assumptions",
     "RatioFit",
+    "SampleRatio",
     "TransitionRatio",
     "action_displacement",
+    "check_assumptions",
     "density_ratio",
+    "density_ratio_samples",
     "refuse_unsupported",
     "transition_ratio",
     "true_ratio",

@@ -16,6 +16,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio.sgd import SgdOptions, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
 
@@ -35,6 +36,7 @@ class RatioFit:
     divergence : the dual estimate of KL(p || q), sum p log g - sum q g + 1
     n_undetermined : entries with p = q = 0, which the data says nothing about
     p_total, q_total : sums of the p and q handed over, before they were scaled to 1
+    trace : for "sgd", its way to the optimum (``SgdTrace``); None otherwise
     status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1)
     """
 
@@ -49,6 +51,7 @@ class RatioFit:
     p_total: float
     q_total: float
     status: str
+    trace: SgdTrace | None = None
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,10 @@ def density_ratio(
     normalized: bool = True,
     loss: str = "kl",
     solver: str = "dual",
+    step_size: float = 0.1,
+    batch_size: int = 64,
+    n_iterations: int = 10_000,
+    seed: Any = None,
 ) -> RatioFit:
     """The ratio p/q as the solution of a convex program.
 
@@ -109,7 +116,9 @@ def density_ratio(
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
     loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
-    solver : "dual" (structured, exact), or a cvxpy solver ("CLARABEL", "SCS")
+    solver : "dual" (structured, exact), a cvxpy solver ("CLARABEL", "SCS"), or "sgd": the paper's Algorithm 1, for what
+        training adds to the error (normalized=False, a box with 0 < lower and finite upper)
+    step_size, batch_size, n_iterations, seed : of "sgd"
 
     Returns
     -------
@@ -152,7 +161,13 @@ def density_ratio(
     _refuse_unbounded(np.flatnonzero(known), pk, qk, curvature, box)
     build = dual.kl_coordinates if loss == "kl" else dual.lsif_coordinates
     program = build(pk, qk, curvature, center)
-    g, m, gap, (below, above) = _solve(program, box, normalized, solver)
+    trace = None
+    if solver == "sgd":
+        _check_sgd(box, normalized, loss)
+        g, trace = descend(program, box.lower, box.upper, SgdOptions(step_size, batch_size, n_iterations, seed))
+        m, gap, (below, above) = 1.0, float(trace.excess[-1]), (g, g)
+    else:
+        g, m, gap, (below, above) = _solve(program, box, normalized, solver)
     if not (np.all(np.isfinite(g)) and np.isfinite(gap)):
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
@@ -179,6 +194,7 @@ def density_ratio(
         p_total=totals[0],
         q_total=totals[1],
         status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
+        trace=trace,
     )
 
 
@@ -196,6 +212,16 @@ def _refuse_unbounded(index: Any, p: Array, q: Array, curvature: Array, box: Box
         raise ValueError(
             f"q must be positive where p is: the program is unbounded at the {bad.size} entries with q = 0 < p "
             f"(the first: {named}); give a finite upper bound, or more data behind q"
+        )
+
+
+def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
+    """Algorithm 1 minimises the KL risk alone, within a box that keeps its gradients bounded."""
+    if normalized or loss != "kl":
+        raise ValueError('solver "sgd" must have normalized=False and loss="kl": Algorithm 1 knows no other program')
+    if not (box.lower > 0.0 and np.isfinite(box.upper)):
+        raise ValueError(
+            f'solver "sgd" must have 0 < lower and a finite upper; the box is [{box.lower:g}, {box.upper:g}]'
         )
 
 

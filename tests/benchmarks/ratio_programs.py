@@ -65,7 +65,9 @@ def random(n=20_000):
         worst = max(worst, fit.gap / scale)
         if options["normalized"]:
             missed = max(missed, abs(q / q.sum() @ fit.ratio - 1.0))
-    print(f"{solved} problems solved, {failed} failed; largest gap / scale {worst:.1e}, largest |sum q g - 1| {missed:.1e}")
+    print(
+        f"{solved} problems solved, {failed} failed; largest gap / scale {worst:.1e}, largest |sum q g - 1| {missed:.1e}"
+    )
     return worst, missed, failed
 
 
@@ -81,13 +83,15 @@ def grid_problem(size, n=100_000):
 
 def speed():
     """The same programs by both solvers."""
-    print("| grid | triples | program | structured (s) | Clarabel (s) | times faster | Clarabel's status |\n|---|---|---|---|---|---|---|")
+    print("| grid | triples | program | structured (s) | Clarabel (s) | times faster | Clarabel's status |")
+    print("|---|---|---|---|---|---|---|")
     for size in (10, 20, 40):
         observed, probability, indptr = grid_problem(size)
         n_row = np.add.reduceat(observed, indptr[:-1])
         weights = np.repeat(n_row + 1.0, np.diff(indptr))
-        p, q = (observed + probability) / weights, probability / np.repeat(
-            np.add.reduceat(probability, indptr[:-1]), np.diff(indptr)
+        p, q = (
+            (observed + probability) / weights,
+            probability / np.repeat(np.add.reduceat(probability, indptr[:-1]), np.diff(indptr)),
         )
         whole = np.array([0, len(p)])
         zero = np.zeros(len(p))
@@ -117,14 +121,16 @@ def large():
             program = dual.kl_coordinates(p / p.sum(), q / q.sum(), np.zeros(n), 0.0)
             once = clock(lambda q=q: np.log(q))
             ours = clock(lambda program=program: dual.solve_rows(program, 0.01, 10.0, np.array([0, 10**6])))
-            print(f"1e6 triples, normalised, box: {ours:.3f} s, {ours / once:.1f} times one pass of numpy.log ({once:.4f} s)")
+            print(
+                f"1e6 triples, normalised, box: {ours:.3f} s, {ours / once:.1f} times one pass of numpy.log ({once:.4f} s)"
+            )
             continue
         indptr = np.arange(0, n + 1, 4)
         totals = [np.repeat(np.add.reduceat(w, indptr[:-1]), 4) for w in (p, q)]
         p, q = np.where(totals[0] > 0, p / np.maximum(totals[0], 1.0), q / totals[1]), q / totals[1]
         del totals
         program = dual.kl_coordinates(p, q, np.zeros(n), 0.0)
-        ours = clock(lambda program=program: dual.solve_rows(program, 0.01, 10.0, indptr), repeat=1)
+        ours = clock(lambda program=program, rows=indptr: dual.solve_rows(program, 0.01, 10.0, rows), repeat=1)
         peak = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text()).group(1)) / 2**20
         print(f"1e7 triples, rows, box: {ours:.2f} s, peak memory of the process {peak:.2f} GiB")
 

@@ -288,3 +288,51 @@ def test_the_enclosure_is_tight():
         fit = oee.density_ratio(p, q, lower=0.2, upper=3.0, ridge=0.1, toward=1.0)
         below, above = fit.enclosure
         assert ((above - below) <= 1e-12 * fit.ratio).all()
+
+
+def test_algorithm_1_finds_the_optimum_and_its_trace_says_how_far_it_is():
+    rng = np.random.default_rng(0)
+    p, q = rng.integers(1, 20, 12), rng.integers(1, 20, 12)
+    box = {"lower": 0.2, "upper": 4.0, "normalized": False}
+    exact = oee.density_ratio(p, q, **box)
+    long, again = (
+        oee.density_ratio(p, q, **box, solver="sgd", step_size=0.05, n_iterations=20_000, seed=1) for _ in range(2)
+    )
+    assert_array_equal(long.ratio, again.ratio)
+    assert long.trace.excess[-1] < 0.02 * long.trace.excess[0]
+    assert_allclose(long.gap, long.objective - exact.objective, rtol=1e-9)
+    assert np.abs(long.ratio - exact.ratio).mean() == pytest.approx(long.trace.error[-1])
+    assert "inaccurate" in long.status
+    # what training adds falls with the batch: the stationary error is about step * noise
+    rough = oee.density_ratio(p, q, **box, solver="sgd", step_size=0.5, batch_size=8, n_iterations=5000, seed=1)
+    assert rough.gap > 5 * long.gap
+    assert exact.trace is None
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({}, "must have normalized=False"),
+        ({"normalized": False}, "must have 0 < lower and a finite upper"),
+        ({"normalized": False, "lower": 0.1, "upper": 2, "step_size": 0}, r"step_size must be in \(0, inf\); it is 0"),
+        ({"normalized": False, "lower": 0.1, "upper": 2, "n_iterations": 0}, "n_iterations must be a positive integer"),
+        ({"normalized": False, "lower": 0.1, "upper": 2, "loss": "chi2"}, 'loss="kl"'),
+    ],
+)
+def test_algorithm_1_refuses(options, text):
+    with pytest.raises(ValueError, match=text):
+        oee.density_ratio([1, 2], [2, 1], solver="sgd", **options)
+
+
+def test_assumptions():
+    from oee_tabular.ratio import check_assumptions
+
+    found = check_assumptions([3, 1, 0, 0], [2, 1, 0, 1], lower=0.1, upper=1.2)
+    assert (found.box_contains_one, found.inside, found.supported) == (True, False, True)
+    assert (found.below, found.above) == (1, 1)
+    assert_allclose(found.renyi_infinity, np.log(1.5))
+    lost = check_assumptions([1, 1], [1, 0], lower=0.1, upper=np.inf)
+    assert (lost.supported, lost.unsupported, lost.renyi_infinity) == (False, 1, np.inf)
+    assert not check_assumptions([1], [1], lower=1.0, upper=2.0).box_contains_one
+    with pytest.raises(ValueError, match="p and q must have one length"):
+        check_assumptions([1], [1, 1], lower=0.1, upper=2)
