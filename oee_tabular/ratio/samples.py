@@ -132,8 +132,8 @@ def _log_linear(p: Array, q: Array, features: Callable[[Array], Any]) -> SampleR
         decrement = float(-gradient @ step)
         if decrement < 1e-22:
             break
-        length = 1.0
-        while length > 1e-12 and risk(theta + length * step)[0] > value - 1e-4 * length * decrement:
+        length, sure = 1.0, decrement < 1e-8  # rounding hides so small a fall, and Newton's step is right
+        while not sure and length > 1e-12 and risk(theta + length * step)[0] > value - 1e-4 * length * decrement:
             length *= 0.5
         if length <= 1e-12:
             break

@@ -145,15 +145,18 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Til
         decrement = float(-gradient @ step)
         if decrement <= 1e-22 * max(1.0, abs(value)):
             break
-        length = 1.0
+        length, sure = (
+            1.0,
+            decrement < 1e-8 * max(1.0, abs(value)),
+        )  # rounding hides so small a fall, Newton's step is right
         while length > 1e-12:
             trial = theta + length * step
             trial_model, trial_normalizer = tilted(trial)
             trial_value = risk(trial, trial_normalizer)
-            if trial_value <= value - 1e-4 * length * decrement:
+            if sure or trial_value <= value - 1e-4 * length * decrement:
                 break
             length *= 0.5
-        else:  # no further fall that rounding would show
+        else:
             break
         theta, model, value = trial, trial_model, trial_value
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
