@@ -125,3 +125,9 @@ def test_episodes_end_where_they_are_over():
     assert (lengths[~ended] == 5).all()
     assert_array_equal(log.truncated[log.episode_starts[1:] - 1], ~ended)
     assert_allclose((lengths == 1).mean(), 0.3, atol=0.03)
+
+
+def test_an_entry_of_probability_zero_is_never_picked_whatever_the_draw():
+    cumulative = np.array([0.0, 0.5, 0.5, 1.0, 1.0])
+    picked = [int(rollout.pick(cumulative, 0, 5, u)) for u in (0.0, 0.25, 0.5, 0.75, 1 - 2**-53)]
+    assert picked == [1, 1, 3, 3, 3]

@@ -188,10 +188,27 @@ def test_importance_sampling_converges_to_the_target_s_value(kind, self_normaliz
     assert_allclose(estimated.value, truth, atol=0.1)
 
 
+def full_length():
+    """Nothing ends: every episode has the horizon's length."""
+    return random_mdp(np.random.default_rng(6), n_states=4, n_actions=2, discount=0.9, form=2)
+
+
+def mortal():
+    """Three states that pay, each left for a state that is over with probability 0.1 to 0.5: ragged episodes."""
+    transitions = np.zeros((4, 2, 4))
+    transitions[:3, 0] = [[0.3, 0.3, 0.3, 0.1], [0.5, 0.1, 0.1, 0.3], [0.1, 0.2, 0.2, 0.5]]
+    transitions[:3, 1] = [[0.1, 0.2, 0.2, 0.5], [0.2, 0.5, 0.2, 0.1], [0.3, 0.1, 0.3, 0.3]]
+    transitions[3, :, 3] = 1.0
+    rewards = np.array([[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]])
+    return oee.FiniteMDP(transitions, rewards, [1.0, 0.0, 0.0, 0.0], 0.9)
+
+
 @pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
-def test_the_linearised_error_of_self_normalised_estimates(kind):
-    rng = np.random.default_rng(6)
-    target = random_mdp(rng, n_states=4, n_actions=2, discount=0.9, form=2)
+@pytest.mark.parametrize(
+    "target", [random_mdp(np.random.default_rng(6), n_states=4, n_actions=2, discount=0.9, form=2), mortal()]
+)
+def test_the_linearised_error_of_self_normalised_estimates(kind, target):
+    rng = np.random.default_rng(8)
     behavior, policy = (random_policy(rng, target, zeros=0.0) for _ in range(2))
     values, errors = [], []
     for seed in range(500):
@@ -370,3 +387,40 @@ def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean()
     assert_allclose(facts["truncation_bias_bound"], 100 * 0.9 / 0.1)
     endless = ImportanceSampling()(Problem(mdp.with_discount(1.0), log), np.zeros((3, 1)) + 1.0).diagnostics
     assert endless["truncation_bias_bound"] == np.inf
+
+
+@pytest.mark.parametrize("form", ["r(s)", "r(s, a, s')"])
+def test_the_product_s_weights_by_hand(form):
+    """A ring of two states that pay 1 and 3, zeta = 2 everywhere, T = 3: no chance in it.
+
+    Per decision r_t carries 2^t, or 2^(t + 1) where it depends on s'; trajectory-wise all carry 2^(T - 1), or 2^T.
+    """
+    ring = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
+    paid = np.array([1.0, 3.0])
+    rewards = paid if form == "r(s)" else np.broadcast_to(paid[:, None, None], (2, 1, 2)).copy()
+    simulator = oee.FiniteMDP(ring, rewards, [1.0, 0.0], 0.5)
+    problem = Problem(simulator, Transitions([0], [0], [1]), horizon=3)
+    true = oee.true_ratio(simulator, simulator)
+    double = oee.TransitionRatio(true.values * 2.0, "twice", 0.0, true.visited, 1.0, true.counts)
+    late = 0 if form == "r(s)" else 1
+    payments = np.array([1.0, 0.5 * 3.0, 0.25 * 1.0])
+    weights = {"per_decision": 2.0 ** (np.arange(3) + late), "trajectory": np.full(3, 2.0 ** (2 + late))}
+    for weighting, weight in weights.items():
+        found = OffEnvironment(double, "monte_carlo", weighting, n_rollouts=5)(problem, np.ones((2, 1)), seed=0)
+        assert_allclose(found.value, weight @ payments, rtol=1e-14)
+    limit = oee.policy_value(exact.reweight(simulator, double), np.ones((2, 1)), horizon=3)
+    assert_allclose(limit, weights["per_decision"] @ payments, rtol=1e-14)
+
+
+def test_an_ended_episode_keeps_the_product_of_all_its_ratios():
+    """One step into the end, zeta = 3 there, T = 4, r(s): the trajectory's weight is 3, that of the reward itself is 1."""
+    transitions = np.array([[[0.0, 1.0]], [[0.0, 1.0]]])
+    simulator = oee.FiniteMDP(transitions, [5.0, 0.0], [1.0, 0.0], 0.5)
+    true = oee.true_ratio(simulator, simulator)
+    values = true.values.copy()
+    values.data = np.array([3.0, 1.0])
+    triple = oee.TransitionRatio(values, "thrice", 0.0, true.visited, 2.0, true.counts)
+    problem = Problem(simulator, Transitions([0], [0], [1]), horizon=4)
+    for weighting, expected in (("per_decision", 5.0), ("trajectory", 15.0)):
+        found = OffEnvironment(triple, "monte_carlo", weighting, n_rollouts=5)(problem, np.ones((2, 1)), seed=0)
+        assert_allclose(found.value, expected)

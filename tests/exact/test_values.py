@@ -222,3 +222,22 @@ def test_the_error_bound_covers_rounding_near_discount_one():
     truth = [((1 - g * d) * r[0] + g * b * r[1]) / determinant, (g * c * r[0] + (1 - g * a) * r[1]) / determinant]
     error = max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True))
     assert error <= found.error_bound
+
+
+@given(rngs)
+def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
+    """Kernels whose rows exceed 1: |(I - gamma K)^-1|_inf is at most what the M-matrix certificate says, and near it."""
+    from oee_tabular.exact.linear import _inverse_norm
+
+    n = int(rng.integers(2, 7))
+    kernel = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
+    kernel[0] *= 3.0
+    radius = np.abs(np.linalg.eigvals(kernel)).max()
+    if radius == 0:
+        return
+    kernel *= 1.05 / radius
+    bound = _inverse_norm(sparse.csr_array(kernel), 0.9)
+    norm = np.abs(np.linalg.inv(np.eye(n) - 0.9 * kernel)).sum(axis=1).max()
+    assert norm <= bound * (1 + 1e-12)
+    if 0.9 * kernel.sum(axis=1).max() > 1:
+        assert_allclose(bound, norm, rtol=1e-6)
