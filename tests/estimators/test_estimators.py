@@ -204,9 +204,7 @@ def mortal():
 
 
 @pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
-@pytest.mark.parametrize(
-    "target", [random_mdp(np.random.default_rng(6), n_states=4, n_actions=2, discount=0.9, form=2), mortal()]
-)
+@pytest.mark.parametrize("target", [full_length(), mortal()], ids=["full length", "ragged"])
 def test_the_linearised_error_of_self_normalised_estimates(kind, target):
     rng = np.random.default_rng(8)
     behavior, policy = (random_policy(rng, target, zeros=0.0) for _ in range(2))
