@@ -59,7 +59,8 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
         found.append(Finding(kind, estimator, policy, severity, figure, text))
 
     if estimate.status != "ok":
-        add("status", 1.0, estimate.status, "no value: {}.")
+        finite = abs(estimate.value) < float("inf")
+        add("status", 1.0, estimate.status, "do not rely on the value: {}." if finite else "no value: {}.")
     fallback = facts.get("fallback_share", 0.0)
     if fallback > 0.02:
         add(
@@ -116,6 +117,9 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             "the prior that the ratio is shrunk to does not fit the log along this policy; the one-step corrected value, {} "
             "(as a discounted sum), does not rest on it.",
         )
+    gap = facts.get("gap", 0.0)
+    if gap > 1e-6:
+        add("gap", gap, f"{gap:.1e}", "the ratio's program is solved only to a gap of {} nats.")
     error_bound = facts.get("error_bound", 0.0)
     if error_bound > 1e-6 * max(1.0, abs(estimate.value)):
         add("linear algebra", error_bound, f"{error_bound:.1e}", "the linear algebra is certain only to {}.")

@@ -256,6 +256,7 @@ def _sampled(
     from oee_tabular._checks import positive_integer
     from oee_tabular.simulate import sample_episodes
 
+    positive_integer(horizon, "horizon")
     if episodes is not None:
         return sample_episodes(mdp, pi, episodes, horizon, seed=seed)
     assert transitions is not None

@@ -56,7 +56,9 @@ def solve(
     s, r, v, big = pair
     theta = 0.0
     b, phi = fill(theta, rows, pair, low, high, lower, upper, out)
-    if phi == 0.0 and b < np.inf:
+    if (
+        b < np.inf and abs(phi) <= 2.3e-16 * (high - low + 2) * big * b
+    ):  # equal up to the rounding of the sums themselves
         return b, theta, 0.0
     left, right, width = 0.0, 0.0, 0.5
     while phi > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
@@ -84,9 +86,10 @@ def solve(
     share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0  # of the right end
     if not 0.0 <= share <= 1.0:
         share = 0.0 if phi_left < np.inf else 1.0
-    b = b_left if b_left == b_right else b_left + share * (b_right - b_left)
+    b = b_left if b_left == b_right or share == 0.0 else b_left + share * (b_right - b_left)
     for x in range(low, high):
-        out[x] = left_out[x] if left_out[x] == right_out[x] else left_out[x] + share * (right_out[x] - left_out[x])
+        same = left_out[x] == right_out[x] or share == 0.0
+        out[x] = left_out[x] if same else left_out[x] + share * (right_out[x] - left_out[x])
     best = np.inf
     for theta_end in (left, right):
         total = gap_term(

@@ -43,12 +43,13 @@ def joint_program(
 ) -> JointProgram:
     """From counts on the simulator's entries, d(s, a) ``share`` (rows,) and P; the paper's ridge, towards 0."""
     p = observed / observed.sum()
+    q = spread(share, indptr) * probability
     return JointProgram(
         p=p,
-        q=spread(share, indptr) * probability,
+        q=q,
         bend=np.full(len(p), ridge),
         s=segment_sums(p, indptr),
-        r=share,
+        r=segment_sums(q, indptr),  # d(s, a), to the last bit what the constraint has: neither ratio can run away alone
         stiffness=np.full(len(share), ridge),
         lower=lower,
         upper=upper,

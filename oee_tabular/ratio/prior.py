@@ -128,7 +128,9 @@ def choose_strength(
     grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 41)
     width = grid[1] - grid[0]
     scores = np.array([np.bincount(kind, by_row(float(np.exp(t)), observed, prior, indptr), n_kinds) for t in grid])
-    best, value = grid[np.argmax(scores, axis=0)], scores.max(axis=0)
+    value = scores.max(axis=0)
+    level = scores >= value - 1e-9 * (1.0 + np.abs(value))  # where the moves do not tell, the prior is believed
+    best = grid[len(grid) - 1 - np.argmax(level[::-1], axis=0)]
     for _ in range(3):
         center = best
         for offset in np.linspace(-width, width, 9):
@@ -167,6 +169,8 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     """What kappa says about the prior, in words."""
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
+    if np.ptp(choice.curve) < 1.0:
+        return f"too few moves to tell whether the {name} fits ({typical:.3g} in the median row that has some)"
     compared = f"a row of it is worth {strength:.3g} moves, and the log has {typical:.3g} in the median row"
     if strength >= FITS:
         verdict = f"the {name} fits"

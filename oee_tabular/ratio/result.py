@@ -133,7 +133,7 @@ class Influence:
         each = share * psi / counts
         if self.scores is not None and self.information is not None:
             pull = ((1.0 - share) * self.prior * psi) @ self.scores  # d value / d theta
-            each = each + self.scores @ np.linalg.solve(self.information, pull)
+            each = each + self.scores @ np.linalg.lstsq(self.information, pull)[0]
         return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
 
     def one_step(self, gradient: Array) -> OneStep:

@@ -92,6 +92,8 @@ def density_ratio_samples(
 def _points(value: Any, name: str) -> Array:
     array = _checks.float_array(value, name, ndim=(1, 2))
     _checks.require_finite(array, name)
+    if array.size == 0:
+        raise ValueError(f"{name} must have at least one point; it is empty")
     points = array.reshape(len(array), -1)
     if len(points) < 2 and name != "x":
         raise ValueError(f"{name} must have at least 2 points; it has {len(points)}")
@@ -132,8 +134,8 @@ def _log_linear(p: Array, q: Array, features: Callable[[Array], Any]) -> SampleR
         decrement = float(-gradient @ step)
         if decrement < 1e-22:
             break
-        length, sure = 1.0, decrement < 1e-8  # rounding hides so small a fall, and Newton's step is right
-        while not sure and length > 1e-12 and risk(theta + length * step)[0] > value - 1e-4 * length * decrement:
+        length, blur = 1.0, 1e-13 if decrement < 1e-9 else 0.0  # what rounding may add to a fall that it hides
+        while length > 1e-12 and risk(theta + length * step)[0] > value - 1e-4 * length * decrement + blur:
             length *= 0.5
         if length <= 1e-12:
             break

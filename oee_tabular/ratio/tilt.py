@@ -141,27 +141,35 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Til
         gradient = n_row @ mean - observed @ phi + theta
         mass = model * spread(n_row, indptr)
         information = (scores * mass[:, None]).T @ scores + np.eye(len(theta))
-        step = -np.linalg.solve(information, gradient)
+        step = -_solve_positive(information, gradient)
         decrement = float(-gradient @ step)
         if decrement <= 1e-22 * max(1.0, abs(value)):
             break
-        length, sure = (
-            1.0,
-            decrement < 1e-8 * max(1.0, abs(value)),
-        )  # rounding hides so small a fall, Newton's step is right
+        size = max(1.0, abs(value))
+        blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
+        length = 1.0
         while length > 1e-12:
             trial = theta + length * step
             trial_model, trial_normalizer = tilted(trial)
             trial_value = risk(trial, trial_normalizer)
-            if sure or trial_value <= value - 1e-4 * length * decrement:
+            if trial_value <= value - 1e-4 * length * decrement + blur:
                 break
             length *= 0.5
         else:
             break
         theta, model, value = trial, trial_model, trial_value
+    mean = segment_sums(model[:, None] * phi, indptr)
+    scores = phi - spread(mean, indptr)
+    gradient = n_row @ mean - observed @ phi + theta
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
     ratio = model / weights
     return Tilt(ratio, theta / scale, gap, rank, scores, information)
+
+
+def _solve_positive(matrix: Array, b: Array) -> Array:
+    """matrix^-1 b for a symmetric matrix whose eigenvalues are at least 1, whatever rounding has made of them."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors @ ((vectors.T @ b) / np.maximum(values, 1.0)))
 
 
 def _rank(gram: Array, d: int, *, warn: bool) -> int:

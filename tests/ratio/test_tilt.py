@@ -244,3 +244,36 @@ def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
         one_step = estimate.diagnostics["one_step_value"]
         assert abs(one_step - likelihood.value) < 0.15 * abs(estimate.value - likelihood.value)
         assert_allclose(estimate.diagnostics["one_step_standard_error"], likelihood.standard_error, rtol=0.3)
+
+
+@pytest.mark.parametrize(("p", "n"), [(1e-6, 1e6), (1e-8, 1e4), (1e-9, 1e3), (1e-10, 100)])
+def test_a_feature_of_one_rare_move_is_fitted_with_a_true_certificate(p, n):
+    simulator = oee.FiniteMDP([[[1 - p, p]], [[0.5, 0.5]]], [0.0, 0.0], [1.0, 0.0], 0.9)
+    observed = np.array([0.0, n, 5.0, 5.0])
+    tilt = fit_tilt(observed, simulator, np.array([0.0, 1.0, 0.0, 0.0]))
+    centred, scale = np.array([-p, 1 - p]), np.sqrt(p * (1 - p) / 2)
+
+    def risk(theta):  # of the first row; the second has no feature
+        exponent = centred / scale * theta
+        return n * (special.logsumexp(exponent, b=[1 - p, p]) - exponent[1]) + 0.5 * theta**2
+
+    found = tilt.theta[0] * scale
+    best = min(risk(t) for t in np.concatenate([np.linspace(0, 60, 2001) * scale, [found]]))
+    assert (risk(found) - best) / (n + 10) <= tilt.gap + 1e-9
+    assert tilt.gap < 1e-6
+
+
+def test_enormous_counts_of_collinear_features():
+    simulator = oee.FiniteMDP(np.full((2, 1, 2), 0.5), [0.0, 0.0], [1.0, 0.0], 0.9)
+    features = np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
+    with pytest.warns(UserWarning, match="rank 1 of 2"):
+        tilt = fit_tilt(np.array([3e17, 1e17, 3e17, 1e17]), simulator, features)
+    assert_allclose(tilt.ratio, [1.5, 0.5, 1.5, 0.5], rtol=1e-6)
+
+
+def test_one_move_tells_nothing_about_the_prior():
+    simulator = oee.FiniteMDP(np.full((6, 1, 6), 1 / 6), np.zeros(6), np.full(6, 1 / 6), 0.9)
+    zeta = oee.transition_ratio(oee.Transitions([0], [0], [1]), simulator)
+    assert zeta.details["meaning"].startswith("too few moves to tell")
+    assert zeta.details["strength"] == pytest.approx(1e8)
+    assert_allclose(zeta.values.data, 1.0, atol=1e-6)

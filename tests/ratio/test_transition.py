@@ -314,3 +314,18 @@ def test_the_joint_program_without_box_and_ridge_is_maximum_likelihood():
     joint = oee.transition_ratio(log, simulator, method="joint", simulator_data=data, lower=0.0, upper=np.inf)
     likelihood = oee.transition_ratio(log, simulator, prior="none")
     assert_allclose(joint.values.data, likelihood.values.data, atol=1e-9)
+
+
+def test_the_joint_program_with_rows_without_moves_and_no_upper_bound():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        simulator = oee.FiniteMDP(rng.dirichlet(np.ones(3), size=(3, 2)), np.zeros(3), np.full(3, 1 / 3), 0.9)
+        counts = np.zeros((6, 3))
+        counts[0] = [3, 2, 1]
+        zeta = oee.transition_ratio(
+            sparse.csr_array(counts), simulator, method="joint", lower=0.1, upper=np.inf, simulator_data="exact",
+            behavior_policy=oee.uniform_policy(simulator),
+        )  # fmt: skip
+        assert np.isfinite(zeta.values.data).all()
+        assert zeta.gap < 1e-12
+        assert zeta.row_sum_error < 1e-12
