@@ -24,7 +24,7 @@ class TransitionRatio:
     values : csr of shape (S*A, S) with the entries of ``simulator.transitions``
     method : how it was found
     gap : the largest duality gap of the programs solved (nats, each program scaled to probabilities)
-    visited : (S, A), where the log has moves; elsewhere zeta is the prior's (1)
+    visited : (S, A), where the log has moves; elsewhere zeta is the prior's (1, or the tilt's)
     row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
     counts : (S, A) moves of the log in each row
     details : what the method adds (sums, bounds, how much was undetermined)
