@@ -58,8 +58,8 @@ fill_row = njit(cache=True, error_model="numpy")(fill_row)
 def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
     """Objective at the feasible g less the dual function at m, as a sum of terms that are none of them negative.
 
-    sum_x h'(y)(g - y) + p (u - log(1 + u)) + a/2 (g - y)^2 with y = g_x(m), u = (g - y)/y and h' = 0 inside the box, less
-    eta (sum q g - sum q).
+    sum_x h'(y)(g - y) + p (u - log(1 + u)) + a/2 (g - y)^2 with y = g_x(m), u = (g - y)/y and h' = 0 inside the box, and
+    |m - 1| |sum q g - sum q| for what rounding leaves of the equality.
     """
     gap, excess = 0.0, 0.0
     for x in range(low, high):
@@ -75,9 +75,9 @@ def row_gap(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low:
             gap += (b + a[x] * y - (p[x] / y if p[x] > 0.0 else 0.0)) * step
         if p[x] > 0.0:
             u = step / y
-            gap += p[x] * (u - np.log1p(u))
+            gap += p[x] * (0.5 * u * u if abs(u) < 1e-9 else u - np.log1p(u))
         gap += 0.5 * a[x] * step * step
-    return gap - (m - 1.0) * excess
+    return gap + abs((m - 1.0) * excess)
 
 
 row_gap = njit(cache=True, error_model="numpy")(row_gap)
@@ -94,36 +94,6 @@ def _is_one(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, hi
 
 
 _is_one = njit(cache=True, error_model="numpy")(_is_one)
-
-
-def active_set(p: Any, q: Any, lower: Any, upper: Any, low: Any, high: Any, target: Any) -> Any:
-    """m of a row without ridge, by guessing which entries are at their bounds; nan where the guesses do not settle.
-
-    Given the guess, sum q g = target is linear in 1/m: m = (sum of p inside) / (target - what the bounds carry). Comparisons
-    and sums only, so it is several times quicker than Newton's method, which it hands a start that is right up to rounding.
-    """
-    m, before = 1.0, -1.0
-    for _ in range(60):
-        inside, carried = 0.0, 0.0
-        for x in range(low, high):
-            scaled = q[x] * m
-            if p[x] <= lower * scaled:
-                carried += lower * q[x]
-            elif p[x] >= upper * scaled:
-                carried += upper * q[x]
-            else:
-                inside += p[x]
-        rest = target - carried
-        if not (inside > 0.0 and rest > 0.0):
-            return np.nan
-        trial = inside / rest
-        if trial == m or trial == before:  # noqa: SIM109
-            return trial
-        before, m = m, trial
-    return np.nan
-
-
-active_set = njit(cache=True, error_model="numpy")(active_set)
 
 
 def close_bracket(
@@ -159,60 +129,54 @@ close_bracket = njit(cache=True, error_model="numpy")(close_bracket)
 
 
 def finish_row(
-    left: Any, right: Any, target: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any,
-    g: Any, below: Any, above: Any,
-) -> Any:  # fmt: skip
+    left: Any,
+    right: Any,
+    target: Any,
+    p: Any,
+    q: Any,
+    a: Any,
+    c: Any,
+    lower: Any,
+    upper: Any,
+    low: Any,
+    high: Any,
+    g: Any,
+) -> Any:
     """g between the minimisers of the bracket's ends, meeting the equality; m and the gap at the end that is nearer."""
     most, least, open_mass = 0.0, 0.0, 0.0
     for x in range(low, high):
-        shift = a[x] * c[x]
-        above[x] = coordinate(q[x] * left - shift, a[x], p[x], lower, upper)
-        below[x] = coordinate(q[x] * right - shift, a[x], p[x], lower, upper)
         if q[x] > 0.0:
-            least += q[x] * below[x]
-            if above[x] == np.inf:
+            shift = a[x] * c[x]
+            above = coordinate(q[x] * left - shift, a[x], p[x], lower, upper)
+            least += q[x] * coordinate(q[x] * right - shift, a[x], p[x], lower, upper)
+            if above == np.inf:
                 open_mass += q[x]
             else:
-                most += q[x] * above[x]
-    if open_mass > 0.0:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
-        for x in range(low, high):
-            g[x] = below[x] + (target - least) / open_mass if above[x] == np.inf else below[x]
-        return right, row_gap(right, p, q, a, c, lower, upper, low, high, g)
-    share = (target - least) / (most - least) if most > least else 1.0
-    share = min(max(share, 0.0), 1.0)
-    at_left = share >= 0.5
-    m = left if at_left else right
-    gap, excess = 0.0, 0.0
+                most += q[x] * above
+    share = 1.0
+    if open_mass == 0.0 and most > least:
+        share = min(max((target - least) / (most - least), 0.0), 1.0)
+    m = left if share >= 0.5 and open_mass == 0.0 else right
     for x in range(low, high):
-        rise = above[x] - below[x]
-        y = above[x] if at_left else below[x]
-        if rise == 0.0:
-            g[x] = y
+        shift = a[x] * c[x]
+        above = coordinate(q[x] * left - shift, a[x], p[x], lower, upper)
+        below = coordinate(q[x] * right - shift, a[x], p[x], lower, upper)
+        if open_mass > 0.0:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
+            g[x] = below + (target - least) / open_mass if above == np.inf else below
         else:
-            g[x] = below[x] + share * rise
-            step = g[x] - y
-            if y <= lower or y >= upper:
-                slope = q[x] * m - a[x] * c[x] + a[x] * y
-                gap += (slope - (p[x] / y if p[x] > 0.0 else 0.0)) * step
-            if p[x] > 0.0:
-                u = step / y
-                gap += p[x] * (0.5 * u * u if abs(u) < 1e-9 else u - np.log1p(u))
-            gap += 0.5 * a[x] * step * step
-        excess += q[x] * (g[x] - 1.0)
-    return m, gap - (m - 1.0) * excess
+            g[x] = below + share * (above - below) if above > below else above
+    return m, row_gap(m, p, q, a, c, lower, upper, low, high, g)
 
 
 finish_row = njit(cache=True, error_model="numpy")(finish_row)
 
 
-def solve_row(
-    p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any, below: Any, above: Any
-) -> Any:
-    """Solve one row into ``g``, enclosed by ``below`` and ``above``; returns m and the duality gap.
+def solve_row(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
+    """Solve one row into ``g``; returns m, the duality gap, and the bracket of m.
 
     Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); it shrinks by Newton steps
     from whichever end, or by halving where Newton leaves it, until its ends are neighbours. g is the convex combination
-    of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a).
+    of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a). left = right where g is known outright.
     """
     target, mass, pull = 0.0, 0.0, 0.0
     for x in range(low, high):
@@ -238,24 +202,11 @@ def solve_row(
     if known:
         for x in range(low, high):
             g[x] = 1.0 if q[x] > 0.0 else coordinate(-a[x] * c[x], a[x], p[x], lower, upper)
-            below[x], above[x] = g[x], g[x]
-        return m, row_gap(m, p, q, a, c, lower, upper, low, high, g)
-    start = 1.0
-    if pull == 0.0:
-        guess = active_set(p, q, lower, upper, low, high, target)
-        start = guess if guess > 0.0 else 1.0
-    total, slope = fill_row(start, p, q, a, c, lower, upper, low, high, g)
+        return m, row_gap(m, p, q, a, c, lower, upper, low, high, g), m, m
+    left, right, width = 1.0, 1.0, 1.0
+    total, slope = fill_row(1.0, p, q, a, c, lower, upper, low, high, g)
     if total == target:
-        for x in range(low, high):
-            below[x], above[x] = g[x], g[x]
-        return start, row_gap(start, p, q, a, c, lower, upper, low, high, g)
-    if start != 1.0:
-        left, right, near = close_bracket(start, total, target, p, q, a, c, lower, upper, low, high, below)
-        if near:
-            return finish_row(left, right, target, p, q, a, c, lower, upper, low, high, g, below, above)
-        total, slope = fill_row(1.0, p, q, a, c, lower, upper, low, high, g)
-    left, right = 1.0, 1.0
-    width = 1.0
+        return 1.0, row_gap(1.0, p, q, a, c, lower, upper, low, high, g), 1.0, 1.0
     if total > target:
         while total > target and width < 1e300:
             left = right
@@ -294,28 +245,37 @@ def solve_row(
         if slope > 0.0 and abs(total - target) <= 1e-10 * slope * abs(m):  # Newton's next step ends at rounding
             m += (total - target) / slope
             total, slope = fill_row(m, p, q, a, c, lower, upper, low, high, g)
-            near_left, near_right, near = close_bracket(m, total, target, p, q, a, c, lower, upper, low, high, below)
+            near_left, near_right, near = close_bracket(m, total, target, p, q, a, c, lower, upper, low, high, g)
             if near:
                 left, right = near_left, near_right
                 break
-    return finish_row(left, right, target, p, q, a, c, lower, upper, low, high, g, below, above)
+    m, gap = finish_row(left, right, target, p, q, a, c, lower, upper, low, high, g)
+    return m, gap, left, right
 
 
 solve_row = njit(cache=True, error_model="numpy")(solve_row)
 
 
-def solve_rows(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any) -> Any:
-    """Every row by itself: the ratios with their enclosure, m of each row, the gap of each row."""
-    n_rows = len(indptr) - 1
-    g, below, above = np.empty(len(p)), np.empty(len(p)), np.empty(len(p))
-    multiplier, gap = np.empty(n_rows), np.empty(n_rows)
-    for k in range(n_rows):
-        low, high = indptr[k], indptr[k + 1]
-        multiplier[k], gap[k] = solve_row(p, q, a, c, lower, upper, low, high, g, below, above)
-    return g, below, above, multiplier, gap
+def solve_rows(
+    p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any, todo: Any, g: Any, left: Any, right: Any,
+    m: Any, gap: Any,
+) -> Any:  # fmt: skip
+    """Every row of ``todo`` by itself: the ratios, the bracket of m, m and the gap of each."""
+    for k in todo:
+        m[k], gap[k], left[k], right[k] = solve_row(p, q, a, c, lower, upper, indptr[k], indptr[k + 1], g)
 
 
 solve_rows = njit(cache=True, error_model="numpy")(solve_rows)
+
+
+def minimisers(m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any, out: Any) -> Any:
+    """g(m) of each row with a number m; the others keep what ``out`` has."""
+    for k in range(len(m)):
+        if not np.isnan(m[k]):
+            fill_row(m[k], p, q, a, c, lower, upper, indptr[k], indptr[k + 1], out)
+
+
+minimisers = njit(cache=True, error_model="numpy")(minimisers)
 
 
 def solve_free(p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any) -> Any:

@@ -117,7 +117,7 @@ def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -
     """zeta, the largest gap of a row, and the enclosure where the solver gives one."""
     if solver == "dual":
         solution = dual.solve_rows(program, box.lower, box.upper, indptr)
-        return solution.ratio, float(solution.gap.max()), {"enclosure": (solution.below, solution.above)}
+        return solution.ratio, float(solution.gap.max()), {"enclosure": solution.enclosure()}
     found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
     zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     gaps = []

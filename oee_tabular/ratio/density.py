@@ -246,7 +246,7 @@ def _solve(
     if solver == "dual":
         if normalized:
             solution = dual.solve_rows(program, box.lower, box.upper, indptr)
-            return solution.ratio, float(solution.m[0]), float(solution.gap[0]), (solution.below, solution.above)
+            return solution.ratio, float(solution.m[0]), float(solution.gap[0]), solution.enclosure()
         g = dual.solve_free(program, box.lower, box.upper)
         return g, 1.0, 0.0, (g, g)
     found = programs.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)

@@ -11,22 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
-
-
-@dataclass(frozen=True)
-class RowSolution:
-    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
-
-    ``below`` <= the exact minimiser <= ``above``, entry by entry: the coordinates' minimisers at the two ends of the final
-    bracket of m (equal, up to rounding, but where a jump leaves the minimiser free; inf where nothing bounds it).
-    """
-
-    ratio: Array
-    below: Array
-    above: Array
-    m: Array
-    gap: Array
+from oee_tabular._checks import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -54,18 +39,69 @@ def lsif_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coo
     return Coordinates(np.zeros_like(p), q, bend, center)
 
 
+@dataclass(frozen=True, eq=False)
+class RowSolution:
+    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
+
+    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright.
+    """
+
+    ratio: Array
+    m: Array
+    gap: Array
+    left: Array
+    right: Array
+    plain: BoolArray
+    program: Coordinates
+    box: tuple[float, float]
+    indptr: IntArray
+
+    def enclosure(self) -> tuple[Array, Array]:
+        """(below, above) with below <= the exact minimiser <= above, entry by entry.
+
+        They are the coordinates' minimisers at the two ends of the bracket of m: equal, up to rounding, but where a jump
+        leaves the minimiser free (inf where nothing bounds it).
+        """
+        from oee_tabular.kernels import duals, plain
+
+        part, found = self.program, []
+        for ends in (self.right, self.left):
+            values = self.ratio.copy()
+            open_ends = np.where(self.left < self.right, ends, np.nan)
+            plain.plain_minimisers(
+                np.where(self.plain, open_ends, np.nan), part.p, part.q, *self.box, self.indptr, values
+            )
+            duals.minimisers(
+                np.where(self.plain, np.nan, open_ends),
+                part.p, part.q, part.curvature, part.center, *self.box, self.indptr, values,
+            )  # fmt: skip
+            found.append(values)
+        return found[0], found[1]
+
+
 def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray) -> RowSolution:
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
-    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few Newton
-    steps; it cannot fail, every step shrinks a bracket.
+    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
+    cannot fail. Rows without curvature go through the guessed sets of ``kernels.plain``; those that it leaves, and the
+    others, through the bracketed root of ``kernels.duals``.
     """
-    from oee_tabular.kernels import duals
+    from oee_tabular.kernels import duals, plain
 
-    ratio, below, above, m, gap = duals.solve_rows(
-        program.p, program.q, program.curvature, program.center, lower, upper, indptr.astype(np.int64)
-    )
-    return RowSolution(ratio, below, above, m, np.maximum(gap, 0.0))
+    rows = indptr.astype(np.int64)
+    p, q = program.p, program.q
+    n_rows = len(rows) - 1
+    ratio = np.empty(len(p))
+    left, right, m, gap = (np.empty(n_rows) for _ in range(4))
+    if lower == 1.0 or upper == 1.0 or program.curvature.any():
+        quick, todo = np.zeros(n_rows, dtype=bool), np.arange(n_rows)
+    else:
+        plain.solve_plain_rows(p, q, lower, upper, rows, ratio, left, right, m, gap)
+        quick = ~np.isnan(gap)
+        todo = np.flatnonzero(~quick)
+    if todo.size:
+        duals.solve_rows(p, q, program.curvature, program.center, lower, upper, rows, todo, ratio, left, right, m, gap)
+    return RowSolution(ratio, m, gap, left, right, quick, program, (lower, upper), rows)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:

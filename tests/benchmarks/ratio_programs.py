@@ -47,7 +47,7 @@ def random_problem(rng):
 
 
 def random(n=20_000):
-    """Solve n random problems; the scale of a problem is max(1, |objective|)."""
+    """Solve n random problems; the scale of a problem is max(1, |objective|, |multiplier|), the terms of its dual value."""
     rng = np.random.default_rng(0)
     worst, missed, solved, failed = 0.0, 0.0, 0, 0
     for _ in range(n):
@@ -61,7 +61,7 @@ def random(n=20_000):
             print(error)
             continue
         solved += 1
-        scale = max(1.0, abs(fit.objective))
+        scale = max(1.0, abs(fit.objective), abs(fit.normalizer))
         worst = max(worst, fit.gap / scale)
         if options["normalized"]:
             missed = max(missed, abs(q / q.sum() @ fit.ratio - 1.0))
