@@ -17,8 +17,8 @@ from oee_tabular.exact import ReweightedModel, evaluate_policy, occupancy, rewei
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
-from oee_tabular.ratio.transition import METHODS
 
+NAMED = ("conditional", "ratio_of_ratios", "joint")  # the methods that need nothing but the problem
 RatioOption = str | TransitionRatio | Callable[..., TransitionRatio]
 
 
@@ -28,7 +28,7 @@ class OffEnvironment:
 
     Parameters
     ----------
-    ratio : "conditional" | "ratio_of_ratios", a TransitionRatio, or a function (log, simulator) -> TransitionRatio
+    ratio : "conditional" | "ratio_of_ratios" | "joint", a TransitionRatio, or a function (log, simulator) -> TransitionRatio
         (``functools.partial(oee.transition_ratio, strength=3.0)``)
     evaluation : "exact" (dynamic programming in zeta * P: no product of ratios, no variance) or "monte_carlo" (the
         paper's product of ratios on rollouts of the simulator)
@@ -53,7 +53,7 @@ class OffEnvironment:
 
     def __post_init__(self) -> None:
         if isinstance(self.ratio, str):
-            _checks.one_of(self.ratio, "ratio", METHODS)
+            _checks.one_of(self.ratio, "ratio", NAMED)
         elif not isinstance(self.ratio, TransitionRatio) and not callable(self.ratio):
             raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {self.ratio!r}")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))

@@ -2,6 +2,7 @@
 
 from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.features import gaussian
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.samples import SampleRatio, density_ratio_samples
 from oee_tabular.ratio.support import refuse_unsupported
@@ -17,6 +18,7 @@ __all__ = [
     "check_assumptions",
     "density_ratio",
     "density_ratio_samples",
+    "gaussian",
     "refuse_unsupported",
     "transition_ratio",
     "true_ratio",

@@ -16,7 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, programs
-from oee_tabular.ratio.density import Box, check_ridge
+from oee_tabular.ratio.box import Box, check_ridge
 from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
 from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -42,7 +42,7 @@ def fit_conditional(
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
     n_row = segment_sums(observed, indptr)
-    tilt = fit_tilt(observed, simulator, features) if prior == "tilt" else None
+    tilt = fit_tilt(observed, simulator, features, solver=solver) if prior == "tilt" else None
     base = q if tilt is None else q * tilt.ratio
     kappa, details = _strength(observed, base, q, indptr, prior, strength)
     if tilt is not None:

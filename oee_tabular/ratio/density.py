@@ -8,7 +8,7 @@ to direct importance estimation, JMLR 10, 2009.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,10 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio.box import Box, check_box, check_ridge
+from oee_tabular.ratio.features import Kernel
+from oee_tabular.ratio.interior import objective
+from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
 from oee_tabular.ratio.sgd import SgdOptions, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
@@ -37,7 +41,9 @@ class RatioFit:
     n_undetermined : entries with p = q = 0, which the data says nothing about
     p_total, q_total : sums of the p and q handed over, before they were scaled to 1
     trace : for "sgd", its way to the optimum (``SgdTrace``); None otherwise
-    status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1)
+    weights : w of a linear or kernel class, g = Phi w; None for tables
+    details : for a class: the features' rank, or the kernel's centres and the part of its Gram matrix that they leave
+    status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1, features of many scales)
     """
 
     ratio: Array
@@ -52,36 +58,8 @@ class RatioFit:
     q_total: float
     status: str
     trace: SgdTrace | None = None
-
-
-@dataclass(frozen=True)
-class Box:
-    """Checked bounds nu <= g <= mu, infinite where not given."""
-
-    lower: float
-    upper: float
-
-
-def check_box(lower: float | None, upper: float | None, *, normalized: bool) -> Box:
-    """The bounds as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
-    low = 0.0 if lower is None else _checks.number_in(lower, "lower", 0.0, np.inf)
-    high = np.inf if upper is None else _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
-    if low > high:
-        raise ValueError(f"lower must not exceed upper; they are {low:g} and {high:g}")
-    if high == 0.0:
-        raise ValueError("upper must be positive: the logarithm of the ratio is part of the objective; it is 0")
-    if normalized and not low <= 1.0 <= high:
-        raise ValueError(
-            f"the box [lower, upper] must contain 1 for sum q g = 1 to be possible; it is [{low:g}, {high:g}]"
-        )
-    return Box(low, high)
-
-
-def check_ridge(ridge: float | Callable[[float], float], n: float) -> float:
-    """The ridge as a finite nonnegative number: given, or a function of the sample size."""
-    value = ridge(n) if callable(ridge) else ridge
-    name = f"ridge({n:g})" if callable(ridge) else "ridge"
-    return _checks.number_in(value, name, 0.0, np.inf)
+    weights: Array | None = None
+    details: dict[str, Any] = field(default_factory=dict)
 
 
 def density_ratio(
@@ -95,6 +73,10 @@ def density_ratio(
     normalized: bool = True,
     loss: str = "kl",
     solver: str = "dual",
+    features: Any = None,
+    kernel: str | Kernel | None = None,
+    coordinates: Any = None,
+    n_centers: int = N_CENTERS,
     step_size: float = 0.1,
     batch_size: int = 64,
     n_iterations: int = 10_000,
@@ -118,6 +100,11 @@ def density_ratio(
     loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
     solver : "dual" (structured, exact), a cvxpy solver ("CLARABEL", "SCS"), or "sgd": the paper's Algorithm 1, for what
         training adds to the error (normalized=False, a box with 0 < lower and finite upper)
+    features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the class g = Phi w, for which the ridge is
+        ridge/2 * |w|^2; within lower <= g <= upper
+    kernel, coordinates, n_centers : "gaussian" (in standard deviations of the coordinates) or a function of (m, c) and (k, c)
+        points giving an (m, k) array: the kernel's expansions over the entries, at ``coordinates`` (n,) or (n, c); the ridge
+        is that of the squared RKHS norm. Beyond ``n_centers`` the kernel is replaced by its pivoted Cholesky approximation
     step_size, batch_size, n_iterations, seed : of "sgd"
 
     Returns
@@ -131,13 +118,14 @@ def density_ratio(
     ValueError
         q = 0 < p with neither an upper bound nor a ridge towards 0 (the program is unbounded; names the entries);
         lower > upper; a box that excludes the normalisation; negative weights; all-zero p or q; a solver that is not
-        installed.
+        installed; features of another length, or that span no function in the box.
     RuntimeError
         The cvxpy solver stopped short of "optimal".
 
     Notes
     -----
-    Cost: O(n) times a few Newton steps with "dual".
+    Cost: O(n) times a few Newton steps with "dual"; with features about fifteen steps of O(n d^2). Collinear features are
+    solved, with a warning and their rank.
 
     >>> fit = density_ratio([3, 1], [2, 2])
     >>> fit.ratio.tolist(), fit.gap
@@ -154,6 +142,21 @@ def density_ratio(
         if not 0.0 < total < np.inf:
             raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
     strength = check_ridge(ridge, totals[0])
+    if features is not None or kernel is not None:
+        if toward is not None or loss != "kl":
+            raise ValueError(
+                "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
+            )
+        sgd = SgdOptions(step_size, batch_size, n_iterations, seed) if solver == "sgd" else None
+        if sgd is not None:
+            _check_sgd(box, normalized, loss)
+        matrix, details = class_features(
+            features, kernel, coordinates, _checks.positive_integer(n_centers, "n_centers"), len(weights[0])
+        )
+        pk, qk = (w / total for w, total in zip(weights, totals, strict=True))
+        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver, sgd)
+    if coordinates is not None:
+        raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known = (weights[0] > 0) | (weights[1] > 0)
     pk, qk = (weights[i][known] / totals[i] for i in (0, 1))
@@ -195,6 +198,32 @@ def density_ratio(
         q_total=totals[1],
         status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
         trace=trace,
+    )
+
+
+def _class_fit(
+    p: Array, q: Array, totals: list[float], matrix: Array, details: dict[str, Any], box: Box, ridge: float,
+    normalized: bool, solver: str, sgd: SgdOptions | None,
+) -> RatioFit:  # fmt: skip
+    """``density_ratio`` over g = Phi w."""
+    program, found, trace = fit_cells(p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd)
+    g, seen = found.ratio, p > 0
+    value = objective(program, found.weights, g)
+    return RatioFit(
+        ratio=_checks.freeze(g),
+        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)),
+        objective=value,
+        dual_bound=value - found.gap,
+        gap=found.gap,
+        normalizer=found.eta,
+        divergence=_divergence(g[seen], p[seen], float(q @ g), "kl"),
+        n_undetermined=0,
+        p_total=totals[0],
+        q_total=totals[1],
+        status="optimal" if found.gap <= ACCURATE else f"inaccurate: the gap is {found.gap:.1e}",
+        trace=trace,
+        weights=found.weights,
+        details=details,
     )
 
 

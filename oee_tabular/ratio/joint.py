@@ -2,6 +2,7 @@
 
     minimise  [sum q B - sum p log B + ridge/2 I(B)^2] + [sum r b - sum s log b + ridge/2 I(b)^2]
     subject to  lower <= B, b <= upper,   sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
+                nu b <= B <= mu b  where the ratio has a box (nu, mu) of its own,
 
 p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's. Since
 d(s, a, s') = d(s, a) P, the constraint says sum_s' P B / b = 1. It decouples into one root for each (s, a). The data of the
@@ -20,7 +21,7 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import programs
-from oee_tabular.ratio.density import check_box, check_ridge
+from oee_tabular.ratio.box import check_box, check_ridge
 from oee_tabular.ratio.program_types import JointProgram
 from oee_tabular.ratio.quotient import SimulatorData, estimated_behavior, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio, make_result
@@ -39,8 +40,9 @@ class JointSolution:
 
 
 def joint_program(
-    observed: Array, share: Array, probability: Array, indptr: IntArray, *, lower: float, upper: float, ridge: float
-) -> JointProgram:
+    observed: Array, share: Array, probability: Array, indptr: IntArray, *, lower: float, upper: float, ridge: float,
+    least: float = 0.0, most: float = np.inf,
+) -> JointProgram:  # fmt: skip
     """From counts on the simulator's entries, d(s, a) ``share`` (rows,) and P; the paper's ridge, towards 0."""
     p = observed / observed.sum()
     q = spread(share, indptr) * probability
@@ -54,18 +56,26 @@ def joint_program(
         lower=lower,
         upper=upper,
         indptr=indptr,
+        least=least,
+        most=most,
     )
 
 
 def solve_joint(program: JointProgram) -> JointSolution:
     """The structured solver; every (s, a) by a bracketed root. Cost O(entries) times about sixty bisections."""
-    from oee_tabular.kernels import joint
+    from oee_tabular.kernels import joint, ratio_box
 
     big = segment_sums(program.q, program.indptr)  # D = sum_s' d, the simulator's d(s, a) up to rounding
-    moves, pairs, theta, gap = joint.solve_all(
-        program.p, program.q, program.bend, program.q, program.s, program.r, program.stiffness, big,
-        program.lower, program.upper, program.indptr,
-    )  # fmt: skip
+    if program.least > 0.0 or program.most < np.inf:
+        box = (program.lower, program.upper, program.least, program.most)
+        moves, pairs, theta, _, _, gap = ratio_box.solve_all_boxed(
+            program.p, program.q, program.bend, program.s, program.r, program.stiffness, big, box, program.indptr
+        )
+    else:
+        moves, pairs, theta, gap = joint.solve_all(
+            program.p, program.q, program.bend, program.q, program.s, program.r, program.stiffness, big,
+            program.lower, program.upper, program.indptr,
+        )  # fmt: skip
     return JointSolution(moves, pairs, theta, np.maximum(gap, 0.0), joint_objective(program, moves, pairs))
 
 
@@ -89,12 +99,17 @@ def fit_joint(
     upper: float,
     ridge: float | Callable[[float], float],
     solver: str,
+    ratio_lower: float | None = None,
+    ratio_upper: float | None = None,
+    discount: float | None = None,
 ) -> TransitionRatio:
     """zeta = beta_sas' / beta_sa from the joint program; 1 where the simulator's data have no (s, a)."""
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     box = check_box(lower, upper, normalized=True)
     chosen = estimated_behavior(observed, simulator) if behavior is None else behavior
-    share = segment_sums(simulator_weights(observed, log, simulator, simulator_data, chosen, seed), indptr)
+    weights = simulator_weights(observed, log, simulator, simulator_data, chosen, seed, discount)
+    share = segment_sums(weights, indptr)
+    ratio_box = check_box(ratio_lower, ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
     strength = check_ridge(ridge, float(observed.sum()))
     program = joint_program(
         observed,
@@ -104,6 +119,8 @@ def fit_joint(
         lower=box.lower,
         upper=box.upper,
         ridge=strength,
+        least=ratio_box.lower,
+        most=ratio_box.upper,
     )
     lost = (program.s > 0) & (share == 0)
     if lost.any() and not np.isfinite(box.upper) and strength == 0:
@@ -115,13 +132,18 @@ def fit_joint(
         solution = solve_joint(program)
         moves, pairs, gap = solution.moves, solution.pairs, float(solution.gap.sum())
     else:
-        moves, pairs, theta = programs.solve_joint(program, solver=solver)
-        gap = abs(joint_objective(program, moves, pairs) - joint_dual_value(program, theta))
+        point = programs.solve_joint(program, solver=solver)
+        moves, pairs = point.moves, point.pairs
+        # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a lower bound
+        bound = max(joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1.0, -1.0))
+        gap = abs(joint_objective(program, moves, pairs) - bound)
     known = spread((share > 0) & (pairs > 0), indptr)
     zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
     details = {
         "lower": box.lower,
         "upper": box.upper,
+        "ratio_lower": ratio_box.lower,
+        "ratio_upper": ratio_box.upper,
         "moves": moves,
         "pairs": pairs,
         "pairs_without_simulator_data": int(lost.sum()),
@@ -129,18 +151,25 @@ def fit_joint(
     return make_result(simulator, zeta, "joint", gap, observed, details)
 
 
-def joint_dual_value(program: JointProgram, theta: Array) -> float:
-    """The dual function at multipliers ``theta`` (rows,): a lower bound on the program, whatever they are."""
-    from oee_tabular.kernels import joint
+def joint_dual_value(
+    program: JointProgram, theta: Array, push: Array | None = None, press: Array | None = None
+) -> float:
+    """The dual function at multipliers ``theta`` (rows,), ``push``, ``press`` >= 0 of nu b <= B <= mu b (entries,).
 
-    big = segment_sums(program.q, program.indptr)
-    moves, pairs = np.empty(len(program.p)), np.empty(len(big))
-    entries = (program.p, program.q, program.bend, program.q)
-    for k in range(len(big)):
-        pair = (program.s[k], program.r[k], program.stiffness[k], big[k])
-        low, high = program.indptr[k], program.indptr[k + 1]
-        pairs[k], _ = joint.fill(theta[k], entries, pair, low, high, program.lower, program.upper, moves)
+    A lower bound on the program, whatever they are.
+    """
+    from oee_tabular.kernels import duals
+
+    free, indptr = np.zeros(len(program.p)), program.indptr
+    push, press = (free if value is None else value for value in (push, press))
+    big = segment_sums(program.q, indptr)
+    slope = program.q * (1.0 + spread(theta, indptr)) - push + press
+    lifted = np.zeros(len(big)) if not press.any() else program.most * segment_sums(press, indptr)
+    steep = program.r - theta * big + program.least * segment_sums(push, indptr) - lifted
+    bounds = (program.lower, program.upper)
+    moves = duals.solve_free(program.p, slope, program.bend, free, *bounds)
+    pairs = duals.solve_free(program.s, steep, program.stiffness, np.zeros(len(big)), *bounds)
     if not (np.all(np.isfinite(moves)) and np.all(np.isfinite(pairs))):
         return -np.inf
-    broken = segment_sums(program.q * moves, program.indptr) - big * pairs
-    return joint_objective(program, moves, pairs) + float(theta @ broken)
+    value = joint_objective(program, moves, pairs)
+    return value + float((slope - program.q) @ moves) + float((steep - program.r) @ pairs)

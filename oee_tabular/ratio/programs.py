@@ -15,7 +15,7 @@ from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.dual import Coordinates
-from oee_tabular.ratio.program_types import JointProgram
+from oee_tabular.ratio.program_types import JointProgram, LinearProgram, TiltProgram
 
 # Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4
 TOLERANCES = (1e-12, 1e-10, 1e-8)
@@ -98,19 +98,26 @@ def solve_rows(
     """
     check_solver(solver)
     statement = state_rows(program, lower, upper, indptr)
-    status = _run(statement.problem, solver)
-    if status != "optimal":
-        raise SolverStatusError(
-            f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
-        )
+    status = _solve(statement.problem, solver)
     multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
     if statement.equality is not None:
         multiplier[statement.rows] = np.ravel(statement.equality.dual_value)
     return ProgramSolution(np.asarray(statement.variable.value, dtype=np.float64), multiplier, status)
 
 
-def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> tuple[Array, Array, Array]:
-    """beta_sas', beta_sa and the multiplier of each (s, a)'s consistency; the statement of ``ratio.joint``."""
+@dataclass(frozen=True, eq=False)
+class JointPoint:
+    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the two bounds on their ratio."""
+
+    moves: Array
+    pairs: Array
+    theta: Array
+    push: Array
+    press: Array
+
+
+def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:
+    """The statement of ``ratio.joint``, solved by ``solver``."""
     import cvxpy as cp
 
     check_solver(solver)
@@ -132,15 +139,92 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> tuple[Arr
     )
     consistency = rows @ moves == cp.multiply(np.asarray(rows.sum(axis=1)).reshape(-1), pairs)
     constraints.append(consistency)
+    at_entry = pairs[np.repeat(np.arange(len(program.s)), np.diff(program.indptr))]
+    below = moves >= program.least * at_entry if program.least > 0 else None
+    above = moves <= program.most * at_entry if program.most < np.inf else None
+    constraints += [bound for bound in (below, above) if bound is not None]
     problem = cp.Problem(cp.Minimize(cost), constraints)
+    _solve(problem, solver)
+    smallest = max(program.lower, np.finfo(float).tiny)
+    found = [np.clip(variable.value, smallest, program.upper) for variable in (moves, pairs)]
+    push, press = (
+        np.zeros(len(program.q)) if bound is None else np.maximum(np.ravel(bound.dual_value), 0.0)
+        for bound in (below, above)
+    )
+    return JointPoint(found[0], found[1], np.ravel(consistency.dual_value), push, press)
+
+
+def state_linear(program: LinearProgram) -> tuple[Any, Any, Any, Any]:
+    """The linear class: (problem, w, the constraint g = offset + Phi w, the constraint sum q g = 1 or None)."""
+    import cvxpy as cp
+
+    n, d = program.features.shape
+    g, weights = cp.Variable(n), cp.Variable(d)
+    tie = g == program.offset + program.features @ weights
+    constraints = [tie, g >= program.lower]
+    if program.upper < np.inf:
+        constraints.append(g <= program.upper)
+    seen = np.flatnonzero(program.p > 0)
+    cost = program.b @ g - program.p[seen] @ cp.log(g[seen])
+    if program.penalty > 0:
+        height = cp.Variable()
+        constraints.append(cp.sum_squares(weights) <= height)
+        cost = cost + 0.5 * program.penalty * height
+    one = None
+    if program.normalized:
+        one = program.q @ g == 1
+        constraints.append(one)
+    return cp.Problem(cp.Minimize(cost), constraints), weights, tie, one
+
+
+def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[Array, Array, float]:
+    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1."""
+    check_solver(solver)
+    problem, weights, tie, one = state_linear(program)
+    _solve(problem, solver)
+    eta = 0.0 if one is None else float(np.ravel(one.dual_value)[0])
+    return np.asarray(weights.value, dtype=np.float64), np.ravel(tie.dual_value), eta
+
+
+def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
+    """The tilt of ``ratio.tilt``: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + |theta|^2 / 2.
+
+    Rows of one length share one log-sum-exp atom.
+    """
+    import cvxpy as cp
+
+    theta = cp.Variable(program.features.shape[1])
+    lengths = np.diff(program.indptr)
+    totals = np.add.reduceat(program.counts, program.indptr[:-1])
+    height = cp.Variable()
+    cost = 0.5 * height - (program.counts @ program.features) @ theta
+    for length in np.unique(lengths):
+        rows = np.flatnonzero((lengths == length) & (totals > 0))
+        if rows.size == 0:
+            continue
+        entries = (program.indptr[rows][:, None] + np.arange(length)).reshape(-1)
+        exponents = program.features[entries] @ theta + program.log_weights[entries]
+        table = cp.reshape(exponents, (rows.size, int(length)), order="C")
+        cost = cost + totals[rows] @ cp.log_sum_exp(table, axis=1)
+    return cp.Problem(cp.Minimize(cost), [cp.sum_squares(theta) <= height]), theta
+
+
+def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
+    """theta of the statement above."""
+    check_solver(solver)
+    problem, theta = state_tilt(program)
+    _solve(problem, solver)
+    return np.asarray(theta.value, dtype=np.float64)
+
+
+def _solve(problem: Any, solver: str) -> str:
+    """Solve to the status "optimal", or SolverStatusError."""
     status = _run(problem, solver)
     if status != "optimal":
         raise SolverStatusError(
             f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
         )
-    smallest = max(program.lower, np.finfo(float).tiny)
-    found = [np.clip(variable.value, smallest, program.upper) for variable in (moves, pairs)]
-    return found[0], found[1], np.ravel(consistency.dual_value)
+    return status
 
 
 def _run(problem: Any, solver: str) -> str:

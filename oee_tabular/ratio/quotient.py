@@ -52,6 +52,7 @@ def fit_quotient(
     ridge: float | Callable[[Any], Any],
     toward: float | None,
     solver: str,
+    discount: float | None = None,
 ) -> Quotient:
     """beta_sas' / beta_sa, each from ``density_ratio`` with sum beta q = 1.
 
@@ -60,7 +61,7 @@ def fit_quotient(
     behavior = estimated_behavior(observed, simulator)
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    expected = simulator_weights(observed, log, simulator, simulator_data, behavior, seed)
+    expected = simulator_weights(observed, log, simulator, simulator_data, behavior, seed, discount)
     pattern = simulator.transitions
     options: dict[str, Any] = {"lower": lower, "upper": upper, "ridge": ridge, "toward": toward, "solver": solver}
     moves = density_ratio(observed, expected, **options)
@@ -93,20 +94,22 @@ def simulator_weights(
     simulator_data: SimulatorData,
     behavior: Array,
     seed: Any,
+    discount: float | None = None,
 ) -> Array:
-    """Counts or probabilities of the simulator's moves, on its entries."""
+    """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given."""
     check_simulator_data(simulator_data)
     steps = _LONGEST_EPISODE
     if log is not None and log.timestep is not None:
         steps = int(log.timestep.max()) + 1
     if isinstance(simulator_data, Transitions):
-        return aligned_counts(simulator_data.counts(simulator.n_states, simulator.n_actions), simulator)
+        counts = simulator_data.counts(simulator.n_states, simulator.n_actions, discount=discount)
+        return aligned_counts(counts, simulator)
     if simulator_data is not None:
-        undiscounted = simulator.with_discount(1.0)
-        share = occupancy(undiscounted, behavior, horizon=steps, of="transition")
+        weighted = simulator.with_discount(1.0 if discount is None else discount)
+        share = occupancy(weighted, behavior, horizon=steps, of="transition")
         over = simulator.absorbing()[row_of_entry(simulator.transitions) // simulator.n_actions]
         return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
-    n = max(round(float(observed.sum())), 1)
+    n = max(round(float(observed.sum())), 1) if log is None else len(log)
     generator = _checks.generator(seed)
     episodes = max(1, -(-n // steps))
     while True:  # episodes end early, so more of them may be needed; each try is a fresh sample
@@ -115,4 +118,4 @@ def simulator_weights(
             break
         episodes = int(np.ceil(1.2 * episodes * n / len(sample))) + 1
     drawn = sample.draw(n, seed=generator)
-    return aligned_counts(drawn.counts(simulator.n_states, simulator.n_actions), simulator)
+    return aligned_counts(drawn.counts(simulator.n_states, simulator.n_actions, discount=discount), simulator)

@@ -21,8 +21,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-
-Kernel = Callable[[Array, Array], Array]
+from oee_tabular.ratio.features import Kernel, gaussian, gram
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,16 +148,6 @@ def _log_linear(p: Array, q: Array, features: Callable[[Array], Any]) -> SampleR
     return SampleRatio(ratio(p), ratio(q), gap, "log-linear", ratio, {"theta": theta / scale})
 
 
-def gaussian(bandwidth: float) -> Kernel:
-    """exp(-|x - c|^2 / (2 bandwidth^2))."""
-
-    def kernel(x: Array, c: Array) -> Array:
-        distance = (x**2).sum(axis=1)[:, None] - 2.0 * x @ c.T + (c**2).sum(axis=1)
-        return np.asarray(np.exp(-np.maximum(distance, 0.0) / (2.0 * bandwidth**2)))
-
-    return kernel
-
-
 def _kernel(p: Array, q: Array, kernel: str | Kernel, n_centers: int, seed: Any) -> SampleRatio:
     chosen = _checks.generator(seed).permutation(len(p))[: min(n_centers, len(p))]
     centers = p[np.sort(chosen)]
@@ -172,7 +161,7 @@ def _kernel(p: Array, q: Array, kernel: str | Kernel, n_centers: int, seed: Any)
     ridges = np.logspace(-2, 1, 10)
     best, scores = (np.inf, 0.0, 0.0, np.zeros(0)), {}
     for bandwidth, function in kernels.items():
-        at_p, at_q = (_gram(function, x, centers) for x in (p, q))
+        at_p, at_q = (gram(function, x, centers) for x in (p, q))
         for ridge, score in zip(ridges, _leave_one_out(at_p, at_q, ridges), strict=True):
             scores[bandwidth, float(ridge)] = score
             if score < best[0]:
@@ -180,22 +169,14 @@ def _kernel(p: Array, q: Array, kernel: str | Kernel, n_centers: int, seed: Any)
                 best = (score, bandwidth, float(ridge), np.linalg.solve(matrix, at_p.mean(axis=0)))
     _, bandwidth, ridge, weights = best
     function = kernels[bandwidth]
-    at_p, at_q = (_gram(function, x, centers) for x in (p, q))
+    at_p, at_q = (gram(function, x, centers) for x in (p, q))
     slope = at_q.T @ (at_q @ weights) / len(q) - at_p.mean(axis=0) + ridge * weights
 
     def ratio(x: Array) -> Array:
-        return np.maximum(_gram(function, x, centers) @ weights, 0.0)
+        return np.maximum(gram(function, x, centers) @ weights, 0.0)
 
     details = {"bandwidth": bandwidth, "ridge": ridge, "centers": centers, "weights": weights, "scores": scores}
     return SampleRatio(ratio(p), ratio(q), float(slope @ slope) / (2.0 * ridge), "kernel", ratio, details)
-
-
-def _gram(kernel: Kernel, x: Array, centers: Array) -> Array:
-    array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
-    if array.shape != (len(x), len(centers)):
-        raise ValueError(f"kernel must give an array of shape {(len(x), len(centers))}; it gives {array.shape}")
-    _checks.require_finite(array, "kernel")
-    return array
 
 
 def _leave_one_out(at_p: Array, at_q: Array, ridges: Array) -> Array:

@@ -4,7 +4,8 @@ At each iteration N points are drawn from p and N from q, and
 
     g <- clip(g - step (count_q / N - count_p / (N g) + ridge term), lower, upper),
 
-one parameter an entry. Its trace is measured against the exact optimum of the same program.
+one parameter an entry; for a linear class g = Phi w the step is Phi^T of the same, and w is projected onto
+{lower <= Phi w <= upper}. Its trace is measured against the exact optimum of the same program.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.ratio import dual
+from oee_tabular.ratio import dual, interior
+from oee_tabular.ratio.program_types import LinearProgram
 
 
 @dataclass(frozen=True)
@@ -48,21 +50,72 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: SgdO
 
     ``program`` is that of ``dual.kl_coordinates``; 0 < lower, upper finite.
     """
-    generator = _checks.generator(options.seed)
     best = dual.solve_free(program, lower, upper)
     optimum = dual.objective(best, program)
-    sums = [np.cumsum(weights) for weights in (program.p, program.q)]
-    n, size = len(program.p), options.batch_size
-    g = np.full(n, min(max(1.0, lower), upper))
-    points = np.unique(np.round(np.geomspace(1, options.n_iterations, 50)).astype(np.int64))
-    excess: list[float] = []
-    error: list[float] = []
+    draws = _Draws(program.p, program.q, options)
+    g = np.full(len(program.p), min(max(1.0, lower), upper))
+    trace = _Trace(options.n_iterations)
     for iteration in range(1, options.n_iterations + 1):
-        drawn = [np.searchsorted(s, generator.random(size) * s[-1], side="right") for s in sums]
-        from_p, from_q = (np.bincount(np.minimum(d, n - 1), minlength=n) / size for d in drawn)
+        from_p, from_q = draws.next()
         slope = from_q - from_p / g + program.curvature * (g - program.center)
         g = np.clip(g - options.step_size * slope, lower, upper)
-        if iteration == points[len(excess)]:
-            excess.append(dual.objective(g, program) - optimum)
-            error.append(float(np.abs(g - best).mean()))
-    return g, SgdTrace(points, np.array(excess), np.array(error))
+        if trace.due(iteration):
+            trace.add(dual.objective(g, program) - optimum, np.abs(g - best).mean())
+    return g, trace.finished()
+
+
+def descend_linear(
+    program: LinearProgram, best: interior.LinearSolution, options: SgdOptions
+) -> tuple[Array, SgdTrace]:
+    """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
+    from oee_tabular.kernels.projection import project
+
+    phi = np.ascontiguousarray(program.features)
+    lengths = (phi**2).sum(axis=1)
+    optimum = interior.objective(program, best.weights, best.ratio)
+    draws = _Draws(program.p, program.q, options)
+    w: Array = np.array(np.linalg.lstsq(phi, np.ones(len(phi)))[0], dtype=np.float64)
+    project(w, phi, lengths, program.lower, program.upper)
+    trace = _Trace(options.n_iterations)
+    for iteration in range(1, options.n_iterations + 1):
+        from_p, from_q = draws.next()
+        g = np.clip(phi @ w, program.lower, program.upper)
+        w -= options.step_size * (phi.T @ (from_q - from_p / g) + program.penalty * w)
+        project(w, phi, lengths, program.lower, program.upper)
+        if trace.due(iteration):
+            g = np.clip(phi @ w, program.lower, program.upper)
+            trace.add(interior.objective(program, w, g) - optimum, np.abs(g - best.ratio).mean())
+    return w, trace.finished()
+
+
+class _Draws:
+    """Shares of the entries in batches drawn from p and from q."""
+
+    def __init__(self, p: Array, q: Array, options: SgdOptions) -> None:
+        self._generator = _checks.generator(options.seed)
+        self._sums = [np.cumsum(weights) for weights in (p, q)]
+        self._size, self._n = options.batch_size, len(p)
+
+    def next(self) -> tuple[Array, Array]:
+        drawn = [np.searchsorted(s, self._generator.random(self._size) * s[-1], side="right") for s in self._sums]
+        shares = [np.bincount(np.minimum(d, self._n - 1), minlength=self._n) / self._size for d in drawn]
+        return shares[0], shares[1]
+
+
+class _Trace:
+    """About fifty points, evenly spaced in the logarithm of the iteration."""
+
+    def __init__(self, n_iterations: int) -> None:
+        self._points = np.unique(np.round(np.geomspace(1, n_iterations, 50)).astype(np.int64))
+        self._excess: list[float] = []
+        self._error: list[float] = []
+
+    def due(self, iteration: int) -> bool:
+        return bool(iteration == self._points[len(self._excess)])
+
+    def add(self, excess: float, error: float) -> None:
+        self._excess.append(float(excess))
+        self._error.append(float(error))
+
+    def finished(self) -> SgdTrace:
+        return SgdTrace(self._points, np.array(self._excess), np.array(self._error))

@@ -27,6 +27,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import programs
+from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 
 
@@ -104,8 +106,8 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
     return np.asarray(kind[:, None] == kept, dtype=np.float64)
 
 
-def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Tilt:
-    """Fit theta to counts on the simulator's entries.
+def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, solver: str = "dual") -> Tilt:
+    """Fit theta to counts on the simulator's entries, by Newton's method ("dual") or by a cvxpy solver.
 
     Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
     Cost: O(entries d^2) a step, about ten steps.
@@ -132,35 +134,41 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None) -> Til
     def risk(theta: Array, log_normalizer: Array) -> float:
         return float(n_row @ log_normalizer - observed @ (phi @ theta) + 0.5 * theta @ theta)
 
-    theta = np.zeros(phi.shape[1])
-    model, log_normalizer = tilted(theta)
-    value = risk(theta, log_normalizer)
-    for _ in range(100):
+    def slopes(theta: Array, model: Array) -> tuple[Array, Array, Array]:
         mean = segment_sums(model[:, None] * phi, indptr)
         scores = phi - spread(mean, indptr)
-        gradient = n_row @ mean - observed @ phi + theta
         mass = model * spread(n_row, indptr)
         information = (scores * mass[:, None]).T @ scores + np.eye(len(theta))
-        step = -_solve_positive(information, gradient)
-        decrement = float(-gradient @ step)
-        if decrement <= 1e-22 * max(1.0, abs(value)):
-            break
-        size = max(1.0, abs(value))
-        blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
-        length = 1.0
-        while length > 1e-12:
-            trial = theta + length * step
-            trial_model, trial_normalizer = tilted(trial)
-            trial_value = risk(trial, trial_normalizer)
-            if trial_value <= value - 1e-4 * length * decrement + blur:
+        return scores, n_row @ mean - observed @ phi + theta, information
+
+    if solver == "dual":
+        theta = np.zeros(phi.shape[1])
+        model, log_normalizer = tilted(theta)
+        value = risk(theta, log_normalizer)
+        for _ in range(100):
+            _, gradient, information = slopes(theta, model)
+            step = -_solve_positive(information, gradient)
+            decrement = float(-gradient @ step)
+            if decrement <= 1e-22 * max(1.0, abs(value)):
                 break
-            length *= 0.5
-        else:
-            break
-        theta, model, value = trial, trial_model, trial_value
-    mean = segment_sums(model[:, None] * phi, indptr)
-    scores = phi - spread(mean, indptr)
-    gradient = n_row @ mean - observed @ phi + theta
+            size = max(1.0, abs(value))
+            blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
+            length = 1.0
+            while length > 1e-12:
+                trial = theta + length * step
+                trial_model, trial_normalizer = tilted(trial)
+                trial_value = risk(trial, trial_normalizer)
+                if trial_value <= value - 1e-4 * length * decrement + blur:
+                    break
+                length *= 0.5
+            else:
+                break
+            theta, model, value = trial, trial_model, trial_value
+    else:
+        program = TiltProgram(observed, np.log(weights), phi, indptr)
+        theta = programs.solve_tilt(program, solver=solver)
+        model, _ = tilted(theta)
+    scores, gradient, information = slopes(theta, model)
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
     ratio = model / weights
     return Tilt(ratio, theta / scale, gap, rank, scores, information)

@@ -1,11 +1,13 @@
 """The ratio of transition probabilities zeta = P_target / P_simulator: the paper's Section IV.B.
 
-Three ways from counts to zeta:
+Five ways from counts to zeta:
 
 "conditional" (the default)
     The simulator P is known. For each (s, a): minimise sum_s' P z - p log z (+ ridge) over the box, subject to
     sum_s' P z = 1, with p the row's frequencies shrunk to a prior row (``conditional``). At strength 0 the
     maximum-likelihood model.
+"linear", "kernel"
+    The same risk over zeta = 1 + Phi w, features centred in each row: all rows share w (``linear``).
 "ratio_of_ratios" (the paper's)
     beta_sas' and beta_sa are fitted apart, target counts against data of the simulator, and zeta is their quotient
     (``quotient``). Nothing makes the rows of zeta * P sum to 1.
@@ -20,17 +22,28 @@ from typing import Any
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
-from oee_tabular.ratio.density import check_box
+from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.joint import fit_joint
+from oee_tabular.ratio.linear import N_CENTERS, fit_linear
 from oee_tabular.ratio.quotient import SimulatorData, fit_quotient
 from oee_tabular.ratio.result import TransitionRatio, make_result
 from oee_tabular.ratio.support import aligned_counts, refuse_unsupported
 
-METHODS = ("conditional", "ratio_of_ratios", "joint")
+# the options that a method has for itself
+_OWN = {
+    "conditional": {"prior", "strength", "features"},
+    "linear": {"features"},
+    "kernel": {"kernel", "coordinates", "bandwidth", "n_centers"},
+    "ratio_of_ratios": {"simulator_data", "behavior_policy"},
+    "joint": {"simulator_data", "behavior_policy", "ratio_lower", "ratio_upper"},
+}
+METHODS = tuple(_OWN)
 
 
 def transition_ratio(
@@ -42,10 +55,17 @@ def transition_ratio(
     prior: str | None = None,
     strength: float | str | None = None,
     features: Any = None,
+    kernel: str | Kernel | None = None,
+    coordinates: Any = None,
+    bandwidth: float | None = None,
+    n_centers: int | None = None,
     lower: float | None = None,
     upper: float | None = None,
-    ridge: Ridge = 0.0,
+    ratio_lower: float | None = None,
+    ratio_upper: float | None = None,
+    ridge: Ridge | None = None,
     toward: float | None = 1.0,
+    discount: float | None = None,
     behavior_policy: Any = None,
     seed: Any = None,
     solver: str = "dual",
@@ -56,7 +76,7 @@ def transition_ratio(
     ----------
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
-    method : "conditional" | "ratio_of_ratios" | "joint"
+    method : "conditional" | "linear" | "kernel" | "ratio_of_ratios" | "joint"
     prior : "tilt" (default) | "simulator" | "none"; conditional only
         The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt
         zeta proportional to exp(theta . phi), fitted to all rows together.
@@ -64,17 +84,25 @@ def transition_ratio(
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
         probabilities), or given. ``details`` has the choice, its curve and its meaning.
-    features : phi for the tilt: None (log P, one parameter), an array aligned with ``simulator.transitions.data``, one of
+    features : phi for the tilt and for "linear": None (tilt: log P, one parameter), an array aligned with
+        ``simulator.transitions.data``, one of
         shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
-    lower, upper : bounds on zeta (conditional; default none) or on each beta (the other two; default 0.01 and 10, the
-        paper's nu and mu; ``numpy.inf`` for none), so that the quotient lies in [lower/upper, upper/lower]
-    ridge, toward : as in ``density_ratio``; conditional: a row's program has ridge/2 * sum P (zeta - toward)^2 (toward
+    kernel, coordinates, bandwidth, n_centers : "gaussian" (moves of one action are alike as the coordinates of s, (S,) or
+        (S, c), and the displacements to s' are; ``bandwidth`` 1 in standard deviations), or a function of (m, 1 + 2c) and
+        (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array; beyond ``n_centers`` (200) moves the
+        kernel is replaced by its pivoted Cholesky approximation, whose error is in ``details``
+    lower, upper : bounds on zeta (conditional, linear, kernel; default none) or on each beta (the other two; default 0.01
+        and 10, the paper's nu and mu; ``numpy.inf`` for none), so that the quotient lies in [lower/upper, upper/lower]
+    ratio_lower, ratio_upper : joint only: the box ratio_lower <= beta_sas' / beta_sa <= ratio_upper
+    ridge, toward : as in ``density_ratio`` (default 0); linear and kernel: ridge/2 * |w|^2 in the risk per move, default 1 / n;
+        conditional: a row's program has ridge/2 * sum P (zeta - toward)^2 (toward
         None: sum zeta^2), a function gets the count n_sa of each row that has one, and "evidence" or "loo" chooses
         kappa / n_sa on the data
+    discount : count each move discount^timestep, as the paper's discounted d does, on both sides (default: count all alike)
     simulator_data : ratio_of_ratios and joint (which uses its d(s, a) alone)
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         ``seed``; "exact": the simulator's exact occupancy under that policy
-    behavior_policy : (S, A), instead of the estimated one; not for conditional
+    behavior_policy : (S, A), instead of the estimated one; ratio_of_ratios and joint
     solver : "dual", or a cvxpy solver
 
     Returns
@@ -94,25 +122,26 @@ def transition_ratio(
     _checks.one_of(method, "method", METHODS)
     if not isinstance(simulator, FiniteMDP):
         raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
-    if isinstance(log_or_counts, Transitions):
-        counts = log_or_counts.counts(simulator.n_states, simulator.n_actions)
-    elif sparse.issparse(log_or_counts):
-        counts = sparse.csr_array(log_or_counts)
-    else:
-        raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
-    observed = aligned_counts(counts, simulator)
-    if not observed.sum() > 0:
-        raise ValueError("log_or_counts must have at least one move; it has none")
-    conditional = method == "conditional"
-    foreign = {"simulator_data": simulator_data, "behavior_policy": behavior_policy}
-    if not conditional:
-        foreign = {"prior": prior, "strength": strength, "features": features}
-    elif features is not None and prior not in (None, "tilt"):
-        raise ValueError(f"features must be left out with prior {prior!r}, which does not use them")
-    for name, value in foreign.items():
-        if value is not None:
+    options = {
+        "prior": prior,
+        "strength": strength,
+        "features": features,
+        "kernel": kernel,
+        "coordinates": coordinates,
+        "bandwidth": bandwidth,
+        "n_centers": n_centers,
+        "simulator_data": simulator_data,
+        "behavior_policy": behavior_policy,
+        "ratio_lower": ratio_lower,
+        "ratio_upper": ratio_upper,
+    }
+    for name, value in options.items():
+        if value is not None and name not in _OWN[method]:
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
-    if conditional:
+    if features is not None and prior not in (None, "tilt"):
+        raise ValueError(f"features must be left out with prior {prior!r}, which does not use them")
+    observed = _observed(log_or_counts, simulator, discount)
+    if method == "conditional":
         prior = "tilt" if prior is None else prior
         _checks.one_of(prior, "prior", PRIORS)
         return fit_conditional(
@@ -122,16 +151,36 @@ def transition_ratio(
             strength="evidence" if strength is None else strength,
             features=features,
             box=check_box(lower, upper, normalized=True),
-            ridge=ridge,
+            ridge=0.0 if ridge is None else ridge,
             toward=toward,
             solver=solver,
         )
     if isinstance(ridge, str):
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
-    bounds = {"lower": 0.01 if lower is None else lower, "upper": 10.0 if upper is None else upper}
+    if method in ("linear", "kernel"):
+        return fit_linear(
+            observed,
+            simulator,
+            features=features,
+            kernel=("gaussian" if kernel is None else kernel) if method == "kernel" else None,
+            coordinates=coordinates,
+            bandwidth=1.0 if bandwidth is None else bandwidth,
+            n_centers=N_CENTERS if n_centers is None else _checks.positive_integer(n_centers, "n_centers"),
+            box=check_box(lower, upper, normalized=True),
+            ridge=ridge,
+            solver=solver,
+        )
     whole = log_or_counts if isinstance(log_or_counts, Transitions) else None
     if behavior_policy is not None:
         behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+    common: dict[str, Any] = {
+        "seed": seed,
+        "ridge": 0.0 if ridge is None else ridge,
+        "solver": solver,
+        "discount": discount,
+        "lower": 0.01 if lower is None else lower,
+        "upper": 10.0 if upper is None else upper,
+    }
     if method == "joint":
         return fit_joint(
             observed,
@@ -139,24 +188,30 @@ def transition_ratio(
             simulator,
             simulator_data,
             behavior=behavior_policy,
-            seed=seed,
-            ridge=ridge,
-            solver=solver,
-            **bounds,
+            ratio_lower=ratio_lower,
+            ratio_upper=ratio_upper,
+            **common,
         )
     quotient = fit_quotient(
-        observed,
-        whole,
-        simulator,
-        simulator_data,
-        behavior_policy=behavior_policy,
-        seed=seed,
-        **bounds,
-        ridge=ridge,
-        toward=toward,
-        solver=solver,
+        observed, whole, simulator, simulator_data, behavior_policy=behavior_policy, toward=toward, **common
     )
     return make_result(simulator, quotient.zeta, "ratio_of_ratios", quotient.gap, observed, quotient.details)
+
+
+def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) -> Array:
+    """Counts on the simulator's entries, weighted by discount^timestep where a discount is given."""
+    if isinstance(log_or_counts, Transitions):
+        counts = log_or_counts.counts(simulator.n_states, simulator.n_actions, discount=discount)
+    elif sparse.issparse(log_or_counts):
+        if discount is not None:
+            raise ValueError("discount must be left out where counts are given: they have no timesteps")
+        counts = sparse.csr_array(log_or_counts)
+    else:
+        raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
+    observed = aligned_counts(counts, simulator)
+    if not observed.sum() > 0:
+        raise ValueError("log_or_counts must have at least one move; it has none")
+    return observed
 
 
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:

@@ -1,0 +1,137 @@
+"""Function classes that are linear in their parameters: features given by the user, or made from a kernel.
+
+A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the linear class with features L, where the Gram
+matrix is L L^T, and the squared RKHS norm is |w|^2. L is a pivoted Cholesky factor [1]: exact up to ``residual``, the largest
+diagonal entry of K - L L^T.
+
+Reference: [1] H. Harbrecht, M. Peters and R. Schneider, On the low-rank approximation by the pivoted Cholesky decomposition,
+Applied Numerical Mathematics 62, 2012.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+
+Kernel = Callable[[Array, Array], Any]
+
+
+def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
+    """exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array."""
+    width = _checks.number_in(bandwidth, "bandwidth", 0.0, np.inf, open_ends=True)
+
+    def kernel(x: Array, c: Array) -> Array:
+        distance = (x**2).sum(axis=1)[:, None] - 2.0 * x @ c.T + (c**2).sum(axis=1)
+        return np.asarray(np.exp(-np.maximum(distance, 0.0) / (2.0 * width**2)))
+
+    return kernel
+
+
+def gram(kernel: Kernel, x: Array, centers: Array) -> Array:
+    """kernel(x, centers), checked: finite, of shape (n, m)."""
+    array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
+    if array.shape != (len(x), len(centers)):
+        raise ValueError(f"kernel must give an array of shape {(len(x), len(centers))}; it gives {array.shape}")
+    _checks.require_finite(array, "kernel")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class KernelFeatures:
+    """``matrix`` (n, r) with K = matrix matrix^T up to ``residual`` on the diagonal; ``pivots`` are the r points used."""
+
+    matrix: Array
+    pivots: Array
+    residual: float
+
+
+def kernel_features(
+    points: Array,
+    kernel: Kernel,
+    *,
+    n_centers: int,
+    tolerance: float = 1e-12,
+    center: Callable[[Array], Array] | None = None,
+) -> KernelFeatures:
+    """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with r kernel columns evaluated.
+
+    ``center`` is a linear map that is applied to functions on the points (a projection, as the subtraction of row means): the
+    features are then those of the functions after it, of the same norm. Raises ValueError where the kernel is not
+    positive semidefinite on these points.
+    """
+    n = len(points)
+    limit = min(n, n_centers)
+    factor = np.zeros((n, limit))
+    diagonal = _diagonal(kernel, points)
+    if not (diagonal >= 0).all():
+        bad = int(np.argmin(diagonal))
+        raise ValueError(f"kernel must be positive semidefinite; k(x, x) is {diagonal[bad]:g} at point {bad}")
+    scale = float(diagonal.max(initial=0.0))
+    if scale == 0.0:
+        raise ValueError("kernel must not be 0 at every point")
+    left = diagonal.copy()
+    pivots: list[int] = []
+    for j in range(limit):
+        pivot = int(np.argmax(left))
+        if left[pivot] <= tolerance * scale:
+            break
+        column = gram(kernel, points, points[[pivot]])[:, 0] - factor[:, :j] @ factor[pivot, :j]
+        factor[:, j] = column / np.sqrt(left[pivot])
+        pivots.append(pivot)
+        left = left - factor[:, j] ** 2
+        left[pivots] = 0.0
+        if left.min() < -1e-6 * scale:
+            bad = int(np.argmin(left))
+            raise ValueError(
+                f"kernel must be symmetric and positive semidefinite; given the points {pivots[-3:]} point {bad} has the "
+                f"variance {left[bad]:g}"
+            )
+    matrix = factor[:, : len(pivots)]
+    if center is not None:
+        matrix = center(matrix)
+    return KernelFeatures(matrix, np.array(pivots), float(np.maximum(left, 0.0).max()))
+
+
+def _diagonal(kernel: Kernel, points: Array) -> Array:
+    """k(x, x) of every point, in blocks so that no more than 64 columns are made at a time."""
+    size = 64
+    blocks = [np.diag(gram(kernel, points[i : i + size], points[i : i + size])) for i in range(0, len(points), size)]
+    return np.concatenate(blocks)
+
+
+def rank_of(features: Array) -> int:
+    """The number of independent columns, each scaled to length 1, up to 1e-10."""
+    lengths = np.sqrt((features**2).sum(axis=0))
+    used = features[:, lengths > 0] / lengths[lengths > 0]
+    if used.shape[1] == 0:
+        return 0
+    values = np.linalg.eigvalsh(used.T @ used)
+    return int(np.sum(values > 1e-10 * values[-1]))
+
+
+def warn_of_rank(features: Array, *, where: str = "") -> int:
+    """The rank; warns where the columns are collinear."""
+    rank, d = rank_of(features), features.shape[1]
+    if rank < d:
+        warnings.warn(
+            f"features should be linearly independent{where}; they have rank {rank} of {d} (the smallest parameters "
+            "that fit are taken)",
+            stacklevel=4,
+        )
+    return rank
+
+
+def cell_features(features: Any, n: int) -> Array:
+    """User's features of n cells as an (n, d) array of finite numbers."""
+    array = _checks.float_array(features, "features", ndim=(1, 2))
+    if len(array) != n or array.size == 0:
+        raise ValueError(f"features must have {n} rows, one for each entry of p; they have shape {array.shape}")
+    _checks.require_finite(array, "features")
+    return array.reshape(n, -1)

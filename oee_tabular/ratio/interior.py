@@ -1,0 +1,326 @@
+"""Ratios in a class that is linear in its parameters, g = offset + Phi w: a primal-dual interior-point method, certified.
+
+    minimise  sum_x b g - p log g  +  penalty/2 |w|^2   over w, g = offset + Phi w, lower <= g <= upper,
+    and sum q g = 1 where the program is normalised.
+
+With g and w apart, tied by g = offset + Phi w with multiplier v, the dual function at any v and eta is
+
+    D(v, eta) = sum_x min_[lower, upper] {(b + v + eta q) g - p log g} - v . offset - |Phi^T v|^2 / (2 penalty) - eta,
+
+each term in closed form: a lower bound on the optimum whatever v and eta are (without penalty v is first projected onto
+Phi^T v = 0). The gap that is reported is the primal value at a feasible w less this. The method is a primal-dual
+interior-point method from an infeasible start, with a line search on the conditions' residual [1, section 11.7] and
+Mehrotra's choice of the centring [2]; a step costs O(n d^2).
+
+References: [1] S. Boyd and L. Vandenberghe, Convex Optimization, 2004. [2] S. Mehrotra, On the implementation of a primal-dual
+interior point method, SIAM J. Optimization 2, 1992.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linprog
+
+from oee_tabular._checks import Array
+from oee_tabular.ratio.program_types import LinearProgram
+
+ITERATIONS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution:
+    """w and g = offset + Phi w, the multipliers v and eta, the gap, and how far g is from the constraints."""
+
+    weights: Array
+    ratio: Array
+    tie: Array
+    eta: float
+    gap: float
+    violation: float
+    iterations: int
+
+
+def objective(program: LinearProgram, weights: Array, g: Array) -> float:
+    """The value that is minimised."""
+    seen = program.p > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = float(program.p[seen] @ np.log(g[seen]))
+    return float(program.b @ g) - logs + 0.5 * program.penalty * float(weights @ weights)
+
+
+def certificate(program: LinearProgram, weights: Array, g: Array, tie: Array, eta: float) -> tuple[float, float]:
+    """(gap, violation) of w and g = offset + Phi w, the gap as a sum of terms that are none of them negative.
+
+    primal - D = sum_x [l(g) - min l] + penalty/2 |w - Phi^T v / penalty|^2 - eta (sum q g - 1), with l(g) = (b + v + eta q) g -
+    p log g.
+    """
+    if program.penalty == 0.0:
+        tie = _project(program.features, tie)
+        loss = 0.0
+    else:
+        rest = weights - program.features.T @ tie / program.penalty
+        loss = 0.5 * program.penalty * float(rest @ rest)
+    slope = program.b + tie + eta * program.q
+    p, seen = program.p, program.p > 0
+    upper = np.minimum(program.upper, program.ceiling)
+    y = np.where(slope > 0, program.lower, upper)
+    inside = np.divide(p, slope, out=np.full_like(slope, np.inf), where=slope > 0)
+    y = np.where(seen, np.clip(inside, program.lower, upper), y)
+    y = np.where(~seen & (slope == 0), g, y)
+    if not np.all(np.isfinite(y)):
+        return np.inf, 0.0
+    step = g - y
+    at_bound = (y <= program.lower) | (y >= upper)
+    bend = np.where(at_bound | ~seen, slope - np.divide(p, y, out=np.zeros_like(p), where=seen), 0.0)
+    u = np.divide(step, y, out=np.zeros_like(step), where=seen)
+    with np.errstate(divide="ignore"):
+        curve = np.where(np.abs(u) < 1e-5, u * u * (0.5 - u / 3.0 + u * u / 4.0), u - np.log1p(u))
+    off = float(program.q @ g) - 1.0 if program.normalized else 0.0
+    violation = max(0.0, float((program.lower - g).max()), float((g - program.upper).max()))
+    return float((bend * step).sum() + (p * curve).sum()) + loss + abs(eta * off), max(abs(off), violation)
+
+
+def _project(features: Array, tie: Array) -> Array:
+    """``tie`` less what the (orthonormal) features see of it, twice for rounding's sake."""
+    for _ in range(2):
+        tie = tie - features @ (features.T @ tie)
+    return tie
+
+
+def nearest_miss(program: LinearProgram) -> float:
+    """How far the class stays from the constraints at best (largest miss of a bound, sum q g = 1 held); inf: nowhere.
+
+    A linear program: minimise t over lower - t <= offset + Phi w <= upper + t.
+    """
+    n, d = program.features.shape
+    ones = np.ones((n, 1))
+    rows, limits = [np.hstack([-program.features, -ones])], [program.offset - program.lower]
+    if np.isfinite(program.upper):
+        rows.append(np.hstack([program.features, -ones]))
+        limits.append(program.upper - program.offset)
+    equality = np.append(program.features.T @ program.q, 0.0)[None, :] if program.normalized else None
+    found = linprog(
+        np.append(np.zeros(d), 1.0),
+        A_ub=np.vstack(rows),
+        b_ub=np.concatenate(limits),
+        A_eq=equality,
+        b_eq=[1.0 - float(program.q @ program.offset)] if program.normalized else None,
+        bounds=[(None, None)] * d + [(0.0, None)],
+    )
+    return float(found.x[-1]) if found.status == 0 else np.inf
+
+
+def orthonormal(features: Array) -> tuple[Array, Array]:
+    """An orthonormal basis Q of the features' span, and B with features @ (B c) = Q c, B c the smallest such w."""
+    left, values, right = np.linalg.svd(features, full_matrices=False)
+    kept = values > 1e-10 * values.max(initial=0.0)
+    return left[:, kept], right[kept].T / values[kept]
+
+
+def solve(program: LinearProgram, *, tolerance: float = 1e-14) -> LinearSolution:
+    """The optimum, to a gap of ``tolerance`` times max(1, |objective|) or where rounding stops it.
+
+    Needs lower < upper, and lower < 1 < upper where the program is normalised. Without penalty the features are first
+    reduced to an orthonormal basis of their span, and the smallest w is given.
+    """
+    if program.penalty > 0.0:
+        return _iterate(program, tolerance)
+    left, back = orthonormal(program.features)
+    reduced = replace(program, features=left)
+    found = _iterate(reduced, tolerance)
+    weights = back @ found.weights
+    return LinearSolution(
+        weights,
+        found.ratio,
+        _project(reduced.features, found.tie),
+        found.eta,
+        found.gap,
+        found.violation,
+        found.iterations,
+    )
+
+
+@dataclass(eq=False)
+class _Point:
+    """An iterate: w, g, its distances to the bounds, the multipliers of g = offset + Phi w, of the bounds, of sum q g = 1.
+
+    The distances have digits of their own: near a bound the difference g - lower has few.
+    """
+
+    w: Array
+    g: Array
+    above: Array
+    below: Array
+    tie: Array
+    z: Array
+    y: Array
+    eta: float
+
+    def moved(self, step: _Point, length: float) -> _Point:
+        names = ("w", "g", "above", "below", "tie", "z", "y", "eta")
+        return _Point(*(getattr(self, name) + length * getattr(step, name) for name in names))
+
+
+class _Linearised:
+    """The optimality conditions at a point, factored for Newton steps."""
+
+    def __init__(self, program: LinearProgram, point: _Point) -> None:
+        self.program, self.point = program, point
+        phi, q, g = program.features, program.q, point.g
+        self.bounded = bool(np.isfinite(program.upper))
+        self.above, self.below = point.above, point.below
+        slope = program.b + point.eta * q - program.p / g
+        self.r_g = slope - point.z + point.y + point.tie
+        self.r_w = program.penalty * point.w - phi.T @ point.tie
+        self.r_tie = g - program.offset - phi @ point.w
+        self.r_one = float(q @ g) - 1.0 if program.normalized else 0.0
+        self.diagonal = program.p / g**2 + point.z / self.above + point.y / self.below
+
+    @cached_property
+    def system(self) -> _Bordered:
+        """The factored matrix of Newton's steps."""
+        program = self.program
+        phi = program.features
+        border = phi.T @ program.q if program.normalized else np.zeros(phi.shape[1])
+        return _Bordered(phi, self.diagonal, program.penalty, border, program.normalized)
+
+    def complementarity(self) -> float:
+        """The sum of multiplier times distance over all bounds."""
+        total = float(self.point.z @ self.above)
+        return total + float(self.point.y @ self.below) if self.bounded else total
+
+    def distance(self, aim: float) -> float:
+        """The Euclidean norm of the conditions' residuals, multiplier times distance being ``aim``."""
+        total = float(self.r_g @ self.r_g + self.r_w @ self.r_w + self.r_tie @ self.r_tie) + self.r_one**2
+        total += float(((self.point.z * self.above - aim) ** 2).sum())
+        if self.bounded:
+            total += float(((self.point.y * self.below - aim) ** 2).sum())
+        return float(np.sqrt(total))
+
+    def step(self, aim: float) -> _Point:
+        """Newton's step to multiplier times distance = aim."""
+        phi, q, z, y = self.program.features, self.program.q, self.point.z, self.point.y
+        r_z = z * self.above - aim
+        r_y = y * self.below - aim if self.bounded else np.zeros(len(y))
+        rest = self.r_g + r_z / self.above - r_y / self.below
+        right = -self.r_w - phi.T @ (rest - self.diagonal * self.r_tie)
+        w, eta = self.system.solve(right, -self.r_one + float(q @ self.r_tie))
+        g = phi @ w - self.r_tie
+        return _Point(
+            w=w,
+            g=g,
+            above=g,
+            below=-g if self.bounded else np.zeros(len(g)),
+            tie=-rest - self.diagonal * g - eta * q,
+            z=(-r_z - z * g) / self.above,
+            y=(-r_y + y * g) / self.below,
+            eta=eta,
+        )
+
+    def room(self, step: _Point) -> float:
+        """The longest length that leaves every distance and multiplier nonnegative."""
+        pairs = [(self.above, step.g), (self.point.g, step.g), (self.point.z, step.z), (self.point.y, step.y)]
+        if self.bounded:
+            pairs.append((self.below, step.below))
+        return min(_room(value, change) for value, change in pairs)
+
+
+def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
+    n = len(program.p)
+    low, high = program.lower, program.upper
+    bounded = bool(np.isfinite(high))
+    start = 1.0 if low < 1.0 < high else (0.5 * (low + high) if bounded else low + 1.0)
+    fill = (float(program.p.sum()) + float(np.abs(program.b).sum())) / (2.0 * n)
+    g = np.full(n, start)
+    point = _Point(
+        w=np.asarray(np.linalg.lstsq(program.features, g - program.offset)[0]),
+        g=g,
+        above=g - low,
+        below=high - g if bounded else np.ones(n),
+        tie=np.zeros(n),
+        z=np.full(n, fill / (start - low)),
+        y=np.full(n, fill / (high - start)) if bounded else np.zeros(n),
+        eta=0.0,
+    )
+    best = LinearSolution(point.w, g, point.tie, 0.0, np.inf, np.inf, 0)
+    stalled = 0
+    n_bounds = 2 * n if bounded else n
+    local = _Linearised(program, point)
+    for iteration in range(1, ITERATIONS + 1):
+        total = local.complementarity()
+        forward = local.step(0.0)
+        ahead = point.moved(forward, min(1.0, local.room(forward)))
+        after = float(ahead.z @ ahead.above) + (float(ahead.y @ ahead.below) if bounded else 0.0)
+        aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / n_bounds
+        step = local.step(aim)
+        length = min(1.0, 0.99 * local.room(step))
+        before = local.distance(aim)
+        for _ in range(40):
+            trial = _Linearised(program, point.moved(step, length))
+            if trial.distance(aim) <= (1.0 - 0.01 * length) * before or before < 1e-15:
+                break
+            length *= 0.5
+        point, local = trial.point, trial
+        found = _measure(program, point, iteration)
+        if found is None:
+            continue
+        feasible = found.violation <= 1e-12
+        better = found.gap < best.gap if feasible and best.violation <= 1e-12 else found.violation < best.violation
+        progress = (found.gap < 0.7 * best.gap) if best.violation <= 1e-12 else better
+        best = found if better else best
+        stalled = 0 if progress else stalled + 1
+        size = max(1.0, abs(objective(program, best.weights, best.ratio)))
+        if (best.violation <= 1e-12 and best.gap <= tolerance * size) or stalled >= 15:
+            break
+    return best
+
+
+def _measure(program: LinearProgram, point: _Point, iteration: int) -> LinearSolution | None:
+    """The point that w gives, certified with its v, or with the one that its gradient and the bounds' multipliers suggest."""
+    g = program.offset + program.features @ point.w
+    if not (g > 0).all():
+        return None
+    suggested = program.p / g - program.b - point.eta * program.q + point.z - point.y
+    found = [(*certificate(program, point.w, g, tie, point.eta), tie) for tie in (point.tie, suggested)]
+    gap, violation, tie = min(found, key=lambda item: item[0])
+    return LinearSolution(point.w, g, tie, point.eta, gap, violation, iteration)
+
+
+def _room(value: Array, step: Array) -> float:
+    """The longest length with value + length step >= 0."""
+    falling = step < 0
+    return float((-value[falling] / step[falling]).min(initial=np.inf))
+
+
+class _Bordered:
+    """[[Phi^T D Phi + penalty I, a], [a^T, 0]], factored once."""
+
+    def __init__(self, phi: Array, diagonal: Array, penalty: float, border: Array, bordered: bool) -> None:
+        matrix = (phi * diagonal[:, None]).T @ phi
+        matrix[np.diag_indices(len(border))] += penalty
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        self._scale, self._matrix = scale, matrix
+        values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+        self._inverse = np.where(values > 1e-15 * values.max(initial=0.0), 1.0 / np.maximum(values, 1e-300), 0.0)
+        self._vectors, self._border, self._bordered = vectors, border, bordered
+        self._bent = self._once(border)
+
+    def _once(self, right: Array) -> Array:
+        x = self._scale * (self._vectors @ (self._inverse * (self._vectors.T @ (self._scale * right))))
+        return np.asarray(x)
+
+    def _definite(self, right: Array) -> Array:
+        x = self._once(right)
+        return x + self._once(right - self._matrix @ x)
+
+    def solve(self, right: Array, last: float) -> tuple[Array, float]:
+        """(x, eta), with a step of refinement."""
+        x = self._definite(right)
+        if not self._bordered:
+            return x, 0.0
+        curvature = float(self._border @ self._bent)
+        eta = (float(self._border @ x) - last) / curvature if curvature > 0 else 0.0
+        return self._definite(right - eta * self._border), eta

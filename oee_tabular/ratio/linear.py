@@ -1,0 +1,235 @@
+"""Ratios in linear and kernel classes: g = Phi w for two distributions, zeta = 1 + Phi w for a simulator's rows.
+
+For zeta the features are centred in each row, sum_s' P(s' | s, a) phi(s, a, s') = 0, so that rows of zeta * P sum to 1
+for every w; the program is
+
+    minimise  sum_s,a (n_sa / n) sum_s' P zeta - (1/n) sum n_sas' log zeta + ridge/2 |w|^2,   lower <= zeta <= upper,
+
+the KL risk of the counts; with ridge = 1/n (the default) the penalty is worth one move: a unit Gaussian prior on w, for a
+kernel a Gaussian process of unit amplitude around the simulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import interior, programs
+from oee_tabular.ratio.box import Box, check_ridge
+from oee_tabular.ratio.features import Kernel, cell_features, gaussian, kernel_features, warn_of_rank
+from oee_tabular.ratio.interior import LinearSolution
+from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
+from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.ratio.sgd import SgdOptions, SgdTrace, descend_linear
+from oee_tabular.ratio.tilt import feature_array
+
+N_CENTERS = 200
+
+
+def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
+    """The optimum by the interior-point method or by a cvxpy solver, with its gap.
+
+    ValueError where no function of the class meets the constraints, RuntimeError where the method stops before it does.
+    """
+    if solver == "dual":
+        found = interior.solve(program)
+    else:
+        weights, tie, eta = programs.solve_linear(program, solver=solver)
+        g = program.offset + program.features @ weights
+        judged = program
+        if program.penalty == 0.0:
+            judged = replace(program, features=interior.orthonormal(program.features)[0])
+        gap, violation = interior.certificate(judged, weights, np.maximum(g, 1e-300), tie, eta)
+        found = LinearSolution(weights, g, tie, eta, gap, violation, 0)
+    if not found.violation <= 1e-7:
+        miss = interior.nearest_miss(program)
+        if miss > 1e-9:
+            upper = f" and at most {program.upper:g}" if np.isfinite(program.upper) else ""
+            one = ", with sum q g = 1" if program.normalized else ""
+            raise ValueError(
+                f"features must span a function that is at least {program.lower:g}{upper}{one}; the nearest misses by {miss:g} "
+                "(a constant feature makes one)"
+            )
+        raise RuntimeError(f"the interior-point method ended {found.violation:.1e} away from the constraints")
+    return replace(found, ratio=np.clip(found.ratio, program.lower, program.upper))
+
+
+def class_features(
+    features: Any, kernel: str | Kernel | None, coordinates: Any, n_centers: int, n: int
+) -> tuple[Array, dict[str, Any]]:
+    """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates."""
+    if features is not None:
+        for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
+            if value is not None:
+                raise ValueError(f"{name} must not be given with features; the two are different classes")
+        array = cell_features(features, n)
+        return array, {"feature_rank": warn_of_rank(array)}
+    if coordinates is None:
+        raise ValueError("coordinates must be given with kernel: the points that the entries of p and q stand for")
+    points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(points, "coordinates")
+    if len(points) != n:
+        raise ValueError(f"coordinates must have {n} rows, one for each entry of p; they have {len(points)}")
+    chosen = _standard_gaussian(points.reshape(n, -1)) if isinstance(kernel, str) else kernel
+    _check_kernel(kernel)
+    assert callable(chosen)
+    made = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
+    return made.matrix, {"kernel_residual": made.residual, "centers": made.pivots}
+
+
+def _check_kernel(kernel: object) -> None:
+    if not callable(kernel):
+        _checks.one_of(kernel, "kernel", ("gaussian",))
+
+
+def _standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
+    """Gaussian in units of each coordinate's standard deviation over the points."""
+    size = points.std(axis=0)
+    size = np.where(size > 0, size, 1.0)
+    base = gaussian(bandwidth)
+    return lambda x, c: base(x / size, c / size)
+
+
+def fit_cells(
+    p: Array,
+    q: Array,
+    features: Array,
+    *,
+    box: Box,
+    ridge: float,
+    normalized: bool,
+    solver: str,
+    sgd: SgdOptions | None,
+) -> tuple[LinearProgram, LinearSolution, SgdTrace | None]:
+    """g = Phi w for distributions p and q on the same cells; the program, its solution and the trace of "sgd"."""
+    _refuse_thin_box(box, normalized)
+    program = LinearProgram(
+        b=q,
+        p=p,
+        q=q,
+        offset=np.zeros(len(p)),
+        features=features,
+        penalty=ridge,
+        lower=box.lower,
+        upper=box.upper,
+        normalized=normalized,
+        ceiling=implied_bound(q, box.lower) if normalized else np.full(len(p), np.inf),
+    )
+    if sgd is None:
+        return program, solve_class(program, solver), None
+    best = solve_class(program, "dual")
+    weights, trace = descend_linear(program, best, sgd)
+    g = np.clip(features @ weights, box.lower, box.upper)
+    return program, replace(best, weights=weights, ratio=g, gap=float(trace.excess[-1])), trace
+
+
+def implied_bound(weights: Array, lower: float) -> Array:
+    """The largest g_x that sum weights g = 1 leaves, weights summing to 1 and g >= lower."""
+    room = 1.0 - lower * (1.0 - weights)
+    return np.divide(room, weights, out=np.full_like(weights, np.inf), where=weights > 0)
+
+
+def _refuse_thin_box(box: Box, normalized: bool) -> None:
+    if not box.lower < box.upper or (normalized and not box.lower < 1.0 < box.upper):
+        rule = "lower < 1 < upper" if normalized else "lower < upper"
+        raise ValueError(f"the box of a linear class must have {rule}; it is [{box.lower:g}, {box.upper:g}]")
+
+
+def move_points(simulator: FiniteMDP, coordinates: Any) -> Array:
+    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
+    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(places, "coordinates")
+    if len(places) != simulator.n_states:
+        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
+    places = places.reshape(simulator.n_states, -1)
+    rows = row_of_entry(simulator.transitions)
+    state, action = rows // simulator.n_actions, rows % simulator.n_actions
+    start = places[state]
+    return np.column_stack([action, start, places[simulator.transitions.indices] - start])
+
+
+def _move_kernel(points: Array, bandwidth: float) -> Kernel:
+    """1[same action] times a Gaussian in the standardised coordinates and displacements."""
+    smooth = _standard_gaussian(points[:, 1:], bandwidth)
+    return lambda x, c: (x[:, :1] == c[:, 0]) * smooth(x[:, 1:], c[:, 1:])
+
+
+def fit_linear(
+    observed: Array,
+    simulator: FiniteMDP,
+    *,
+    features: Any,
+    kernel: str | Kernel | None,
+    coordinates: Any,
+    bandwidth: float,
+    n_centers: int,
+    box: Box,
+    ridge: float | Callable[[float], float] | None,
+    solver: str,
+) -> TransitionRatio:
+    """zeta = 1 + Phi w from counts on the simulator's entries; see the module's program and ``transition_ratio``."""
+    _refuse_thin_box(box, True)
+    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
+    weights = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
+
+    def center(values: Array) -> Array:
+        return np.asarray(values - spread(segment_sums(weights[:, None] * values, indptr), indptr))
+
+    details: dict[str, Any] = {}
+    if kernel is None:
+        if features is None:
+            raise ValueError('features must be given with method "linear"')
+        phi = center(feature_array(features, simulator))
+        details["feature_rank"] = warn_of_rank(phi, where=" within rows")
+    else:
+        _check_kernel(kernel)
+        if coordinates is None:
+            raise ValueError('coordinates must be given with method "kernel": (S,) or (S, c), where each state is')
+        points = move_points(simulator, coordinates)
+        chosen = _move_kernel(points, bandwidth) if isinstance(kernel, str) else kernel
+        made = kernel_features(points, chosen, n_centers=n_centers, center=center)
+        phi = made.matrix
+        details |= {"kernel_residual": made.residual, "centers": points[made.pivots]}
+    total = float(observed.sum())
+    strength = 1.0 / total if ridge is None else check_ridge(ridge, total)
+    n_row = segment_sums(observed, indptr)
+    mass = spread(n_row / total, indptr) * weights
+    program = LinearProgram(
+        b=mass,
+        p=observed / total,
+        q=mass,
+        offset=np.ones(len(mass)),
+        features=phi,
+        penalty=strength,
+        lower=box.lower,
+        upper=box.upper,
+        normalized=False,
+        ceiling=implied_bound(weights, box.lower),
+    )
+    found = solve_class(program, solver)
+    zeta = found.ratio
+    safe = np.maximum(zeta, 1e-12)
+    bend = observed / safe**2
+    details |= {"weights": found.weights, "ridge": strength, "lower": box.lower, "upper": box.upper}
+    influence = Influence(
+        frequencies=np.where(spread(n_row, indptr) > 0, observed / spread(np.maximum(n_row, 1e-300), indptr), 0.0),
+        row_counts=n_row,
+        kernel=zeta * weights,
+        weights=weights,
+        stiffness=weights / safe,
+        share=np.zeros(len(n_row)),
+        prior=zeta * weights,
+        indptr=indptr,
+        scores=phi / safe[:, None],
+        information=(phi * bend[:, None]).T @ phi + total * strength * np.eye(phi.shape[1]),
+    )
+    method = "linear" if kernel is None else "kernel"
+    return make_result(simulator, zeta, method, found.gap, observed, details, influence)

@@ -1,0 +1,145 @@
+"""The joint program with a box on the ratio: nu beta_sa <= beta_sas' <= mu beta_sa."""
+
+import numpy as np
+import pytest
+from helpers import rngs
+from hypothesis import given
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.ratio import joint, programs
+
+SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
+KNOWN = {"method": "joint", "simulator_data": "exact", "behavior_policy": oee.uniform_policy(SIMULATOR)}
+
+
+def random_program(rng):
+    lengths = rng.integers(1, 6, int(rng.integers(1, 6)))
+    indptr = np.concatenate([[0], np.cumsum(lengths)])
+    observed = rng.integers(0, 5, indptr[-1]) + 0.0
+    observed[0] += 1
+    probability = rng.integers(1, 9, indptr[-1]) + 0.0
+    probability /= np.repeat(np.add.reduceat(probability, indptr[:-1]), lengths)
+    share = rng.integers(1, 9, len(lengths)) + 0.0
+    if len(lengths) > 1 and rng.random() < 0.2:
+        share[0] = 0.0  # the simulator's data have none of this pair
+    return joint.joint_program(
+        observed,
+        share / share.sum(),
+        probability,
+        indptr,
+        lower=float(10 ** rng.uniform(-3, -0.1)),
+        upper=float(10 ** rng.uniform(0.1, 2)),
+        ridge=float(rng.choice([0.0, 10 ** rng.uniform(-4, 1)])),
+        least=float(rng.choice([0.0, rng.uniform(0.05, 0.95)])),
+        most=float(rng.choice([np.inf, rng.uniform(1.05, 5.0)])),
+    )
+
+
+@given(rngs)
+def test_random_programs_are_solved_and_certified(rng):
+    program = random_program(rng)
+    found = joint.solve_joint(program)
+    pairs = np.repeat(found.pairs, np.diff(program.indptr))
+    assert found.gap.sum() < 1e-12
+    for values in (found.moves, found.pairs):
+        assert values.min() >= program.lower * (1 - 1e-12)
+        assert values.max() <= program.upper * (1 + 1e-12)
+    assert (found.moves >= program.least * pairs * (1 - 1e-12)).all()
+    if np.isfinite(program.most):
+        assert (found.moves <= program.most * pairs * (1 + 1e-12)).all()
+    mass = np.add.reduceat(program.q * found.moves, program.indptr[:-1])
+    assert_allclose(mass, np.add.reduceat(program.q, program.indptr[:-1]) * found.pairs, rtol=1e-12)
+
+
+def test_against_clarabel():
+    for seed in range(25):
+        program = random_program(np.random.default_rng(seed))
+        ours = joint.solve_joint(program)
+        point = programs.solve_joint(program)
+        value = joint.joint_objective(program, point.moves, point.pairs)
+        bound = max(joint.joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1, -1))
+        assert ours.objective <= value + 1e-9
+        assert ours.objective >= bound - 1e-9  # the peer's dual bound is below our value
+        assert bound > value - 1e-5
+
+
+def test_zeta_stays_in_its_box():
+    free = oee.transition_ratio(LOG, SIMULATOR, **KNOWN)
+    assert free.values.data.min() < 0.4
+    for bounds in ((0.4, 1.5), (0.4, None), (None, 1.5)):
+        boxed, theirs = (
+            oee.transition_ratio(LOG, SIMULATOR, ratio_lower=bounds[0], ratio_upper=bounds[1], solver=solver, **KNOWN)
+            for solver in ("dual", "CLARABEL")
+        )
+        zeta = boxed.values.data
+        assert zeta.min() >= (bounds[0] or 0.0) - 1e-12
+        assert zeta.max() <= (bounds[1] or np.inf) + 1e-12
+        assert boxed.row_sum_error < 1e-12
+        assert boxed.gap < 1e-12
+        assert theirs.gap < 1e-8
+        visited = boxed.visited.reshape(-1)[np.repeat(np.arange(64), np.diff(SIMULATOR.transitions.indptr))]
+        assert_allclose(zeta[visited], theirs.values.data[visited], atol=2e-4)
+
+
+def test_a_box_that_does_not_bind_changes_nothing():
+    free = oee.transition_ratio(LOG, SIMULATOR, **KNOWN)
+    wide = oee.transition_ratio(LOG, SIMULATOR, ratio_lower=1e-4, ratio_upper=1e4, **KNOWN)
+    assert_allclose(wide.values.data, free.values.data, atol=1e-7)
+    assert wide.details["ratio_upper"] == 1e4
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"ratio_lower": 1.2}, r"the box \[ratio_lower, ratio_upper\] must contain 1"),
+        ({"ratio_lower": 2, "ratio_upper": 1}, "ratio_lower must not exceed ratio_upper; they are 2 and 1"),
+        ({"ratio_upper": -1}, r"ratio_upper must be in \[0, inf\]; it is -1"),
+    ],
+)
+def test_bad_boxes(options, text):
+    with pytest.raises(ValueError, match=text):
+        oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **options)
+    with pytest.raises(ValueError, match="must not be given with method 'conditional'"):
+        oee.transition_ratio(LOG, SIMULATOR, **options)
+
+
+def test_moves_weighted_by_discount():
+    """The paper's discounted d on both sides: each move counts discount^t."""
+    log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 200, 30, seed=0)
+    data = oee.sample_episodes(SIMULATOR, oee.uniform_policy(SIMULATOR), 200, 30, seed=1)
+    found = oee.transition_ratio(log, SIMULATOR, method="ratio_of_ratios", simulator_data=data, discount=0.9)
+    weighted = (each.counts(16, 4, discount=0.9).toarray() for each in (log, data))
+    by_hand = oee.density_ratio(*(w.reshape(-1) for w in weighted), lower=0.01, upper=10.0, toward=1.0)
+    pairs = (each.counts(16, 4, discount=0.9).toarray().sum(axis=1) for each in (log, data))
+    below = oee.density_ratio(*pairs, lower=0.01, upper=10.0, toward=1.0)
+    quotient = by_hand.ratio.reshape(64, 16) / below.ratio[:, None]
+    rows = np.repeat(np.arange(64), np.diff(SIMULATOR.transitions.indptr))
+    seen = log.counts(16, 4).toarray()[rows, SIMULATOR.transitions.indices] > 0
+    assert_allclose(found.values.data[seen], quotient[rows, SIMULATOR.transitions.indices][seen], rtol=1e-9)
+    alike = oee.transition_ratio(log, SIMULATOR, method="ratio_of_ratios", simulator_data=data)
+    assert np.abs(found.values.data - alike.values.data).max() > 0.05
+    for how in ("exact", None):
+        other = oee.transition_ratio(
+            log, SIMULATOR, method="ratio_of_ratios", simulator_data=how, discount=0.9, seed=0,
+            behavior_policy=oee.uniform_policy(SIMULATOR),
+        )  # fmt: skip
+        heavy = seen & (found.counts.reshape(-1)[rows] > 20)
+        assert np.abs(other.values.data - found.values.data)[heavy].mean() < 0.3
+    with pytest.raises(ValueError, match="discount must be left out where counts are given"):
+        oee.transition_ratio(log.counts(16, 4), SIMULATOR, discount=0.9)
+    bag = oee.Transitions(log.state, log.action, log.next_state)
+    with pytest.raises(ValueError, match="log must have timesteps"):
+        oee.transition_ratio(bag, SIMULATOR, discount=0.9)
+
+
+def test_exact_data_are_discounted_too():
+    """The simulator's exact discounted occupancy: with the simulator's own moves for a log, zeta tends to 1."""
+    log = oee.sample_episodes(SIMULATOR, oee.uniform_policy(SIMULATOR), 4000, 30, seed=0)
+    own = {"method": "ratio_of_ratios", "simulator_data": "exact", "behavior_policy": oee.uniform_policy(SIMULATOR)}
+    found = oee.transition_ratio(log, SIMULATOR, discount=0.8, **own)
+    share = oee.occupancy(SIMULATOR.with_discount(0.8), oee.uniform_policy(SIMULATOR), horizon=30, of="transition")
+    assert share.data @ np.abs(found.values.data - 1.0) < 0.03
+    alike = oee.transition_ratio(log, SIMULATOR, **own)  # undiscounted on both sides: its data are early moves too
+    assert np.abs(alike.values.data - found.values.data).max() > 0.05
