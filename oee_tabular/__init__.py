@@ -30,6 +30,13 @@ _EXPORTS = {
     "action_values": "exact",
     "occupancy": "exact",
     "optimal_policy": "exact",
+    "Moments": "exact",
+    "return_moments": "exact",
+    "weighted_return_moments": "exact",
+    "policy_is_moments": "exact",
+    "doubly_robust_moments": "exact",
+    "efficiency_bound": "exact",
+    "trajectory_efficiency_bound": "exact",
     "Transitions": "data",
     "sample_episodes": "simulate",
     "sample_transitions": "simulate",
@@ -52,7 +59,19 @@ if TYPE_CHECKING:
     from oee_tabular import data, estimators, exact, mdp, plots, ratio, report, simulate, tasks
     from oee_tabular.data import Transitions
     from oee_tabular.estimators import Estimate, Problem
-    from oee_tabular.exact import action_values, optimal_policy, policy_value, state_values
+    from oee_tabular.exact import (
+        Moments,
+        action_values,
+        doubly_robust_moments,
+        efficiency_bound,
+        optimal_policy,
+        policy_is_moments,
+        policy_value,
+        return_moments,
+        state_values,
+        trajectory_efficiency_bound,
+        weighted_return_moments,
+    )
     from oee_tabular.exact.occupancy import occupancy
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import (
@@ -71,6 +90,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Estimate",
     "FiniteMDP",
+    "Moments",
     "Problem",
     "RatioFit",
     "Report",
@@ -81,6 +101,8 @@ __all__ = [
     "data",
     "density_ratio",
     "density_ratio_samples",
+    "doubly_robust_moments",
+    "efficiency_bound",
     "estimators",
     "evaluate",
     "exact",
@@ -89,18 +111,22 @@ __all__ = [
     "occupancy",
     "optimal_policy",
     "plots",
+    "policy_is_moments",
     "policy_value",
     "ratio",
     "record_episodes",
     "report",
+    "return_moments",
     "sample_episodes",
     "sample_transitions",
     "simulate",
     "state_values",
     "tasks",
+    "trajectory_efficiency_bound",
     "transition_ratio",
     "true_ratio",
     "uniform_policy",
+    "weighted_return_moments",
 ]
 
 

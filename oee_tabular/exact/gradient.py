@@ -16,7 +16,9 @@ from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
 from oee_tabular.mdp import check_policy
 
 
-def transition_gradient(model: Model, policy: Any, *, horizon: int | None = None) -> Array:
+def transition_gradient(
+    model: Model, policy: Any, *, horizon: int | None = None, values_of: Model | None = None
+) -> Array:
     """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
     sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
@@ -24,21 +26,23 @@ def transition_gradient(model: Model, policy: Any, *, horizon: int | None = None
 
     Notes
     -----
-    ``policy`` is stationary, (S, A). Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+    ``policy`` is stationary, (S, A). With ``values_of`` V is that model's (its rewards too), which may have entries of its own:
+    the result is aligned with ``values_of.transitions.data``. Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
     """
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, model)
+    valued = model if values_of is None else values_of
     gamma = model.discount
-    rows, columns = row_of_entry(model.transitions), model.transitions.indices
+    rows, columns = row_of_entry(valued.transitions), valued.transitions.indices
     action_share = pi.reshape(-1)[rows]
     start = rows // model.n_actions
-    pay = 0.0 if model.reward_data is None else model.reward_data
+    pay = 0.0 if valued.reward_data is None else valued.reward_data
     if steps is None:
-        values = state_values(model, pi)
+        values = state_values(valued, pi)
         visits = occupancy(model, pi, of="state") / (1.0 - gamma)
         return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
-    kernel, rewards = policy_kernel(model, pi), policy_rewards(model, pi)
-    transposed = sparse.csr_array(kernel.T)
+    kernel, rewards = policy_kernel(valued, pi), policy_rewards(valued, pi)
+    transposed = sparse.csr_array(policy_kernel(model, pi).T)
     to_go = np.zeros((steps + 1, model.n_states))
     for t in range(steps - 1, -1, -1):
         to_go[t] = rewards + gamma * (kernel @ to_go[t + 1])

@@ -73,14 +73,16 @@ def _inverse_norm(kernel: sparse.csr_array, discount: float) -> float:
     h, residual, _ = _solve(matrix, np.ones(kernel.shape[0]))
     slack = 1.0 - float(np.abs(residual).max())
     if not (np.all(np.isfinite(h)) and h.min() > 0.0 and slack > 0.5):
+        radius = spectral_radius(kernel, discount)
         raise DivergentKernelError(
-            f"the infinite sum does not exist: discount * kernel has a spectral radius of {_radius(kernel, discount):.6g}, "
+            f"the infinite sum does not exist: discount * kernel has a spectral radius of {radius:.6g}, "
             f"which must be below 1 (its rows sum to at most {discount * largest:.6g}); normalise the rows or give a horizon"
         )
     return float(h.max() / slack)
 
 
-def _radius(kernel: sparse.csr_array, discount: float) -> float:
+def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:
+    """The spectral radius of discount * K for a nonnegative K, by the power method (a mean over 1000 steps)."""
     vector = np.ones(kernel.shape[0])
     growth = []
     for _ in range(2000):

@@ -1,0 +1,210 @@
+"""How well any estimator can do, and the exact asymptotic variance of those that are not best.
+
+Notation: G_x(s') = dJ / dP'(s' | x) is the gradient of ``transition_gradient``, x = (s, a), at the target P'; for an infinite
+horizon and rewards r(s, a) that is gamma d(x) V(s') / (1 - gamma). Values are discounted sums. The bounds for transition data
+are those of n independent rows x ~ data_distribution, s' ~ P'(. | x), the initial distribution and rewards known.
+
+References: [1] N. Kallus and M. Uehara, Double reinforcement learning for efficient off-policy evaluation in Markov decision
+processes, JMLR 21, 2020. [2] A. W. van der Vaart, Asymptotic Statistics, 1998, chapters 20 and 25.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular.exact.gradient import transition_gradient
+from oee_tabular.exact.moments import values_to_go
+from oee_tabular.exact.occupancy import occupancy
+from oee_tabular.exact.values import policy_kernel, state_values
+from oee_tabular.exact.walks import forward_measure, walk_of
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+
+def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, horizon: int | None = None) -> float:
+    """lim n * variance of the best estimator of J from n target transitions.
+
+    sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / data_distribution(x); for r(s, a) and an infinite horizon
+    (gamma / (1 - gamma))^2 sum_x d(x)^2 / data_distribution(x) Var_{P'}[V]. The maximum-likelihood model attains it [2].
+
+    Parameters
+    ----------
+    target : FiniteMDP
+    policy : (S, A)
+    data_distribution : (S, A), sums to 1: how rows are drawn
+    horizon : positive int or None (discount below 1)
+
+    Returns
+    -------
+    float, squared units of J; inf where the data never show an (s, a) whose next state matters
+    """
+    gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
+    return _weighted_sum(_row_variance(target, gradient), share)
+
+
+def leading_bias(target: FiniteMDP, policy: Any, data_distribution: Any) -> float:
+    """lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
+
+    gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
+    expected discounted number of visits to x from s' (the reward is left out where it does not depend on s').
+    Cost: O(S^3 + nnz S).
+    """
+    _, share = _problem(target, policy, data_distribution, "data_distribution", None)
+    pi = check_policy(policy, target)
+    gamma, matrix = target.discount, target.transitions
+    kernel = policy_kernel(target, pi).toarray()
+    visits = np.linalg.inv(np.eye(target.n_states) - gamma * kernel)  # (s', s)
+    values = state_values(target, pi)
+    rows = row_of_entry(matrix)
+    state = rows // target.n_actions
+    ahead = gamma * values[matrix.indices] + (0.0 if target.reward_data is None else target.reward_data)
+    back = visits[matrix.indices, state] * pi.reshape(-1)[rows]
+    mean = row_sums(matrix, matrix.data * ahead)
+    covariance = row_sums(matrix, matrix.data * back * (ahead - mean[rows]))
+    reached = occupancy(target, pi).reshape(-1)
+    return gamma / (1.0 - gamma) * _weighted_sum(reached * covariance, share)
+
+
+def ratio_of_ratios_variance(
+    simulator: FiniteMDP,
+    target: FiniteMDP,
+    policy: Any,
+    data_distribution: Any,
+    simulator_distribution: Any,
+    *,
+    horizon: int | None = None,
+    rows: Literal["as_they_are", "normalised"] = "as_they_are",
+    independent_samples: bool = False,
+) -> float:
+    """lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
+
+    From n target transitions and n of the simulator's. The bound of ``efficiency_bound`` plus, q = simulator_distribution,
+    as they are: sum_x Var_P[zeta G] / q(x); rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2] / q(x); with separate samples for
+    the (s, a) and the (s, a, s') ratio (Algorithm 1, lines 1 and 3), moreover 2 Var_D[E_P' G / d_D] + 2 Var_q[E_P' G / q].
+
+    Raises ValueError where the target moves outside the simulator's support; inf where a distribution misses an (s, a) that
+    matters.
+    """
+    _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
+    gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
+    _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)
+    if not isinstance(simulator, FiniteMDP):
+        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    probability, stored = align(simulator.transitions, target.transitions)
+    lost = ~stored & (target.transitions.data > 0)
+    if lost.any():
+        raise ValueError(f"target must stay where the simulator has probability; {int(lost.sum())} of its moves do not")
+    matrix = target.transitions
+    entry = row_of_entry(matrix)
+    zeta = np.divide(matrix.data, probability, out=np.zeros_like(probability), where=probability > 0)
+    mean = row_sums(matrix, matrix.data * gradient)
+    total = _weighted_sum(_row_variance(target, gradient), share)
+    if rows == "normalised":
+        added = row_sums(matrix, probability * zeta**2 * (gradient - mean[entry]) ** 2)
+    else:
+        added = row_sums(matrix, probability * (zeta * gradient) ** 2) - mean**2
+    total += _weighted_sum(np.maximum(added, 0.0), other)
+    if independent_samples:
+        for weights in (share, other):
+            level = float(mean.sum())
+            total += 2.0 * (_weighted_sum(mean**2, weights) - level**2)
+    return total
+
+
+def trajectory_efficiency_bound(
+    mdp: FiniteMDP, behavior_policy: Any, policy: Any, *, horizon: int, model: Literal["mdp", "tree"] = "mdp"
+) -> float:
+    """n * variance of the best estimator from n episodes of a known behaviour policy [1].
+
+    Var V_0(s_0) + sum_t gamma^2t sum_x weight_t(x) Var[r + gamma V_{t+1}(s') | x], with weight_t(x) = alpha_t(x)^2 / beta_t(x)
+    where the process is known to be Markov ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
+    behaviour policy) and E[rho_0..t^2 1{x_t = x}] where it may depend on its whole history ("tree").
+
+    Raises ValueError where the behaviour policy never takes an action that the policy takes (in a state that it
+    reaches): no estimator is consistent.
+    """
+    steps = _checks.positive_integer(horizon, "horizon")
+    _checks.one_of(model, "model", ("mdp", "tree"))
+    behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
+    pi = check_policy(policy, mdp)
+    require_action_support(mdp, behavior, pi, steps)
+    plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
+    values = values_to_go(plain, steps)
+    value = float(mdp.initial @ values[0])
+    total = float(mdp.initial @ (values[0] - value) ** 2)
+    under_policy = forward_measure(plain, steps, power=1)[:, 0]
+    under_behavior = forward_measure(walk_of(mdp, behavior), steps, power=1)[:, 0]
+    squared = forward_measure(weighted, steps, power=2)[:, 0]
+    matrix, n_actions = mdp.transitions, mdp.n_actions
+    entry: IntArray = row_of_entry(matrix)
+    paid = 0.0 if mdp.reward_data is None else mdp.reward_data
+    for t in range(steps):
+        ahead = paid + mdp.discount * values[t + 1][matrix.indices]
+        spread = row_sums(matrix, matrix.data * (ahead - row_sums(matrix, matrix.data * ahead)[entry]) ** 2)
+        if model == "tree":
+            weight = (squared[t][:, None] * behavior * weighted.u[0].reshape(-1, n_actions) ** 2).reshape(-1)
+        else:
+            alpha, beta = ((m[t][:, None] * b).reshape(-1) for m, b in ((under_policy, pi), (under_behavior, behavior)))
+            weight = np.divide(alpha**2, beta, out=np.zeros_like(alpha), where=beta > 0)
+        total += mdp.discount ** (2 * t) * float(weight @ spread)
+    return total
+
+
+def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int | None) -> None:
+    """A ValueError that names the first (s, a) which the policy reaches and takes and the behaviour policy never does."""
+    lost = (policy > 0) & (behavior == 0) & ~mdp.absorbing()[:, None]
+    if not lost.any():
+        return
+    reached = np.zeros(mdp.n_states, dtype=np.bool_)
+    ahead = mdp.initial > 0
+    kernel: sparse.csr_array = sparse.csr_array(policy_kernel(mdp, policy).T)
+    for _ in range(mdp.n_states if horizon is None else min(horizon, mdp.n_states)):
+        reached |= ahead
+        ahead = (kernel @ ahead.astype(np.float64) > 0) & ~reached
+        if not ahead.any():
+            break
+    missing = np.argwhere(lost & reached[:, None])
+    if len(missing):
+        s, a = (int(i) for i in missing[0])
+        raise ValueError(
+            f"behavior_policy must take every action that the policy takes; in state {s} it never takes action {a} "
+            f"({len(missing)} such state-action pairs in all)"
+        )
+
+
+def _problem(target: FiniteMDP, policy: Any, distribution: Any, name: str, horizon: int | None) -> tuple[Array, Array]:
+    """The gradient on the target's entries, and the distribution as (S*A,)."""
+    if not isinstance(target, FiniteMDP):
+        raise ValueError(f"target must be a FiniteMDP; got {type(target).__name__}")
+    if horizon is None and target.discount == 1.0:
+        raise ValueError("horizon must be given at discount 1")
+    share = _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
+    return transition_gradient(target, policy, horizon=horizon), share
+
+
+def _row_variance(target: FiniteMDP, gradient: Array) -> Array:
+    matrix = target.transitions
+    mean = row_sums(matrix, matrix.data * gradient)
+    return row_sums(matrix, matrix.data * (gradient - mean[row_of_entry(matrix)]) ** 2)
+
+
+def _weighted_sum(values: Array, share: Array) -> float:
+    """sum values / share; inf where share is 0 and the value is not."""
+    missing = (share == 0) & (np.abs(values) > 1e-24 * np.abs(values).max(initial=0.0))  # rounding is no variance
+    if missing.any():
+        return float("inf")
+    return float(np.sum(np.divide(values, share, out=np.zeros_like(values), where=share > 0)))
+
+
+__all__ = [
+    "efficiency_bound",
+    "leading_bias",
+    "ratio_of_ratios_variance",
+    "require_action_support",
+    "trajectory_efficiency_bound",
+]

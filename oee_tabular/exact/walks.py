@@ -1,0 +1,194 @@
+"""Weighted paths: how they are drawn, and the moments per decision that the public functions build on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, canonical, row_of_entry
+from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
+from oee_tabular.mdp import FiniteMDP
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Mean and variance of one episode's X; for a self-normalised estimator, what n episodes have to first order.
+
+    Attributes
+    ----------
+    mean : E[X]; self-normalised: the limit of the estimator
+    variance : Var[X]; self-normalised: lim n * variance of the estimator
+    bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
+    by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
+    by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
+        asked for
+    """
+
+    mean: float
+    variance: float
+    bias: float = 0.0
+    by_step: Array | None = field(default=None, repr=False)
+    by_state: Array | None = field(default=None, repr=False)
+
+    @property
+    def standard_deviation(self) -> float:
+        """sqrt(variance)."""
+        return float(np.sqrt(self.variance))
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """How paths are drawn and weighted, as the kernels read it: policies (1 or T, S*A), moves aligned with the entries."""
+
+    indptr: IntArray
+    indices: IntArray
+    prob: Array
+    w: Array
+    act: Array
+    u: Array
+    by_move: bool
+    pay: Array
+    initial: Array
+    discount: float
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+        return len(self.initial)
+
+    @property
+    def shape(self) -> tuple[Any, Any, Any, Any, Any, Any, Any, Any]:
+        """The arguments that all kernels begin with."""
+        return self.indptr, self.indices, self.prob, self.w, self.act, self.u, self.by_move, self.pay
+
+
+def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array | None = None) -> Walk:
+    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on moves and by policy / behavior on actions.
+
+    The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
+    """
+    if not isinstance(mdp, FiniteMDP):
+        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+    matrix = mdp.transitions
+    over = mdp.absorbing()
+    w = np.ones(matrix.nnz)
+    if ratio is not None:
+        values = getattr(ratio, "values", ratio)
+        if not sparse.issparse(values) or values.shape != matrix.shape:
+            found = getattr(values, "shape", type(values).__name__)
+            raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
+        w, _ = align(canonical(values, drop_zeros=False), matrix)
+        bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
+        if bad.size:
+            raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
+        w = np.where(over[row_of_entry(matrix) // mdp.n_actions], 1.0, w)
+    act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
+    u = np.ones_like(act)
+    if policy is not None:
+        wanted = np.broadcast_to(policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape)
+        u = np.divide(wanted, act, out=np.zeros_like(act), where=act > 0)
+        u = np.where(np.repeat(over, mdp.n_actions), 1.0, u)
+    by_move = mdp.reward_data is not None
+    pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
+    return Walk(
+        matrix.indptr.astype(np.int64),
+        matrix.indices.astype(np.int64),
+        matrix.data,
+        np.ascontiguousarray(w),
+        np.ascontiguousarray(act),
+        np.ascontiguousarray(u),
+        by_move,
+        np.ascontiguousarray(pay),
+        mdp.initial,
+        mdp.discount,
+    )
+
+
+def per_decision(
+    walk: Walk,
+    steps: int,
+    *,
+    shift: Array | None = None,
+    scale: Array | None = None,
+    c: Array | None = None,
+    h: Array | None = None,
+    k: Array | None = None,
+    sources: bool = False,
+) -> Moments:
+    """The kernel's X over ``steps`` steps; what is not given is 0 (``scale``: 1)."""
+    from oee_tabular.kernels import moments as kernel
+
+    n, pairs = walk.n_states, walk.act.shape[1]
+    shift = np.zeros(steps) if shift is None else shift
+    scale = np.ones(steps) if scale is None else scale
+    extra: list[Any] = [
+        np.zeros((1, size)) if x is None else np.ascontiguousarray(np.atleast_2d(x))
+        for x, size in ((c, pairs), (h, n), (k, n))
+    ]
+    mean, var = np.empty(n), np.empty(n)
+    local = np.empty((steps if sources else 1, n))
+    base, at_start, ahead = extra
+    kernel.per_decision(
+        steps, *walk.shape, shift, scale, base, at_start, ahead, walk.discount, mean, var, local, sources
+    )
+    value = float(walk.initial @ mean)
+    start = float(walk.initial @ (mean - value) ** 2)
+    found = Moments(value, start + float(walk.initial @ var))
+    if not sources:
+        return found
+    second = forward_measure(walk, steps, power=2)[:steps, 0]
+    parts = walk.discount ** (2.0 * np.arange(steps))[:, None] * second * local
+    return Moments(value, found.variance, 0.0, np.concatenate([[start], parts.sum(axis=1)]), parts.sum(axis=0))
+
+
+def forward_measure(walk: Walk, steps: int, *, power: int, returns: bool = False) -> Array:
+    """(T + 1, 3, S): E[W^power G^i 1{s_t = s}]."""
+    from oee_tabular.kernels import moments as kernel
+
+    out = np.zeros((steps + 1, 3, walk.n_states))
+    kernel.forward(steps, *walk.shape, walk.discount, power, walk.initial, returns, out)
+    return out
+
+
+def infinite(walk: Walk, sources: bool) -> Moments:
+    """Two linear systems; DivergentKernelError where a moment does not exist."""
+    first, second = (weighted_kernel(walk, power) for power in (1, 2))
+    gamma, n = walk.discount, walk.n_states
+    n_actions = walk.act.shape[1] // n
+    act, u = walk.act[0], walk.u[0]
+    rows = np.repeat(np.arange(len(act)), np.diff(walk.indptr))
+    if gamma == 1.0:
+        raise ValueError("horizon must be given: at discount 1 the infinite sum's variance is not worked out")
+    chance, f = act[rows] * walk.prob, u[rows]
+    state = rows // n_actions
+    pay = walk.w * walk.pay if walk.by_move else walk.pay[rows]
+    mean = solve_policy_system(first, np.bincount(state, chance * f * pay, n).astype(np.float64), gamma).x
+    value = f * (pay + gamma * walk.w * mean[walk.indices])
+    own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(np.float64)
+    try:
+        var = solve_policy_system(second, own, gamma**2).x
+    except DivergentKernelError as error:
+        raise DivergentKernelError(
+            "horizon must be given: the infinite sum has no variance, the second moment of its weights grows too fast "
+            f"({error})"
+        ) from None
+    total = float(walk.initial @ mean)
+    start = float(walk.initial @ (mean - total) ** 2)
+    found = Moments(total, start + float(walk.initial @ np.maximum(var, 0.0)))
+    if not sources:
+        return found
+    reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x
+    return Moments(total, found.variance, 0.0, None, reached * own)
+
+
+def weighted_kernel(walk: Walk, power: int) -> sparse.csr_array:
+    """(S, S): sum_a act u^power sum P w^power."""
+    n = walk.n_states
+    rows = np.repeat(np.arange(walk.act.shape[1]), np.diff(walk.indptr))
+    data = walk.act[0][rows] * walk.u[0][rows] ** power * walk.prob * walk.w**power
+    state = rows // (walk.act.shape[1] // n)
+    return sparse.csr_array((data, (state, walk.indices)), shape=(n, n))
