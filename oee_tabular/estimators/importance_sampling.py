@@ -11,8 +11,11 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.limits import Population, population
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.rollouts import Weighted, combine, segment_products, weight_status
+from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
+from oee_tabular.exact import policy_is_moments
+from oee_tabular.exact.walks import forward_measure, walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -58,7 +61,7 @@ class ImportanceSampling:
             raise ValueError(
                 "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
             )
-        ratio = pi[log.state, log.action] / self._behavior(problem, log)
+        ratio = self.ratios(problem, pi)
         keep = np.ones(len(log), dtype=np.bool_) if problem.horizon is None else timestep < problem.horizon
         lengths = np.diff(starts) if problem.horizon is None else np.minimum(np.diff(starts), problem.horizon)
         cut = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -90,6 +93,52 @@ class ImportanceSampling:
             status, error = "every weight is 0: no episode of the log is one that the policy could have made", None
         return Estimate(value, error, diagnostics=diagnostics, status=status)
 
+    def ratios(self, problem: Problem, policy: Array) -> Array:
+        """policy(a | s) / behaviour(a | s) of each row of the log (of ``problem.episodes`` where there are some)."""
+        log = problem.log if problem.episodes is None else problem.episodes
+        if log.episode_starts is None:
+            raise ValueError(
+                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
+            )
+        return np.asarray(policy[log.state, log.action] / self._behavior(problem, log))
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
+
+        J_target where that policy takes every action that the policy takes (None: it does); otherwise the
+        rewards of the paths that it can make, self-normalised those of what is left over their weight.
+        """
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        if people.behavior is None:
+            return people.value(target)
+        if (
+            self.behavior == "estimated"
+            or not self.self_normalized
+            or self.kind == "trajectory"
+            or self.ragged == "pad"
+        ):
+            return policy_is_moments(
+                target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
+                horizon=rollout_horizon(target.discount, people.horizon),
+            ).mean  # fmt: skip
+        return _limit_without_the_finished(people)
+
     def _behavior(self, problem: Problem, log: Transitions) -> Array:
         """Probability of each recorded action under the policy that recorded it."""
         if self.behavior == "estimated":
@@ -113,6 +162,21 @@ class ImportanceSampling:
                 f"a={log.action[row]}; {zero.size} such rows in all)"
             )
         return np.asarray(probability)
+
+
+def _limit_without_the_finished(people: Population) -> float:
+    """sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}]: what dropping finished episodes estimates."""
+    assert people.behavior is not None
+    steps = rollout_horizon(people.target.discount, people.horizon)
+    walk = walk_of(people.target, people.behavior, policy=people.policy)
+    reached = forward_measure(walk, steps, power=1)[:steps, 0]
+    going = ~people.target.absorbing()
+    taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)
+    paid = reached @ (taken * people.target.rewards).sum(axis=1)
+    alive = reached[:, going] @ taken.sum(axis=1)[going]
+    kept = alive > 1e-300
+    factor = people.target.discount ** np.arange(steps, dtype=np.float64)
+    return float(np.sum(factor[kept] * paid[kept] / alive[kept]))
 
 
 def _truncation(

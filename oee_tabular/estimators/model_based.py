@@ -12,6 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.limits import expected_rewards, population
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
@@ -42,9 +43,8 @@ class ModelBased:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = check_policy(policy, problem.simulator)
-        counts = problem.counts
-        totals = row_sums(counts)
-        model = self._model(problem, counts, totals)
+        totals = row_sums(problem.counts)
+        model = self.model(problem)
         try:
             found = evaluate_policy(model, pi, horizon=problem.horizon)
         except DivergentKernelError as divergence:
@@ -58,7 +58,41 @@ class ModelBased:
             diagnostics["standard_error_of"] = "log"
         return Estimate(found.value, error, diagnostics=diagnostics)
 
-    def _model(self, problem: Problem, counts: sparse.csr_array, totals: Array) -> FiniteMDP:
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J of the target's rows where the data are, the fallback's elsewhere."""
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        if self.fallback == "simulator":
+            return people.value(people.model(simulator.transitions))
+        rows = np.arange(simulator.n_states * simulator.n_actions)
+        stay = sparse.csr_array(
+            (np.ones(len(rows)), (rows, rows // simulator.n_actions)), shape=simulator.transitions.shape
+        )
+        keep, rest = (np.where(mask, 1.0, 0.0) for mask in (people.support, ~people.support))
+        model = sparse.csr_array(sparse.diags_array(keep) @ target.transitions + sparse.diags_array(rest) @ stay)
+        paid = np.where(people.support, expected_rewards(simulator, target.transitions), simulator.rewards.reshape(-1))
+        rewards = paid.reshape(simulator.rewards.shape)
+        return people.value(FiniteMDP(model, rewards, simulator.initial, simulator.discount))
+
+    def model(self, problem: Problem) -> FiniteMDP:
+        """The frequencies of the log, the fallback where it has none."""
+        counts = problem.counts
+        totals = row_sums(counts)
         base = problem.model
         unseen = np.flatnonzero(totals == 0)
         rows = row_of_entry(counts)

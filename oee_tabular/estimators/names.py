@@ -6,7 +6,10 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 
 from oee_tabular.estimators.base import Estimator
+from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
+from oee_tabular.estimators.magic import Magic
+from oee_tabular.estimators.marginalized import DualDice, Marginalized
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem
@@ -25,6 +28,14 @@ NAMED: Mapping[str, Callable[[], Estimator]] = {
     "wis": lambda: ImportanceSampling(kind="trajectory", self_normalized=True),
     "pdis": ImportanceSampling,
     "wpdis": lambda: ImportanceSampling(self_normalized=True),
+    "dr": DoublyRobust,
+    "dr-beta": lambda: DoublyRobust(weights="beta"),
+    "dr-rollouts": lambda: DoublyRobust(data="rollouts"),
+    "dr-episodes": lambda: DoublyRobust(data="episodes"),
+    "wdr": lambda: DoublyRobust(data="episodes", self_normalized=True),
+    "magic": Magic,
+    "marginalized": Marginalized,
+    "dualdice": DualDice,
 }
 WITH_TARGET: Mapping[str, Callable[[FiniteMDP], Estimator]] = {
     "oracle": Oracle,

@@ -10,10 +10,20 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._sparse import on_pattern
 from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.limits import Population, limit_ratio, population
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
-from oee_tabular.exact import ReweightedModel, evaluate_policy, occupancy, reweight, transition_gradient
+from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
+from oee_tabular.exact import (
+    Model,
+    ReweightedModel,
+    evaluate_policy,
+    occupancy,
+    reweight,
+    transition_gradient,
+    weighted_return_moments,
+)
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -63,7 +73,7 @@ class OffEnvironment:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
         pi = check_policy(policy, problem.simulator)
         generator = _checks.generator(seed)
-        zeta = self._fit(problem, generator)
+        zeta = self.fit(problem, generator)
         if self.evaluation == "monte_carlo":
             estimate = product_estimate(
                 problem.model,
@@ -78,7 +88,8 @@ class OffEnvironment:
             return replace(estimate, diagnostics=estimate.diagnostics | {"gap": zeta.gap})
         return _exact(problem, zeta, pi)
 
-    def _fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
+    def fit(self, problem: Problem, generator: np.random.Generator) -> TransitionRatio:
+        """zeta from the log, as ``ratio`` says; ``generator`` samples the simulator's data where a method needs them."""
         if isinstance(self.ratio, TransitionRatio):
             self.ratio.on(problem.simulator)  # or an error
             return self.ratio
@@ -94,6 +105,55 @@ class OffEnvironment:
             behavior_policy=problem.behavior_policy,
             seed=generator,
         )
+
+    def limit_model(self, people: Population) -> ReweightedModel:
+        """zeta * P with the zeta that infinitely many moves would give."""
+        if isinstance(self.ratio, TransitionRatio):
+            return reweight(people.simulator, self.ratio)
+        counts = people.counts()
+        if callable(self.ratio):
+            return reweight(people.simulator, self.ratio(counts, people.simulator))
+        if self.ratio == "conditional":
+            return reweight(people.simulator, limit_ratio(people, transition_ratio(counts, people.simulator)))
+        known: dict[str, Any] = {"simulator_data": "exact", "behavior_policy": people.behavior}
+        return reweight(people.simulator, transition_ratio(counts, people.simulator, method=self.ratio, **known))
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.
+
+        Exact rows of the target where the data are, the prior's elsewhere ("conditional"); the box-clipped quotient
+        ("ratio_of_ratios", "joint": data_distribution counts, against the simulator's exact occupancy under the
+        behaviour policy, which is that of the data where it is not given).
+        """
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        model = self.limit_model(people)
+        if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
+            return people.value(model)
+        zeta = on_pattern(
+            simulator.transitions,
+            np.divide(model.transitions.data, simulator.transitions.data, out=np.zeros(simulator.transitions.nnz),
+                      where=simulator.transitions.data > 0),
+        )  # fmt: skip
+        return weighted_return_moments(
+            simulator, zeta, people.policy, kind=self.weighting, self_normalized=self.self_normalized,
+            horizon=rollout_horizon(simulator.discount, people.horizon),
+        ).mean  # fmt: skip
 
 
 def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
@@ -134,7 +194,7 @@ def _one_step(zeta: TransitionRatio, gradient: Array, value: float) -> dict[str,
     }
 
 
-def coverage(problem: Problem, model: FiniteMDP | ReweightedModel, policy: Array, counts: Array) -> dict[str, Any]:
+def coverage(problem: Problem, model: Model, policy: Array, counts: Array) -> dict[str, Any]:
     """How much of the policy's discounted time in ``model`` the log has seen, and how many of its transitions bear on it.
 
     ``counts`` (S, A) are the log's. States that no action leaves in the simulator are left out of the time: there is

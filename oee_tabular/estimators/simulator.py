@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 from oee_tabular import _checks
 from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.limits import population
+from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
@@ -29,6 +31,27 @@ class Simulator:
         except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J in the simulator."""
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        return people.value(simulator)
 
 
 @dataclass(frozen=True)
@@ -83,3 +106,21 @@ class Oracle:
                 "largest_weight": float(ratio.values.data.max()),
             },
         )
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
+        return OffEnvironment(
+            ratio=true_ratio(self.target, simulator),
+            evaluation=self.evaluation,
+            weighting=self.weighting,
+            self_normalized=self.self_normalized,
+        ).limit(simulator, target, policy, horizon=horizon)

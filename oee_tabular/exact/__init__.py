@@ -18,12 +18,13 @@ from oee_tabular.exact.moments import (
 )
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.planning import optimal_policy
-from oee_tabular.exact.reweighted import ReweightedModel, reweight
+from oee_tabular.exact.reweighted import Model, ReweightedModel, reweight
 from oee_tabular.exact.values import action_values, evaluate_policy, policy_value, state_values
 from oee_tabular.exact.walks import Moments
 
 __all__ = [
     "LinearSolution",
+    "Model",
     "Moments",
     "ReweightedModel",
     "action_values",

@@ -1,0 +1,200 @@
+"""Doubly robust estimators: a model's value, and the log's residuals on top of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, find, row_of_entry, row_sums
+from oee_tabular.data import Transitions
+from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
+from oee_tabular.estimators.episodes import episode_limit, episode_terms
+from oee_tabular.estimators.limits import population
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
+from oee_tabular.exact import (
+    Model,
+    evaluate_policy,
+    policy_value,
+    reweight,
+    state_values,
+    transition_gradient,
+)
+from oee_tabular.exact.efficiency import require_action_support
+from oee_tabular.exact.moments import values_to_go
+from oee_tabular.exact.walks import walk_of
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.simulate import sample_episodes
+
+DATA = ("transitions", "rollouts", "episodes")
+WEIGHTS = ("occupancy", "beta")
+
+
+@dataclass(frozen=True)
+class DoublyRobust:
+    """A value that is right if either of its two parts is.
+
+    Parameters
+    ----------
+    data : "transitions" | "rollouts" | "episodes"
+        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))], "the simulator, and the occupancy-
+        weighted sim-to-real residual"; exact given the log, for any horizon (time sums inside).
+        rollouts: on rollouts of the simulator, D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))], with
+        m_t = sum_s' zeta P V_sim: the paper's product with a control variate.
+        episodes: on the log's episodes (policy importance sampling), D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} -
+        Q(s_t, a_t)], V and Q of the model zeta * P; an episode that was truncated goes on as V.
+    weights : "occupancy" | "beta", for transitions
+        w = d / d_log with d the occupancy in zeta * P, or only the simulator's: then the error is of second order in the
+        mismatch of the two environments, and no zeta is fitted
+    ratio : as in ``OffEnvironment``: where zeta is from
+    self_normalized : for episodes: the weights of each step divided by their sum (weighted doubly robust [2])
+    n_rollouts : for rollouts
+
+    Notes
+    -----
+    Limits: ``limit``. Sources: [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and
+    E. Brunskill, Data-efficient off-policy policy evaluation, ICML 2016.
+    """
+
+    data: Literal["transitions", "rollouts", "episodes"] = "transitions"
+    weights: Literal["occupancy", "beta"] = "occupancy"
+    ratio: RatioOption = "conditional"
+    self_normalized: bool = False
+    n_rollouts: int = 100
+
+    def __post_init__(self) -> None:
+        _checks.one_of(self.data, "data", DATA)
+        _checks.one_of(self.weights, "weights", WEIGHTS)
+        if self.self_normalized and self.data != "episodes":
+            raise ValueError(f"self_normalized must be False with data {self.data!r}: it is for episodes")
+        _checks.positive_integer(self.n_rollouts, "n_rollouts")
+        OffEnvironment(ratio=self.ratio)  # or an error
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """``seed`` is for rollouts and for ratios that sample the simulator."""
+        pi = check_policy(policy, problem.simulator)
+        generator = _checks.generator(seed)
+        if self.data == "transitions":
+            return self._on_transitions(problem, pi, generator)
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+        if self.data == "rollouts":
+            return self._on_rollouts(problem, pi, zeta, generator)
+        found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
+        value, error = (found.total, found.error) if self.self_normalized else mean_and_error(found.values)
+        diagnostics = {
+            "standard_error_of": "log",
+            "n_episodes": len(found.values),
+            "effective_sample_size": effective_sample_size(found.last),
+            "largest_weight": float(found.last.max()),
+            "gap": zeta.gap,
+        }
+        return Estimate(value, error, diagnostics=diagnostics, status=weight_status(value))
+
+    def _on_transitions(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        model = problem.model
+        base = evaluate_policy(model, policy, horizon=problem.horizon)
+        where: Model = model
+        diagnostics: dict[str, Any] = {"standard_error_of": "log", "simulator_value": base.value}
+        if self.weights == "occupancy":
+            zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+            where = reweight(model, zeta)
+            diagnostics["gap"] = zeta.gap
+        gradient = transition_gradient(where, policy, horizon=problem.horizon, values_of=model)
+        observed, _ = align(problem.counts, model.transitions)
+        total = row_sums(model.transitions, observed)
+        rows = row_of_entry(model.transitions)
+        seen = total[rows] > 0
+        frequency = np.divide(observed, total[rows], out=np.zeros_like(observed), where=seen)
+        change = float(gradient[seen] @ (frequency - model.transitions.data)[seen])
+        mean = row_sums(model.transitions, frequency * gradient)
+        spread = row_sums(model.transitions, frequency * (gradient - mean[rows]) ** 2)
+        error = float(np.sqrt(np.sum(spread[total > 0] / total[total > 0])))
+        diagnostics |= coverage(problem, where, policy, total.reshape(model.n_states, -1))
+        return Estimate(base.value + change, error, diagnostics=diagnostics)
+
+    def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
+        model = problem.model
+        steps = rollout_horizon(model.discount, problem.horizon)
+        rollouts = sample_episodes(model, policy, self.n_rollouts, steps, seed=generator)
+        values = _rollout_values(model, rollouts, zeta.on(model), _to_go(model, policy, problem.horizon, steps))
+        value, error = mean_and_error(values)
+        return Estimate(
+            value,
+            error,
+            diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
+        )
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """The exact population limit.
+
+        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are, visits in the
+        limit of zeta * P or in the simulator; rollouts: J of the limit of zeta * P; episodes: J_target where the behaviour
+        policy takes every action of the policy (None: it does), else what the model makes of the rest (self-normalised:
+        an error that names an action).
+        """
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        limit_model = OffEnvironment(ratio=self.ratio).limit_model(people)
+        if self.data == "rollouts":
+            return people.value(limit_model)
+        if self.data == "episodes":
+            if self.self_normalized and people.behavior is not None:
+                require_action_support(target, people.behavior, people.policy, people.horizon)
+            return episode_limit(people, limit_model)
+        where: Model = limit_model if self.weights == "occupancy" else simulator
+        gradient = transition_gradient(where, people.policy, horizon=people.horizon, values_of=simulator)
+        inside, _ = align(target.transitions, simulator.transitions)
+        seen = people.support[row_of_entry(simulator.transitions)]
+        change = float(gradient[seen] @ (inside - simulator.transitions.data)[seen])
+        return policy_value(simulator, people.policy, horizon=people.horizon) + change
+
+
+def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> Array:
+    """(T + 1, S) values to go; of the infinite sum the same at every step."""
+    if horizon is None:
+        return np.tile(state_values(model, policy), (steps + 1, 1))
+    return values_to_go(walk_of(model, policy), steps)
+
+
+def _rollout_values(model: FiniteMDP, rollouts: Transitions, zeta: Array, values: Array) -> Array:
+    """D_0 of each rollout, backward in time."""
+    starts, timestep = rollouts.episode_starts, rollouts.timestep
+    assert starts is not None
+    assert timestep is not None
+    rows = rollouts.state * model.n_actions + rollouts.action
+    position, _ = find(model.transitions, rows, rollouts.next_state)
+    weighted = zeta * model.transitions.data
+    entry_rows, columns = row_of_entry(model.transitions), model.transitions.indices
+    by_move = model.reward_data is not None
+    pay = model.reward_data if model.reward_data is not None else model.rewards.reshape(-1)[entry_rows]
+    ahead = np.zeros(len(starts) - 1)
+    last = int(timestep.max())
+    for t in range(last, -1, -1):
+        here = np.flatnonzero(timestep == t)
+        episode = np.searchsorted(starts, here, side="right") - 1
+        going = model.discount * (values[t + 1] if t < len(values) - 2 else np.zeros(model.n_states))
+        moved = (pay if by_move else 0.0) + going[columns]
+        known = row_sums(model.transitions, weighted * moved)[rows[here]]
+        left = model.discount * ahead[episode] - going[rollouts.next_state[here]]
+        ahead[episode] = (0.0 if by_move else pay[position[here]]) + known + zeta[position[here]] * left
+    return ahead

@@ -1,0 +1,101 @@
+"""What the limits of all estimators need: the model that data of a given support can tell, and exact zetas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
+from oee_tabular.exact import Model, policy_value
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio import TransitionRatio, refuse_unsupported
+
+_MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is asked for one
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """A pair and the data that an estimator would have infinitely many of.
+
+    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the caller gives none; ``support`` (S*A,) its
+    support, or all rows.
+    """
+
+    simulator: FiniteMDP
+    target: FiniteMDP
+    policy: Array
+    distribution: Array
+    support: BoolArray
+    behavior: Array | None
+    horizon: int | None
+
+    def counts(self) -> sparse.csr_array:
+        """Expected counts of very many moves, csr (S*A, S)."""
+        matrix = self.target.transitions
+        weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
+        return on_pattern(matrix, weight * matrix.data)
+
+    def model(self, fallback: sparse.csr_array) -> FiniteMDP:
+        """The target's rows where the data have them, ``fallback``'s elsewhere; paying what the simulator pays."""
+        keep, rest = (
+            sparse.diags_array(mask.astype(np.float64), format="csr") for mask in (self.support, ~self.support)
+        )
+        rows = sparse.csr_array(keep @ self.target.transitions + rest @ fallback)
+        return self.simulator.with_transitions(rows)
+
+    def value(self, model: Model) -> float:
+        """J of the policy in ``model``."""
+        return policy_value(model, self.policy, horizon=self.horizon)
+
+
+def population(
+    simulator: FiniteMDP,
+    target: FiniteMDP,
+    policy: Any,
+    *,
+    data_distribution: Any = None,
+    behavior_policy: Any = None,
+    horizon: int | None = None,
+) -> Population:
+    """The arguments of every ``limit``, checked: shapes, and the target inside the simulator's support."""
+    for value, name in ((simulator, "simulator"), (target, "target")):
+        if not isinstance(value, FiniteMDP):
+            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+    if target.transitions.shape != simulator.transitions.shape:
+        raise ValueError(
+            f"target and simulator must have the same states and actions; their transitions have shapes "
+            f"{target.transitions.shape} and {simulator.transitions.shape}"
+        )
+    shape = (simulator.n_states, simulator.n_actions)
+    full = np.full(shape, 1.0 / (shape[0] * shape[1]))
+    share = full if data_distribution is None else _checks.distribution(data_distribution, "data_distribution", shape)
+    support = share.reshape(-1) > 0
+    seen = sparse.csr_array(sparse.diags_array(support.astype(np.float64), format="csr") @ target.transitions)
+    refuse_unsupported(seen, simulator, what="target")
+    behavior = None
+    if behavior_policy is not None:
+        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+    steps = _checks.optional_horizon(horizon)
+    return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
+
+
+def limit_ratio(people: Population, fitted: TransitionRatio) -> sparse.csr_array:
+    """``fitted`` with the exact P_target / P_simulator on the rows that have data."""
+    matrix = people.simulator.transitions
+    inside, _ = align(people.target.transitions, matrix)
+    seen = people.support[row_of_entry(matrix)]
+    safe = np.where(matrix.data > 0, matrix.data, 1.0)
+    return on_pattern(matrix, np.where(seen, inside / safe, fitted.on(people.simulator)))
+
+
+def expected_rewards(simulator: FiniteMDP, transitions: sparse.csr_array) -> Array:
+    """(S*A,) expected rewards under other dynamics, paid as the simulator pays."""
+    if simulator.reward_data is None:
+        return simulator.rewards.reshape(-1)
+    moves, _ = align(transitions, simulator.transitions)
+    return row_sums(simulator.transitions, moves * simulator.reward_data)

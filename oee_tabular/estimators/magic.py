@@ -1,0 +1,116 @@
+"""MAGIC: a blend of importance sampling and the model, by the number of steps that the log is used for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.doubly_robust import DoublyRobust
+from oee_tabular.estimators.episodes import episode_terms
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.rollouts import weight_status
+from oee_tabular.exact import reweight
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+
+@dataclass(frozen=True)
+class Magic:
+    """Model and guided importance sampling combining [1], on the log's episodes.
+
+    g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model alone, j = T:
+    the whole of it). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
+    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T.
+
+    Parameters
+    ----------
+    ratio : as in ``OffEnvironment``: the model
+    n_lengths : how many j are blended (spread evenly from 0 to T)
+    n_bootstrap : resamples of the episodes
+
+    Notes
+    -----
+    Limit: that of weighted doubly robust. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
+    for reinforcement learning, ICML 2016.
+    """
+
+    ratio: RatioOption = "conditional"
+    n_lengths: int = 25
+    n_bootstrap: int = 200
+
+    def __post_init__(self) -> None:
+        OffEnvironment(ratio=self.ratio)  # or an error
+        _checks.positive_integer(self.n_lengths, "n_lengths")
+        _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """``seed`` is for the bootstrap and for ratios that sample the simulator."""
+        pi = check_policy(policy, problem.simulator)
+        generator = _checks.generator(seed)
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+        found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=True)
+        n, columns = found.partial.shape
+        if np.isnan(found.total) or n < 2:
+            value = found.total if n > 1 else float("nan")
+            return Estimate(value, status=weight_status(value) if n > 1 else "the blend needs at least 2 episodes")
+        chosen = np.unique(np.round(np.linspace(0, columns - 1, min(self.n_lengths, columns))).astype(int))
+        parts = found.partial[:, chosen]
+        totals = parts.sum(axis=0)
+        covariance = n / (n - 1.0) * (parts - totals / n).T @ (parts - totals / n)
+        draws = generator.integers(0, n, size=(self.n_bootstrap, n))
+        low, high = np.quantile(parts[:, -1][draws].sum(axis=1), [0.25, 0.75])
+        bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
+        weights = simplex_minimum(covariance + np.outer(bias, bias))
+        error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+        return Estimate(
+            float(weights @ totals),
+            error,
+            diagnostics={
+                "standard_error_of": "log",
+                "n_episodes": n,
+                "effective_sample_size": effective_sample_size(found.last),
+                "largest_weight": float(found.last.max()),
+                "share_of_model": float(weights[0]),
+                "share_of_log": float(weights[-1]),
+                "gap": zeta.gap,
+            },
+        )
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""
+        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+
+
+def simplex_minimum(matrix: Array) -> Array:
+    """argmin x^T A x over the simplex, A positive semidefinite.
+
+    Nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2 over y >= 0 is a multiple of it.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    scale = max(float(values.max()), 1e-300)
+    root = (np.sqrt(np.maximum(values, 0.0) / scale) * vectors).T
+    stacked = np.vstack([root, np.ones(len(matrix))])
+    y, _ = nnls(stacked, np.append(np.zeros(len(root)), 1.0), maxiter=100 * len(matrix))
+    return np.asarray(y / y.sum())

@@ -1,0 +1,192 @@
+"""Estimators through occupancy ratios: no product of ratios along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import row_sums
+from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.limits import expected_rewards, population
+from oee_tabular.estimators.model_based import ModelBased
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.exact import Model, occupancy, reweight
+from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.values import policy_kernel
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio import density_ratio
+
+
+def total_discount(discount: float, horizon: int | None) -> float:
+    """sum_t discount^t over the horizon."""
+    if horizon is None:
+        return 1.0 / (1.0 - discount)
+    return float(horizon) if discount == 1.0 else (1.0 - discount**horizon) / (1.0 - discount)
+
+
+@dataclass(frozen=True)
+class Marginalized:
+    """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
+
+    beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's rows), and
+    w = d_target / d_sim, here the exact tabular solution: the occupancy in zeta * P over the simulator's.
+
+    Parameters
+    ----------
+    ratio : as in ``OffEnvironment``: where zeta is from
+    lower, upper : box for beta (None: none; then it is exact where the log has rows)
+
+    Notes
+    -----
+    Rows that the log never visited pay nothing: their share of the policy's time is in the diagnostics. Source: [1] P. Katdare,
+    N. Jiang and K. Driggs-Campbell, Marginalized importance sampling for off-environment policy evaluation, CoRL 2023.
+    """
+
+    ratio: RatioOption = "conditional"
+    lower: float | None = None
+    upper: float | None = None
+
+    def __post_init__(self) -> None:
+        OffEnvironment(ratio=self.ratio)  # or an error
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
+        pi = check_policy(policy, problem.simulator)
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, _checks.generator(seed))
+        model = reweight(problem.model, zeta)
+        counts = row_sums(problem.counts)
+        pay = _rewards_of_rows(problem)
+        value, weights, gap = self._value(model, problem.simulator, pi, problem.horizon, counts, pay)
+        share = counts / counts.sum()
+        diagnostics: dict[str, Any] = {
+            "gap": max(gap, zeta.gap),
+            "largest_weight": float(weights.max()),
+            "mean_weight": float(share @ weights),
+            "effective_sample_size": effective_sample_size(weights * np.sqrt(share)) if len(weights) else 0.0,
+            **coverage(problem, model, pi, counts.reshape(model.n_states, -1)),
+        }
+        return Estimate(value, None, diagnostics=diagnostics)
+
+    def _value(
+        self, model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None, counts: Array, pay: Array
+    ) -> tuple[float, Array, float]:
+        """J, the weights beta w on (S*A,), and beta's gap."""
+        share = counts / counts.sum()
+        here = occupancy(simulator, policy, horizon=horizon).reshape(-1)
+        there = occupancy(model, policy, horizon=horizon).reshape(-1)
+        seen = share > 0
+        beta, gap = np.zeros_like(share), 0.0
+        if here[seen].sum() > 0:
+            fit = density_ratio(here[seen], share[seen], lower=self.lower, upper=self.upper, normalized=False)
+            beta[seen], gap = fit.ratio * here[seen].sum(), fit.gap
+        shift = np.divide(there, here, out=np.zeros_like(there), where=here > 0)
+        weights = beta * shift
+        return total_discount(model.discount, horizon) * float(share @ (weights * pay)), weights, gap
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P."""
+        people = population(
+            simulator,
+            target,
+            policy,
+            data_distribution=data_distribution,
+            behavior_policy=behavior_policy,
+            horizon=horizon,
+        )
+        model = OffEnvironment(ratio=self.ratio).limit_model(people)
+        pay = expected_rewards(simulator, target.transitions)
+        share = people.distribution.reshape(-1)
+        return self._value(model, simulator, people.policy, people.horizon, share, pay)[0]
+
+
+def _rewards_of_rows(problem: Problem) -> Array:
+    """(S*A,) mean reward of the log's moves in each row (0 where there are none)."""
+    log, n_actions = problem.log, problem.simulator.n_actions
+    rows = log.state * n_actions + log.action
+    size = problem.simulator.n_states * n_actions
+    paid = np.bincount(rows, weights=problem.rewards_of(log), minlength=size)
+    number = np.bincount(rows, minlength=size)
+    return np.divide(paid, number, out=np.zeros(size), where=number > 0)
+
+
+@dataclass(frozen=True)
+class DualDice:
+    """Tabular DualDICE [1] for a shift of the environment, with the simulator's occupancy as its base distribution.
+
+    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies (the simulator's
+    rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim, and J = E_{d_sim}[w r] / (1 - gamma).
+
+    Notes
+    -----
+    Without a horizon only. Identical to the model-based value with ``fallback="simulator"``: both are the maximum-likelihood
+    model's. ``diagnostics`` has the largest |nu| and w. Source: [1] O. Nachum et al., DualDICE: behavior-agnostic estimation of
+    discounted stationary distribution corrections, NeurIPS 2019.
+    """
+
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """Exact given the log; ``seed`` is not used."""
+        pi = check_policy(policy, problem.simulator)
+        if problem.horizon is not None:
+            raise ValueError(
+                f"horizon must be None for DualDICE, whose occupancies are of the infinite sum; it is {problem.horizon}"
+            )
+        model = ModelBased(fallback="simulator").model(problem)
+        value, nu, weights, missed = _dual_dice(model, problem.simulator, pi)
+        return Estimate(
+            value,
+            diagnostics={
+                "largest_weight": float(weights.max()),
+                "largest_nu": float(np.abs(nu).max()),
+                "residual": missed,
+            },
+        )
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """J of the target's rows where the data are, the simulator's elsewhere."""
+        people = population(
+            simulator, target, policy, data_distribution=data_distribution, behavior_policy=behavior_policy
+        )
+        return people.value(people.model(simulator.transitions))
+
+
+def _dual_dice(model: FiniteMDP, simulator: FiniteMDP, policy: Array) -> tuple[float, Array, Array, float]:
+    """J, nu (S, A), w (S, A), and the largest residual of the normal equations.
+
+    With B = I - gamma P^pi on (s, a) they are B^T D B nu = (1 - gamma) mu_0 pi: first y = D w from B^T y, then nu from
+    B nu = w.
+    """
+    gamma = model.discount
+    if gamma == 1.0:
+        raise ValueError("discount must be below 1 for DualDICE; it is 1")
+    base = occupancy(simulator, policy)
+    kernel = policy_kernel(model, policy)
+    states = solve_policy_system(kernel, (1.0 - gamma) * model.initial, gamma, transpose=True).x
+    weights = np.divide(states[:, None] * policy, base, out=np.zeros_like(base), where=base > 0)
+    nu_states = solve_policy_system(kernel, (policy * weights).sum(axis=1), gamma).x
+    nu = weights + gamma * (model.transitions @ nu_states).reshape(weights.shape)
+    residual = nu - gamma * (model.transitions @ (policy * nu).sum(axis=1)).reshape(nu.shape) - weights
+    value = float((base * weights * model.rewards).sum()) / (1.0 - gamma)
+    return value, nu, weights, float(np.abs(residual).max())
