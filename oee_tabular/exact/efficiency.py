@@ -22,7 +22,7 @@ from oee_tabular.exact.gradient import transition_gradient
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.values import policy_kernel, state_values
-from oee_tabular.exact.walks import forward_measure, walk_of
+from oee_tabular.exact.walks import forward_measure, require_mdp, walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -93,8 +93,7 @@ def ratio_of_ratios_variance(
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
     _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    require_mdp(simulator, "simulator")
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
@@ -128,6 +127,7 @@ def trajectory_efficiency_bound(
     Raises ValueError where the behaviour policy never takes an action that the policy takes (in a state that it
     reaches): no estimator is consistent.
     """
+    require_mdp(mdp)
     steps = _checks.positive_integer(horizon, "horizon")
     _checks.one_of(model, "model", ("mdp", "tree"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
@@ -179,8 +179,7 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
 
 def _problem(target: FiniteMDP, policy: Any, distribution: Any, name: str, horizon: int | None) -> tuple[Array, Array]:
     """The gradient on the target's entries, and the distribution as (S*A,)."""
-    if not isinstance(target, FiniteMDP):
-        raise ValueError(f"target must be a FiniteMDP; got {type(target).__name__}")
+    require_mdp(target, "target")
     if horizon is None and target.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
     share = _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)

@@ -14,6 +14,7 @@ Cochran, Sampling Techniques, 1977. [3] N. Jiang and L. Li, Doubly robust off-po
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +22,16 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.linear import spectral_radius
-from oee_tabular.exact.walks import Moments, Walk, forward_measure, infinite, per_decision, walk_of, weighted_kernel
+from oee_tabular.exact.walks import (
+    Moments,
+    Walk,
+    forward_measure,
+    infinite,
+    per_decision,
+    require_mdp,
+    walk_of,
+    weighted_kernel,
+)
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 KINDS = ("per_decision", "trajectory")
@@ -45,6 +55,7 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
+    require_mdp(mdp)
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, mdp, horizon=steps)
     return _moments(walk_of(mdp, pi), "per_decision", steps, False, sources)
@@ -82,6 +93,7 @@ def weighted_return_moments(
     -----
     The mean per decision is J of the model zeta * P. Cost: O(T nnz), or two sparse solves.
     """
+    require_mdp(simulator, "simulator")
     _checks.one_of(kind, "kind", KINDS)
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, simulator, horizon=steps)
@@ -112,6 +124,7 @@ def policy_is_moments(
     -----
     Where the behaviour policy never takes an action that the policy takes, the mean is that of what is left: it is not J.
     """
+    require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
     steps = _checks.optional_horizon(horizon)
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=steps)
@@ -230,6 +243,7 @@ def doubly_robust_moments(
     -----
     With U = 0 the per-decision estimator. Cost: O(T nnz).
     """
+    require_mdp(simulator, "simulator")
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)
@@ -247,19 +261,7 @@ def doubly_robust_moments(
     known = np.stack([walk.discount * np.bincount(rows, moved * u[t + 1][walk.indices], pairs) for t in range(steps)])
     paid = np.bincount(rows, moved * walk.pay, pairs) if walk.by_move else walk.pay
     known = np.asarray(known + paid, dtype=np.float64)  # all of the step that the baseline knows
-    silent = np.zeros(len(walk.pay))
-    quiet = Walk(
-        walk.indptr,
-        walk.indices,
-        walk.prob,
-        walk.w,
-        walk.act,
-        walk.u,
-        walk.by_move,
-        silent,
-        walk.initial,
-        walk.discount,
-    )
+    quiet = replace(walk, pay=np.zeros(len(walk.pay)))
     if action_baseline:
         mean = (walk.act * known).reshape(steps, simulator.n_states, -1).sum(axis=2)
         return per_decision(quiet, steps, h=mean, k=u, sources=sources)
@@ -284,6 +286,7 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
 
     E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t -> ``weight_growth``.
     """
+    require_mdp(simulator, "simulator")
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator, horizon=steps)
     walk = walk_of(simulator, pi, ratio=zeta)
@@ -297,6 +300,7 @@ def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
     Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the moves that recur. Of a reducible chain the
     largest over all classes.
     """
+    require_mdp(simulator, "simulator")
     walk = walk_of(simulator, check_policy(policy, simulator), ratio=zeta)
     matrix = weighted_kernel(walk, 2)
     if matrix.shape[0] <= 400:

@@ -66,13 +66,17 @@ class Walk:
         return self.indptr, self.indices, self.prob, self.w, self.act, self.u, self.by_move, self.pay
 
 
+def require_mdp(value: object, name: str = "mdp") -> None:
+    """A ValueError for what is no FiniteMDP."""
+    if not isinstance(value, FiniteMDP):
+        raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+
+
 def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array | None = None) -> Walk:
     """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on moves and by policy / behavior on actions.
 
     The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
     """
-    if not isinstance(mdp, FiniteMDP):
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
     matrix = mdp.transitions
     over = mdp.absorbing()
     w = np.ones(matrix.nnz)

@@ -1,0 +1,385 @@
+"""Exact moments against the enumeration of every path; theory.md sections 2 and 5, invariants named in brackets."""
+
+import numpy as np
+import pytest
+from helpers import dense, paths, random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular.exact import weight_growth, weight_moments
+from oee_tabular.exact.moments import values_to_go
+from oee_tabular.exact.walks import walk_of
+
+KINDS = ("per_decision", "trajectory")
+
+
+def ratio_of(rng, simulator):
+    """Any weights on the simulator's entries: rows of zeta * P of any sum, zeros among them."""
+    data = rng.integers(0, 4, simulator.transitions.nnz) / 2.0
+    matrix = simulator.transitions
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def enumerated(mdp, drawn, u, w, horizon, kind):
+    """(probability, X, last weight, return, weights of the rewards, weighted rewards) of every path."""
+    by_move, over = mdp.transition_rewards is not None, mdp.absorbing()
+    rows = []
+    for probability, steps in paths(mdp, drawn, horizon):
+        weight, total, plain, weights, paid = 1.0, 0.0, 0.0, [], []
+        for t, (s, a, following, r) in enumerate(steps):
+            weight *= 1.0 if over[s] else u[s, a]
+            move = 1.0 if over[s] else w[s, a, following]
+            carried = weight * move if by_move else weight
+            weight *= 1.0 if not by_move and t == horizon - 1 else move
+            total += mdp.discount**t * carried * r
+            plain += mdp.discount**t * r
+            weights.append(carried)
+            paid.append(carried * r)
+        rows.append((probability, total if kind == "per_decision" else weight * plain, weight, plain, weights, paid))
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def moments_of(probability, x):
+    mean = probability @ x
+    return mean, probability @ (x - mean) ** 2, probability @ x**2
+
+
+def check(found, probability, x):
+    mean, variance, second = moments_of(probability, x)
+    scale = max(second, 1e-12)
+    assert abs(found.mean - mean) <= 1e-10 * np.sqrt(scale) + 1e-14
+    assert abs(found.variance - variance) <= 1e-10 * scale + 1e-14
+
+
+@settings(max_examples=200)
+@given(rngs, st.sampled_from(KINDS))
+def test_19_products_of_ratios_equal_enumeration(rng, kind):
+    """[19, 42] to 1e-10 of E X^2, with r(s), r(s, a) and r(s, a, s'), any zeta."""
+    simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3)))
+    policy, zeta, horizon = random_policy(rng, simulator), ratio_of(rng, simulator), int(rng.integers(1, 4))
+    w = zeta.toarray().reshape(simulator.n_states, simulator.n_actions, -1)
+    probability, x, *_ = enumerated(simulator, policy, np.ones_like(policy), w, horizon, kind)
+    found = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon, sources=True)
+    check(found, probability, x)
+    assert_allclose(found.by_step.sum(), found.variance, rtol=1e-9, atol=1e-12)
+    assert_allclose(found.by_state.sum() + found.by_step[0], found.variance, rtol=1e-9, atol=1e-12)
+    assert len(found.by_step) == horizon + 1
+
+
+@settings(max_examples=60)
+@given(rngs, st.sampled_from(KINDS))
+def test_19_policy_importance_sampling_equals_enumeration(rng, kind):
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
+    behavior, policy = random_policy(rng, mdp), random_policy(rng, mdp)
+    horizon = int(rng.integers(1, 4))
+    u = np.divide(policy, behavior, out=np.zeros_like(policy), where=behavior > 0)
+    ones = np.ones((mdp.n_states, 2, mdp.n_states))
+    probability, x, *_ = enumerated(mdp, behavior, u, ones, horizon, kind)
+    check(oee.policy_is_moments(mdp, behavior, policy, kind=kind, horizon=horizon), probability, x)
+
+
+@settings(max_examples=60)
+@given(rngs, st.sampled_from(KINDS))
+def test_self_normalised_limits_variances_and_biases(rng, kind):
+    """theory.md section 1: bias -(E[W^2 G] - J E[W^2]) / N, N * MSE -> E[W^2 (G - J)^2], weights scaled to mean 1."""
+    simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
+    policy, horizon = random_policy(rng, simulator), int(rng.integers(1, 4))
+    zeta = ratio_of(rng, simulator)
+    w = zeta.toarray().reshape(simulator.n_states, 2, -1)
+    probability, _, last, plain, weights, paid = enumerated(simulator, policy, np.ones_like(policy), w, horizon, kind)
+    found = oee.weighted_return_moments(
+        simulator, zeta, policy, kind=kind, horizon=horizon, self_normalized=True, sources=True
+    )
+    gamma = simulator.discount ** np.arange(horizon)
+    if kind == "trajectory":
+        mass = probability @ last
+        if mass == 0:
+            assert np.isnan(found.mean)
+            return
+        limit = probability @ (last * plain) / mass
+        influence = last * (plain - limit) / mass
+        bias = -(probability @ (last**2 * (plain - limit))) / mass**2
+    else:
+        mass = probability @ weights
+        if (mass == 0).any():
+            assert np.isnan(found.mean)
+            return
+        level = probability @ paid / mass
+        limit = gamma @ level
+        influence = ((paid - level * weights) / mass) @ gamma
+        bias = -gamma @ (probability @ (weights * (paid - level * weights)) / mass**2)
+    scale = max(1.0, probability @ influence**2)
+    assert_allclose(found.mean, limit, rtol=1e-10, atol=1e-11)
+    assert_allclose(found.variance, probability @ influence**2, atol=1e-9 * scale)
+    assert_allclose(found.bias, bias, rtol=1e-8, atol=1e-9 * scale)
+    assert_allclose(found.by_step.sum(), found.variance, atol=1e-9 * scale)
+
+
+@settings(max_examples=60)
+@given(rngs, st.booleans(), st.booleans())
+def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own):
+    """The mean is J(zeta P) for every baseline; the variance that of the recursion's definition on each path."""
+    simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3)))
+    policy, zeta, horizon = random_policy(rng, simulator), ratio_of(rng, simulator), int(rng.integers(1, 4))
+    baseline = rng.normal(size=(horizon + 1, simulator.n_states)) if own else None
+    found = oee.doubly_robust_moments(
+        simulator, zeta, policy, baseline=baseline, horizon=horizon, action_baseline=action_baseline
+    )
+    u = values_to_go(walk_of(simulator, policy), horizon) if baseline is None else baseline.copy()
+    u[horizon] = 0
+    transitions, rewards = dense(simulator)
+    over = simulator.absorbing()
+    w = zeta.toarray().reshape(transitions.shape)
+    w[over] = 1.0
+    by_move, gamma = simulator.transition_rewards is not None, simulator.discount
+    probabilities, values = [], []
+    for probability, steps in paths(simulator, policy, horizon):
+        value = 0.0
+        for t in range(horizon - 1, -1, -1):
+            s, a, following, r = steps[t]
+            moved = gamma * u[t + 1] + (rewards[s] if by_move else 0.0)
+            known = (transitions[s] * w[s] * moved).sum(axis=1) + (0.0 if by_move else rewards[s, :, 0])
+            left = r if by_move else 0.0
+            expected = (known * policy[s]).sum() if action_baseline else known[a]
+            value = expected + w[s, a, following] * (left + gamma * value - (left + gamma * u[t + 1][following]))
+        probabilities.append(probability)
+        values.append(value)
+    check(found, np.array(probabilities), np.array(values))
+    kernel = oee.weighted_return_moments(simulator, zeta, policy, horizon=horizon)
+    assert_allclose(found.mean, kernel.mean, rtol=1e-9, atol=1e-10)
+
+
+@given(rngs)
+def test_23_with_the_true_values_only_the_start_varies(rng):
+    """DR is exact for any zeta whose rows sum to 1 ... here the true one; with the action baseline Var = Var V_0(s_0)."""
+    simulator = random_mdp(rng)
+    target = random_mdp(rng, like=simulator)
+    policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
+    values = values_to_go(walk_of(target, policy), 4)
+    found = oee.doubly_robust_moments(simulator, zeta, policy, baseline=values, horizon=4, action_baseline=True)
+    start = target.initial @ (values[0] - target.initial @ values[0]) ** 2
+    assert_allclose(found.variance, start, atol=1e-9 * max(1.0, found.mean**2))
+    assert_allclose(found.mean, oee.policy_value(target, policy, horizon=4), rtol=1e-9, atol=1e-10)
+
+
+@given(rngs)
+def test_20_21_the_mean_is_the_value_of_the_model(rng):
+    """Per decision: J(zeta P). With rows that sum to 1 the trajectory's is the same."""
+    simulator = random_mdp(rng, discount=0.9)
+    target = random_mdp(rng, like=simulator)
+    policy, any_zeta = random_policy(rng, simulator), ratio_of(rng, simulator)
+    model = oee.exact.reweight(simulator, any_zeta)
+    if not simulator.absorbing().any():  # there weights stand still, in the model they need not
+        found = oee.weighted_return_moments(simulator, any_zeta, policy, horizon=4)
+        assert_allclose(found.mean, oee.policy_value(model, policy, horizon=4), rtol=1e-9, atol=1e-10)
+    truth = oee.policy_value(target, policy, horizon=4)
+    for kind in KINDS:
+        zeta = oee.true_ratio(target, simulator)
+        found = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=4)
+        assert_allclose(found.mean, truth, rtol=1e-9, atol=1e-9)
+
+
+@given(rngs)
+def test_infinite_horizon_is_the_limit_of_long_ones(rng):
+    simulator = random_mdp(rng, discount=0.5)
+    target = random_mdp(rng, like=simulator)
+    policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
+    try:
+        found = oee.weighted_return_moments(simulator, zeta, policy, sources=True)
+    except ValueError as error:
+        assert "spectral radius" in str(error)  # noqa: PT017
+        return
+    long = oee.weighted_return_moments(simulator, zeta, policy, horizon=400)
+    assert_allclose(found.mean, long.mean, rtol=1e-9, atol=1e-9)
+    assert_allclose(found.variance, long.variance, rtol=1e-6, atol=1e-9)
+    start = found.variance - found.by_state.sum()
+    assert start >= -1e-9 * max(1.0, found.variance)
+
+
+def test_an_infinite_sum_without_a_variance_names_the_radius():
+    """gamma^2 rho(P zeta^2) = .9^2 * 1.5 = 1.215."""
+    simulator = oee.FiniteMDP(np.full((2, 1, 2), 0.5), np.ones(2), [1, 0], 0.9)
+    zeta = sparse.csr_array(np.array([[1 + 0.5**0.5, 1 - 0.5**0.5]] * 2))
+    with pytest.raises(ValueError, match=r"horizon must be given: .* no variance.*spectral radius of 1\.215"):
+        oee.weighted_return_moments(simulator, zeta, np.ones((2, 1)))
+    assert_allclose(weight_growth(simulator, zeta, np.ones((2, 1))), np.log(1.5))
+
+
+@given(rngs)
+def test_10_12_26_moments_of_the_weight(rng):
+    """E W_t = 1 for the true ratio, |alpha_t|_1 for any; E W_t^2 does not fall, and grows at weight_growth; 1 if P = P'."""
+    simulator = random_mdp(rng, n_states=3)
+    target = random_mdp(rng, like=simulator)
+    policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
+    first, second = weight_moments(simulator, zeta, policy, horizon=6)
+    assert_allclose(first, 1.0, rtol=1e-12)
+    assert (np.diff(second) >= -1e-12 * second[1:]).all()
+    chi = np.asarray(simulator.transitions.multiply(zeta.values.multiply(zeta.values)).sum(axis=1)).max()
+    assert (second <= chi ** np.arange(7) * (1 + 1e-12)).all()
+    same = oee.true_ratio(simulator, simulator)
+    for kind in KINDS:
+        found = oee.weighted_return_moments(simulator, same, policy, kind=kind, horizon=5)
+        plain = oee.return_moments(simulator, policy, horizon=5)
+        assert_allclose((found.mean, found.variance), (plain.mean, plain.variance), rtol=1e-10, atol=1e-11)
+    if not simulator.absorbing().any():
+        other = ratio_of(rng, simulator)
+        mass = [simulator.initial.sum()]
+        alpha, kernel = simulator.initial, oee.exact.values.policy_kernel(oee.exact.reweight(simulator, other), policy)
+        for _ in range(6):
+            alpha = kernel.T @ alpha
+            mass.append(alpha.sum())
+        assert_allclose(weight_moments(simulator, other, policy, horizon=6)[0], mass, rtol=1e-10, atol=1e-12)
+
+
+@given(rngs)
+def test_25_the_law_of_total_variance(rng):
+    """Var G = Var V_0 + sum gamma^2t E Var_a Q_t + gamma^(2t+2) E Var V_{t+1}, for r(s, a)."""
+    mdp = random_mdp(rng, form=2)
+    policy, horizon = random_policy(rng, mdp), 4
+    values = values_to_go(walk_of(mdp, policy), horizon)
+    transitions, _ = dense(mdp)
+    total = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
+    reached = mdp.initial
+    for t in range(horizon):
+        ahead = transitions @ values[t + 1]
+        pairs = mdp.rewards + mdp.discount * ahead
+        spread_a = (policy * (pairs - (policy * pairs).sum(axis=1, keepdims=True)) ** 2).sum(axis=1)
+        spread_s = np.einsum("sa,sat,sat->s", policy, transitions, (values[t + 1][None, None] - ahead[:, :, None]) ** 2)
+        total += mdp.discount ** (2 * t) * reached @ (spread_a + mdp.discount**2 * spread_s)
+        reached = np.einsum("s,sa,sat->t", reached, policy, transitions)
+    found = oee.return_moments(mdp, policy, horizon=horizon)
+    assert_allclose(found.variance, total, rtol=1e-9, atol=1e-10)
+
+
+def test_worked_example_the_survival_chain():
+    """G of two steps: 1 + .9 with probability .7, else 1; Bernoulli variance .21 * .81."""
+    chain = survival_chain()
+    found = oee.return_moments(chain, np.ones((2, 1)), horizon=2, sources=True)
+    assert_allclose(found.mean, 1 + 0.9 * 0.7)
+    assert_allclose(found.variance, 0.81 * 0.21)
+    assert_allclose(found.by_step, [0, 0.81 * 0.21, 0], atol=1e-15)
+    assert_allclose(found.standard_deviation, 0.9 * 0.21**0.5)
+
+
+def test_no_cancellation():
+    """Rewards 1e8 plus a coin: the coin's variance keeps its digits; E X^2 - (E X)^2 would have none."""
+    coin = np.array([1e8, 1e8 + 0.5])
+    mdp = oee.FiniteMDP(np.full((2, 1, 2), 0.5), coin, [1, 0], 0.5)
+    exact = ((coin[1] - coin[0]) / 2) ** 2 * (0.25 + 0.0625)
+    assert_allclose(oee.return_moments(mdp, np.ones((2, 1)), horizon=3).variance, exact, rtol=1e-6)
+
+
+def test_against_monte_carlo_with_bounded_weights():
+    """The estimators' own rollouts: mean and variance within four standard errors."""
+    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    policy, n, horizon = oee.uniform_policy(simulator), 40_000, 8
+    zeta = oee.true_ratio(target, simulator)
+    log = oee.sample_episodes(target, policy, 2, horizon, seed=0)
+    problem = oee.Problem(simulator, log, horizon=horizon)
+    for weighting in KINDS:
+        for self_normalized in (False, True):
+            options = {"ratio": zeta, "evaluation": "monte_carlo", "weighting": weighting}
+            estimator = oee.estimators.OffEnvironment(**options, self_normalized=self_normalized, n_rollouts=n)
+            estimate = estimator(problem, policy, seed=1)
+            exact = oee.weighted_return_moments(
+                simulator, zeta, policy, kind=weighting, horizon=horizon, self_normalized=self_normalized
+            )
+            assert abs(estimate.value - exact.mean) < 4 * np.sqrt(exact.variance / n)
+            assert_allclose(estimate.standard_error, np.sqrt(exact.variance / n), rtol=0.1)
+    robust = oee.estimators.DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=n)(problem, policy, seed=1)
+    exact = oee.doubly_robust_moments(simulator, zeta, policy, horizon=horizon)
+    assert abs(robust.value - exact.mean) < 4 * np.sqrt(exact.variance / n)
+    assert_allclose(robust.standard_error, np.sqrt(exact.variance / n), rtol=0.1)
+
+
+@given(rngs)
+def test_policies_in_time(rng):
+    """A policy for each step: constant in time it is the stationary one; and it equals enumeration."""
+    mdp = random_mdp(rng, n_states=2, n_actions=2)
+    first, second, behavior = (random_policy(rng, mdp, zeros=0) for _ in range(3))
+    constant = oee.return_moments(mdp, np.stack([first] * 3), horizon=3)
+    assert_allclose(constant.variance, oee.return_moments(mdp, first, horizon=3).variance, rtol=1e-12, atol=1e-13)
+    moving = np.stack([first, second, first])
+    rows = [(p, sum(mdp.discount**t * s[3] for t, s in enumerate(steps))) for p, steps in paths(mdp, moving, 3)]
+    check(oee.return_moments(mdp, moving, horizon=3), *(np.array(x) for x in zip(*rows, strict=True)))
+    both = oee.policy_is_moments(mdp, behavior, moving, horizon=3)
+    assert_allclose(both.mean, oee.policy_value(mdp, moving, horizon=3), rtol=1e-10, atol=1e-11)
+
+
+@given(rngs, st.sampled_from(KINDS))
+def test_05_06_07_relabelling_and_longer_horizons_change_nothing(rng, kind):
+    """[5] states and actions in another order; [7] steps after sure absorption."""
+    simulator = random_mdp(rng, n_states=3, n_actions=2)
+    policy, zeta = random_policy(rng, simulator), ratio_of(rng, simulator)
+    states, actions = rng.permutation(3), rng.permutation(2)
+    transitions, rewards = dense(simulator)
+    if simulator.transition_rewards is None:
+        paid = simulator.rewards[np.ix_(states, actions)]
+    else:
+        paid = rewards[np.ix_(states, actions, states)]
+    other = oee.FiniteMDP(
+        transitions[np.ix_(states, actions, states)], paid, simulator.initial[states], simulator.discount
+    )
+    weights = zeta.toarray().reshape(3, 2, 3)[np.ix_(states, actions, states)].reshape(6, 3)
+    found, moved = (
+        oee.weighted_return_moments(m, z, p, kind=kind, horizon=3)
+        for m, z, p in ((simulator, zeta, policy), (other, sparse.csr_array(weights), policy[np.ix_(states, actions)]))
+    )
+    assert_allclose((moved.mean, moved.variance), (found.mean, found.variance), rtol=1e-9, atol=1e-9)
+    chain = oee.FiniteMDP(
+        np.array([[[0, 0.5, 0.5]], [[0, 0, 1]], [[0, 0, 1]]]), np.array([1.0, 2.0, 0.0]), [1, 0, 0], 0.9
+    )
+    tilted = sparse.csr_array(np.array([[0, 1.5, 0.5], [0, 0, 1.2], [0, 0, 7.0]]))
+    short, long = (
+        oee.weighted_return_moments(chain, tilted, np.ones((3, 1)), kind="per_decision", horizon=h) for h in (3, 9)
+    )
+    assert_allclose((short.mean, short.variance), (long.mean, long.variance), rtol=1e-12)
+
+
+BAD = {
+    "a trajectory without end": (
+        lambda: oee.weighted_return_moments(CHAIN, RATIO, ONE, kind="trajectory"),
+        "horizon must be given: the infinite sum has no variance for trajectory weights",
+    ),
+    "self-normalised without end": (
+        lambda: oee.weighted_return_moments(CHAIN, RATIO, ONE, self_normalized=True),
+        "horizon must be given: the infinite sum has no variance for self-normalised weights",
+    ),
+    "discount 1 without end": (
+        lambda: oee.return_moments(CHAIN.with_discount(1.0), ONE),
+        "horizon must be given: at discount 1",
+    ),
+    "an unknown kind": (
+        lambda: oee.policy_is_moments(CHAIN, ONE, ONE, kind="stepwise", horizon=2),
+        "kind must be one of 'per_decision', 'trajectory'; got 'stepwise'",
+    ),
+    "a ratio that is no matrix": (
+        lambda: oee.weighted_return_moments(CHAIN, 3.0, ONE, horizon=2),
+        r"zeta must be sparse of shape \(2, 2\), row s\*A \+ a; got float",
+    ),
+    "a negative ratio": (
+        lambda: oee.weighted_return_moments(CHAIN, -RATIO, ONE, horizon=2),
+        "zeta must be finite and nonnegative; entry 0 is -1.0",
+    ),
+    "a baseline of another length": (
+        lambda: oee.doubly_robust_moments(CHAIN, RATIO, ONE, baseline=np.ones((2, 2)), horizon=2),
+        r"baseline must have shape \(3, 2\), values to go at t; it has \(2, 2\)",
+    ),
+    "a simulator of what": (
+        lambda: oee.weighted_return_moments(None, RATIO, ONE, horizon=1),
+        "simulator must be a FiniteMDP; got NoneType",
+    ),
+    "moments of what": (lambda: oee.return_moments(3, ONE, horizon=1), "mdp must be a FiniteMDP; got int"),
+}
+CHAIN, ONE = survival_chain(), np.ones((2, 1))
+RATIO = sparse.csr_array(np.ones((2, 2)))
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_calls(name):
+    call, text = BAD[name]
+    with pytest.raises(ValueError, match=text):
+        call()
