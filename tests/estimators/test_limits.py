@@ -1,0 +1,339 @@
+"""Exact population limits of the estimators, on logs whose frequencies are exact; theory.md sections 1 and 5."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import dense, random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.estimators import (
+    DoublyRobust,
+    DualDice,
+    ImportanceSampling,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Oracle,
+    Simulator,
+)
+
+LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
+
+
+def pair(rng, discount=0.9, n_states=4):
+    """A simulator, and a target on its support whose probabilities are multiples of 1/12."""
+    simulator = random_mdp(rng, n_states=n_states, n_actions=2, discount=discount)
+    rows = []
+    for row in dense(simulator)[0].reshape(-1, n_states):
+        support = np.flatnonzero(row)
+        new = np.zeros(n_states)
+        new[support] = rng.multinomial(12, np.full(len(support), 1 / len(support))) / 12
+        rows.append(new)
+    target = simulator.with_transitions(np.array(rows).reshape(n_states, 2, n_states))
+    return simulator, target
+
+
+def exact_log(target, share):
+    """A log with 12 * k moves in each row, k = 1, 2, ... where ``share`` is positive, in the target's exact proportions."""
+    state, action, following = [], [], []
+    for s, a, j in np.argwhere(dense(target)[0] > 0):
+        number = round(12 * dense(target)[0][s, a, j]) * round(share[s, a])
+        state += [s] * number
+        action += [a] * number
+        following += [j] * number
+    return oee.Transitions(state, action, following)
+
+
+def case(rng, **options):
+    simulator, target = pair(rng, **options)
+    share = rng.integers(0, 3, size=(simulator.n_states, 2))
+    share[0, 0] = 1
+    return simulator, target, share, random_policy(rng, simulator)
+
+
+@settings(max_examples=60)
+@given(rngs, st.sampled_from([None, 3]))
+def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit(rng, horizon):
+    simulator, target, share, policy = case(rng)
+    problem = oee.Problem(simulator, exact_log(target, share), horizon=horizon)
+    options = {"data_distribution": share / share.sum(), "horizon": horizon}
+    likelihood = OffEnvironment(ratio=LIKELIHOOD)
+    estimators = [
+        Simulator(),
+        Oracle(target),
+        likelihood,
+        ModelBased(),
+        ModelBased(fallback="simulator"),
+        DoublyRobust(ratio=LIKELIHOOD),
+        DoublyRobust(weights="beta"),
+        Marginalized(ratio=LIKELIHOOD),
+    ]
+    if horizon is None:
+        estimators.append(DualDice())
+    values = {}
+    for estimator in estimators:
+        limit = estimator.limit(simulator, target, policy, **options)
+        value = estimator(problem, policy).value
+        assert_allclose(value, limit, rtol=1e-7, atol=1e-8, err_msg=repr(estimator))
+        values[type(estimator).__name__ + getattr(estimator, "fallback", "")] = value
+    # off-environment evaluation == maximum likelihood == DualDICE (theory.md 21)
+    assert_allclose(values["OffEnvironment"], values["ModelBasedsimulator"], rtol=1e-7, atol=1e-8)
+    if horizon is None:
+        assert_allclose(values["DualDice"], values["OffEnvironment"], rtol=1e-7, atol=1e-8)
+
+
+@given(rngs, st.sampled_from([None, 4]))
+def test_with_full_support_the_limit_is_the_truth(rng, horizon):
+    simulator, target = pair(rng)
+    policy = random_policy(rng, simulator)
+    truth = oee.policy_value(target, policy, horizon=horizon)
+    behavior = random_policy(rng, simulator, zeros=0)
+    for estimator in (
+        OffEnvironment(),
+        OffEnvironment(ratio="joint"),
+        OffEnvironment(ratio=oee.true_ratio(target, simulator)),
+        OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"),
+        ModelBased(),
+        DoublyRobust(),
+        DoublyRobust(data="rollouts"),
+        DoublyRobust(data="episodes"),
+        DoublyRobust(data="episodes", self_normalized=True),
+        Magic(),
+        Marginalized(),
+        ImportanceSampling(),
+        ImportanceSampling(kind="trajectory"),
+        ImportanceSampling(self_normalized=True),
+    ):
+        if estimator == OffEnvironment(ratio="joint"):
+            continue  # its box is part of its limit
+        limit = estimator.limit(simulator, target, policy, behavior_policy=behavior, horizon=horizon)
+        assert_allclose(limit, truth, rtol=1e-6, atol=1e-6, err_msg=repr(estimator))
+
+
+@given(rngs)
+def test_rows_without_data_keep_the_prior(rng):
+    """The limit of the default: the tilt's rows where the log has none; maximum likelihood keeps the simulator's."""
+    simulator, target, share, policy = case(rng)
+    share[share.sum(axis=1) == 0] = 0
+    options = {"data_distribution": share / share.sum()}
+    keep = (share > 0)[:, :, None]
+    mixed = simulator.with_transitions(np.where(keep, dense(target)[0], dense(simulator)[0]))
+    expected = oee.policy_value(mixed, policy)
+    for estimator in (OffEnvironment(ratio=LIKELIHOOD), ModelBased(fallback="simulator"), DualDice()):
+        assert_allclose(estimator.limit(simulator, target, policy, **options), expected, rtol=1e-8, atol=1e-9)
+    unfit = functools.partial(oee.transition_ratio, prior="simulator")
+    assert_allclose(
+        OffEnvironment(ratio=unfit).limit(simulator, target, policy, **options), expected, rtol=1e-6, atol=1e-7
+    )
+
+
+@given(rngs, st.sampled_from(["occupancy", "beta"]))
+def test_24_the_error_on_transitions_is_a_product_of_errors(rng, weights):
+    """sum_x (visits_w - visits_target)(x) (T'Q_sim - Q_sim)(x), visits discounted sums."""
+    simulator, target, share, policy = case(rng)
+    share[:] = 1
+    distribution = share / share.sum()
+    estimator = DoublyRobust(weights=weights, ratio=oee.true_ratio(target, simulator))
+    limit = estimator.limit(simulator, target, policy, data_distribution=distribution)
+    q, v = oee.action_values(simulator, policy), oee.state_values(simulator, policy)
+    moved = target.rewards + 0.9 * dense(target)[0] @ v - q  # target.rewards: the simulator's pay, its own moves
+    visits = oee.occupancy(target if weights == "occupancy" else simulator, policy) / 0.1
+    error = ((visits - oee.occupancy(target, policy) / 0.1) * moved).sum()
+    assert_allclose(limit - oee.policy_value(target, policy), error, rtol=1e-7, atol=1e-8)
+
+
+def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
+    rng = np.random.default_rng(2)
+    simulator = oee.FiniteMDP(rng.dirichlet(np.ones(4), (4, 2)), rng.normal(size=4), [1, 0, 0, 0], 0.9)
+    other = rng.dirichlet(np.ones(4), (4, 2))
+    policy = np.full((4, 2), 0.5)
+    errors, naive = [], []
+    for size in (0.04, 0.02, 0.01):
+        target = simulator.with_transitions((1 - size) * dense(simulator)[0] + size * other)
+        truth = oee.policy_value(target, policy)
+        errors.append(abs(DoublyRobust(weights="beta").limit(simulator, target, policy) - truth))
+        naive.append(abs(Simulator().limit(simulator, target, policy) - truth))
+    assert_allclose(np.array(errors[:-1]) / errors[1:], 4, atol=0.2)
+    assert_allclose(np.array(naive[:-1]) / naive[1:], 2, atol=0.2)
+    assert errors[0] < 0.2 * naive[0]
+
+
+@given(rngs)
+def test_importance_sampling_without_support_keeps_what_can_be_seen(rng):
+    """J(P', pi 1[b > 0]) per decision (theory.md section 1), by a kernel that loses what the behaviour policy never does."""
+    simulator, target = pair(rng)
+    policy, behavior = random_policy(rng, simulator, zeros=0), random_policy(rng, simulator, zeros=0.5)
+    kept = np.where(behavior > 0, policy, 0.0)
+    kept[target.absorbing()] = policy[target.absorbing()]
+    value, following = 0.0, np.zeros(4)
+    transitions, rewards = dense(target)
+    pay = (
+        rewards
+        if target.transition_rewards is not None
+        else np.broadcast_to(target.rewards[:, :, None], transitions.shape)
+    )
+    for _ in range(5):
+        following = np.einsum("sa,sat,sat->s", kept, transitions, pay + 0.9 * following[None, None])
+    value = target.initial @ following
+    limit = ImportanceSampling().limit(simulator, target, policy, behavior_policy=behavior, horizon=5)
+    assert_allclose(limit, value, rtol=1e-9, atol=1e-10)
+    lost = (kept == 0) & (policy > 0)
+    reached = oee.occupancy(target, policy, horizon=5)
+    if (reached[lost] > 0).any():
+        with pytest.raises(
+            ValueError, match=r"behavior_policy must take every action .* in state \d it never takes action"
+        ):
+            Magic().limit(simulator, target, policy, behavior_policy=behavior, horizon=5)
+
+
+def test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
+    """The survival chain: truth 1 / (1 - .63) = 2.70; dropping the dead gives sum gamma^t = 10."""
+    chain = survival_chain()
+    ones = np.ones((2, 1))
+    options = {"behavior_policy": ones}
+    kept = ImportanceSampling(self_normalized=True).limit(chain, chain, ones, **options)
+    dropped = ImportanceSampling(self_normalized=True, ragged="zero").limit(chain, chain, ones, **options)
+    assert_allclose(kept, 1 / (1 - 0.63), rtol=1e-9)
+    assert_allclose(dropped, 10.0, rtol=1e-9)
+
+
+@given(rngs)
+def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_of_returns(rng):
+    simulator, target = pair(rng)
+    policy, behavior = random_policy(rng, simulator), random_policy(rng, simulator, zeros=0)
+    if simulator.closed().any():
+        return
+    log = oee.sample_episodes(target, behavior, 20, 6, seed=int(rng.integers(1 << 30)))
+    raised = oee.Transitions(**(log.columns() | {"reward": log.reward + 2.0}))
+    gamma = 0.9 ** np.arange(6)
+    for kind in ("trajectory", "per_decision"):
+        estimator = ImportanceSampling(kind=kind, self_normalized=True)
+        plain, shifted = (
+            estimator(oee.Problem(simulator, each, horizon=6, behavior_policy=behavior), policy).value
+            for each in (log, raised)
+        )
+        if np.isnan(plain):
+            continue
+        assert_allclose(shifted, plain + 2.0 * gamma.sum(), rtol=1e-9, atol=1e-9)
+        if kind == "trajectory":
+            returns = log.reward.reshape(20, 6) @ gamma
+            assert returns.min() - 1e-9 <= plain <= returns.max() + 1e-9
+
+
+@given(rngs)
+def test_the_limit_of_products_is_that_of_their_moments(rng):
+    simulator, target = pair(rng)
+    policy = random_policy(rng, simulator)
+    zeta = oee.transition_ratio(target.transitions * 3.0, simulator, prior="simulator", strength=1.0)
+    for weighting in ("per_decision", "trajectory"):
+        for self_normalized in (False, True):
+            estimator = OffEnvironment(
+                ratio=zeta, evaluation="monte_carlo", weighting=weighting, self_normalized=self_normalized
+            )
+            expected = oee.weighted_return_moments(
+                simulator, zeta, policy, kind=weighting, self_normalized=self_normalized, horizon=4
+            ).mean
+            assert_allclose(estimator.limit(simulator, target, policy, horizon=4), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_the_quotients_limit_is_clipped():
+    """A target far outside the box: beta is clipped, the limit is not the truth and is what the population program gives."""
+    simulator, target = oee.tasks.gridworld(3, 0.9, discount=0.9), oee.tasks.gridworld(3, 0.01, discount=0.9)
+    policy = oee.uniform_policy(simulator)
+    estimator = OffEnvironment(ratio=functools.partial(oee.transition_ratio, method="joint", lower=0.9, upper=1.1,
+                                                       simulator_data="exact", behavior_policy=policy))  # fmt: skip
+    limit = estimator.limit(simulator, target, policy)
+    truth, naive = (oee.policy_value(m, policy) for m in (target, simulator))
+    assert abs(limit - truth) > 0.05 * abs(truth - naive)
+
+
+def test_doubly_robust_on_episodes_with_the_truth_needs_no_luck():
+    """With zeta = P'/P the model is the target: every episode's D is V(s_0) plus noise of its own moves only."""
+    simulator, target = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
+    behavior = oee.uniform_policy(simulator)
+    policy = oee.mix(oee.tasks.gridworld_expert(4), behavior, 0.5)
+    log = oee.sample_episodes(target, behavior, 3000, 12, seed=0)
+    truth = oee.policy_value(target, policy, horizon=12)
+    problem = oee.Problem(simulator, log, horizon=12, behavior_policy=behavior)
+    plain = ImportanceSampling()(problem, policy)
+    bound = oee.trajectory_efficiency_bound(target, behavior, policy, horizon=12, model="tree")
+    for self_normalized in (False, True):
+        estimator = DoublyRobust(
+            data="episodes", ratio=oee.true_ratio(target, simulator), self_normalized=self_normalized
+        )
+        estimate = estimator(problem, policy)
+        assert abs(estimate.value - truth) < 4 * estimate.standard_error
+        assert estimate.standard_error < 0.5 * plain.standard_error
+        assert_allclose(estimate.standard_error, np.sqrt(bound / 3000), rtol=0.25)
+    blend = Magic(ratio=oee.true_ratio(target, simulator))(problem, policy, seed=0)
+    assert abs(blend.value - truth) < 4 * np.sqrt(bound / 3000)
+    assert blend.diagnostics["share_of_model"] > 0.5
+
+
+def test_a_truncated_episode_goes_on_as_the_model():
+    """Episodes cut after one step, no horizon: V(s) + rho (r + gamma V(s') - Q), by hand."""
+    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    behavior, policy = oee.uniform_policy(simulator), oee.tasks.gridworld_expert(3)
+    log = oee.sample_episodes(target, behavior, 50, 1, seed=0)
+    zeta = oee.true_ratio(target, simulator)
+    problem = oee.Problem(simulator, log, behavior_policy=behavior)
+    v, q = oee.state_values(target, policy), oee.action_values(target, policy)
+    s, a, j = log.state, log.action, log.next_state
+    by_hand = v[s] + policy[s, a] / 0.25 * (log.reward + 0.9 * v[j] - q[s, a])
+    assert_allclose(DoublyRobust(data="episodes", ratio=zeta)(problem, policy).value, by_hand.mean(), rtol=1e-10)
+
+
+def test_the_simplex():
+    from oee_tabular.estimators.magic import simplex_minimum
+
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        n = int(rng.integers(1, 6))
+        root = rng.normal(size=(n, n))
+        x = simplex_minimum(root @ root.T)
+        assert_allclose(x.sum(), 1.0)
+        slope = root @ (root.T @ x)
+        assert (slope >= x @ slope - 1e-8).all()  # no vertex is better: the condition of optimality
+        assert x.min() >= 0
+
+
+BAD = {
+    "a horizon for DualDICE": (
+        lambda: DualDice()(oee.Problem(GRID, LOG, horizon=3), UNIFORM),
+        "horizon must be None for DualDICE, .*; it is 3",
+    ),
+    "weights without episodes": (
+        lambda: DoublyRobust(self_normalized=True),
+        "self_normalized must be False with data 'transitions': it is for episodes",
+    ),
+    "an unknown data": (lambda: DoublyRobust(data="log"), "data must be one of 'transitions', 'rollouts', 'episodes'"),
+    "an unknown weight": (lambda: DoublyRobust(weights="rho"), "weights must be one of 'occupancy', 'beta'; got 'rho'"),
+    "an unknown ratio": (lambda: Marginalized(ratio="beta"), "ratio must be one of"),
+    "no lengths": (lambda: Magic(n_lengths=0), "n_lengths must be a positive integer; it is 0"),
+    "a bag for episodes": (
+        lambda: DoublyRobust(data="episodes")(oee.Problem(GRID, oee.Transitions([0], [0], [0])), UNIFORM),
+        "importance sampling needs whole episodes",
+    ),
+    "a limit outside the simulator": (
+        lambda: ModelBased().limit(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM),
+        "target must stay where the simulator has probability",
+    ),
+    "a limit of another size": (
+        lambda: ModelBased().limit(GRID, oee.tasks.gridworld(2, 0.3), UNIFORM),
+        "target and simulator must have the same states and actions",
+    ),
+}
+GRID, UNIFORM = oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25)
+LOG = oee.sample_episodes(GRID, UNIFORM, 3, 5, seed=0)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_calls(name):
+    call, text = BAD[name]
+    with pytest.raises(ValueError, match=text):
+        call()

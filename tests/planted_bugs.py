@@ -1,0 +1,129 @@
+"""Plant bugs one by one in a copy of the package and print which tests find them. Run by hand.
+
+    python tests/planted_bugs.py [NUMBER ...]
+
+The bug seeds of the project's theory notes, 1 to 10 (those about intervals come with the intervals). Each must be found by at
+least one test; exit code 1 if one is not.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WHERE = ["tests/exact", "tests/estimators", "tests/ratio/test_transition.py"]
+# number: (what, file, text, what takes its place)
+BUGS = {
+    1: (
+        "second moment with w for w^2",
+        "kernels/moments.py",
+        "spread += prob[x] * w[x] * w[x] * next_var[j]",
+        "spread += prob[x] * w[x] * next_var[j]",
+    ),
+    2: (
+        "trajectory product with one factor too many",
+        "kernels/moments.py",
+        "plain = left == 0 and not by_move",
+        "plain = False",
+    ),
+    3: (
+        "occupancy left unnormalised",
+        "exact/occupancy.py",
+        "start = (1.0 - mdp.discount) * mdp.initial",
+        "start = mdp.initial",
+    ),
+    4: (
+        "asymptotic variance with d for d^2",
+        "exact/efficiency.py",
+        "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\ndef leading",
+        "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n"
+        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\ndef leading",
+    ),
+    5: (
+        "asymptotic variance without gamma",
+        "exact/gradient.py",
+        "action_share * (pay + gamma * values[columns])",
+        "action_share * (pay + values[columns])",
+    ),
+    6: (
+        "doubly robust second moment without its cross term",
+        "kernels/moments.py",
+        "                    y = 0.0 if end else gamma * (next_mean[j] - k[tk, j])\n"
+        "                    if by_move:\n"
+        "                        y += (pay[x] - shift[t]) * scale[t]\n"
+        "                    off",
+        "                    y = 0.0 if end else gamma * next_mean[j]\n"
+        "                    if by_move:\n"
+        "                        y += (pay[x] - shift[t]) * scale[t]\n"
+        "                    off",
+    ),
+    7: (
+        "ratio inverted",
+        "ratio/transition.py",
+        "data / simulator.transitions.data, ",
+        "simulator.transitions.data / data.clip(1e-9), ",
+    ),
+    8: (
+        "ratio 1 outside the support",
+        "ratio/transition.py",
+        '    refuse_unsupported(target.transitions, simulator, what="target")\n',
+        "",
+    ),
+    9: (
+        "forward measure discounted twice",
+        "exact/occupancy.py",
+        "states = transposed @ states",
+        "states = mdp.discount * (transposed @ states)",
+    ),
+    10: (
+        "finite-horizon value that forgets gamma",
+        "exact/values.py",
+        "value, following = rewards + model.discount * (kernel @ value), value",
+        "value, following = rewards + (kernel @ value), value",
+    ),
+}
+
+
+def killers(number):
+    """The names of the tests that fail with the bug planted (at most ten)."""
+    what, name, text, instead = BUGS[number]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        for part in ("oee_tabular", "tests", "pyproject.toml", "README.md"):
+            source = ROOT / part
+            ignored = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(source, copy / part, ignore=ignored) if source.is_dir() else shutil.copy(
+                source, copy / part
+            )
+        path = copy / "oee_tabular" / name
+        code = path.read_text()
+        if code.count(text) != 1:
+            raise SystemExit(f"bug {number} ({what}): its text is {code.count(text)} times in {name}, not once")
+        path.write_text(code.replace(text, instead))
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--maxfail=10", "-p", "no:cacheprovider", *WHERE]
+        environment = os.environ | {"PYTHONPATH": str(copy), "CI": "true"}
+        done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
+    found = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)
+    if not found and done.returncode not in (0, 1):
+        raise SystemExit(f"bug {number} ({what}): pytest ended with {done.returncode}\n{done.stdout[-2000:]}")
+    return sorted(set(found))
+
+
+def main(numbers):
+    """Plant each; 1 if one lives."""
+    alive = 0
+    for number in numbers or BUGS:
+        found = killers(number)
+        alive += not found
+        print(f"{number:2d} {BUGS[number][0]}: {'ALIVE' if not found else f'killed by {len(found)}'}", flush=True)
+        for name in found[:4]:
+            print(f"     {name}")
+    return 1 if alive else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main([int(word) for word in sys.argv[1:]]))

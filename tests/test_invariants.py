@@ -1,0 +1,216 @@
+"""The laws of the theory notes, section 5, by number: where each is tested, and here those that belong to no one module."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import dense, random_mdp, random_policy, rngs
+from hypothesis import given
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+import oee_tabular as oee
+
+HERE = "test_invariants.py"
+VALUES, MOMENTS, BOUNDS = "exact/test_values.py", "exact/test_moments.py", "exact/test_efficiency.py"
+RATIOS, DENSITY, LIMITS = "ratio/test_transition.py", "ratio/test_density.py", "estimators/test_limits.py"
+LAWS = {
+    1: (VALUES, "test_flow_and_duality_of_the_occupancy"),
+    2: (VALUES, "test_flow_and_duality_of_the_occupancy"),
+    3: (VALUES, "test_affine_rewards_give_affine_values"),
+    4: (HERE, "test_04_shaping"),
+    5: (HERE, "test_05_relabelling"),
+    6: (HERE, "test_06_a_cloned_state"),
+    7: (MOMENTS, "test_05_06_07_relabelling_and_longer_horizons_change_nothing"),
+    8: (HERE, "test_08_discount_0"),
+    9: (HERE, "test_09_the_average_reward"),
+    10: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
+    11: (HERE, "test_11_what_the_simulator_cannot_do_is_lost"),
+    12: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
+    13: (RATIOS, "test_the_group_law"),
+    14: (RATIOS, "test_ratio_of_ratios_does_not_depend_on_who_sampled"),
+    15: (HERE, "test_15_the_chain_rule_of_divergences"),
+    16: (HERE, "test_16_lumping_and_the_chi_square"),
+    17: (HERE, "test_17_three_estimates_of_the_divergence"),
+    18: (DENSITY, "test_closed_forms"),
+    19: (MOMENTS, "test_19_products_of_ratios_equal_enumeration"),
+    20: (MOMENTS, "test_20_21_the_mean_is_the_value_of_the_model"),
+    21: (LIMITS, "test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit"),
+    22: (MOMENTS, "test_22_42_doubly_robust_moments_equal_enumeration"),
+    23: (MOMENTS, "test_23_with_the_true_values_only_the_start_varies"),
+    24: (LIMITS, "test_24_the_error_on_transitions_is_a_product_of_errors"),
+    25: (MOMENTS, "test_25_the_law_of_total_variance"),
+    26: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
+    27: (VALUES, "test_the_simulation_lemma_in_both_forms"),
+    28: (LIMITS, "test_28_with_beta_alone_halving_the_mismatch_quarters_the_error"),
+    29: (VALUES, "test_the_gradient_is_the_derivative"),
+    30: (BOUNDS, "test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_says"),
+    31: (LIMITS, "test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_of_returns"),
+    32: (LIMITS, "test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_else"),
+    41: (BOUNDS, "test_41_the_bound_is_the_variance_of_the_numeric_gradient"),
+    42: (MOMENTS, "test_22_42_doubly_robust_moments_equal_enumeration"),
+}  # 33 to 40, 43 and 44 are about intervals
+
+
+@pytest.mark.parametrize("number", LAWS)
+def test_every_law_has_its_test(number):
+    name, test = LAWS[number]
+    assert re.search(rf"^def {test}\(", (Path(__file__).parent / name).read_text(), flags=re.M)
+
+
+def pair(rng, **options):
+    simulator = random_mdp(rng, discount=0.9, **options)
+    return simulator, random_mdp(rng, like=simulator)
+
+
+@given(rngs)
+def test_04_shaping(rng):
+    """gamma phi(s') - phi(s) on the move shifts J by -mu_0 phi in any dynamics; averaged over P it does not."""
+    simulator, target = pair(rng)
+    policy, phi = random_policy(rng, simulator), rng.normal(size=simulator.n_states)
+    _, pay = dense(simulator)
+    shaped = oee.FiniteMDP(dense(simulator)[0], pay + 0.9 * phi - phi[:, None, None], simulator.initial, 0.9)
+    moved = oee.FiniteMDP(dense(simulator)[0], pay, simulator.initial, 0.9)
+    p = target.transitions
+    before, after = (oee.policy_value(m.with_transitions(p), policy) for m in (moved, shaped))
+    assert_allclose(after - before, -simulator.initial @ phi, rtol=1e-8, atol=1e-8)
+    folded = oee.FiniteMDP(dense(simulator)[0], shaped.rewards, simulator.initial, 0.9)  # E_P of it, as r(s, a)
+    plain = oee.FiniteMDP(dense(simulator)[0], moved.rewards, simulator.initial, 0.9)
+    shift = oee.policy_value(folded.with_transitions(p), policy) - oee.policy_value(plain.with_transitions(p), policy)
+    left = 9 * (oee.occupancy(target, policy).reshape(-1) @ ((simulator.transitions - p) @ phi))
+    assert_allclose(shift + simulator.initial @ phi, left, rtol=1e-7, atol=1e-8)
+
+
+@given(rngs)
+def test_05_relabelling(rng):
+    """States and actions in another order: J, the bound, and the default's estimate are the same."""
+    simulator, target = pair(rng, n_states=4, n_actions=2, form=2)
+    policy = random_policy(rng, simulator)
+    states, actions = rng.permutation(4), rng.permutation(2)
+
+    def other(mdp):
+        rows = dense(mdp)[0][np.ix_(states, actions, states)]
+        return oee.FiniteMDP(rows, mdp.rewards[np.ix_(states, actions)], mdp.initial[states], 0.9)
+
+    turned = policy[np.ix_(states, actions)]
+    assert_allclose(oee.policy_value(other(target), turned), oee.policy_value(target, policy), rtol=1e-9, atol=1e-9)
+    share = np.full((4, 2), 1 / 8)
+    bound = oee.efficiency_bound(target, policy, share)
+    assert_allclose(oee.efficiency_bound(other(target), turned, share), bound, rtol=1e-7, atol=1e-9)
+    log = oee.sample_transitions(target, share, 200, seed=int(rng.integers(1 << 30)))
+    names, moves = np.argsort(states), np.argsort(actions)
+    again = oee.Transitions(names[log.state], moves[log.action], names[log.next_state])
+    estimates = (
+        oee.estimators.OffEnvironment()(oee.Problem(m, each), p).value
+        for m, each, p in ((simulator, log, policy), (other(simulator), again, turned))
+    )
+    one, two = estimates
+    assert_allclose(two, one, rtol=1e-6, atol=1e-6)
+
+
+@given(rngs)
+def test_06_a_cloned_state(rng):
+    """A state in two copies, entered with .3 and .7 of its probability: J and the per-decision moments stay."""
+    simulator, target = pair(rng, n_states=3, n_actions=2)
+    policy = random_policy(rng, simulator)
+    parts = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.3, 0.7]])
+    origin = [0, 1, 2, 2]
+
+    def cloned(mdp):
+        rows, pay = dense(mdp)
+        form = pay[np.ix_(origin, range(2), origin)] if mdp.transition_rewards is not None else mdp.rewards[origin]
+        return oee.FiniteMDP((rows @ parts)[origin], form, mdp.initial @ parts, 0.9)
+
+    wide = policy[origin]
+    assert_allclose(oee.policy_value(cloned(target), wide), oee.policy_value(target, policy), rtol=1e-9, atol=1e-9)
+    if simulator.absorbing().any():
+        return  # a clone of an absorbing state is no longer one
+    found, again = (
+        oee.weighted_return_moments(s, oee.true_ratio(t, s), p, horizon=4)
+        for s, t, p in ((simulator, target, policy), (cloned(simulator), cloned(target), wide))
+    )
+    assert_allclose((again.mean, again.variance), (found.mean, found.variance), rtol=1e-8, atol=1e-8)
+
+
+@given(rngs)
+def test_08_discount_0(rng):
+    """J = mu_0 pi r for any zeta, where rewards are r(s, a)."""
+    simulator = random_mdp(rng, form=2, discount=0.0)
+    policy = random_policy(rng, simulator)
+    zeta = sparse.csr_array(simulator.transitions)
+    zeta.data = rng.integers(0, 3, size=zeta.nnz) + 0.0
+    expected = simulator.initial @ (policy * simulator.rewards).sum(axis=1)
+    assert_allclose(oee.policy_value(oee.exact.reweight(simulator, zeta), policy), expected, rtol=1e-12, atol=1e-13)
+
+
+@given(rngs)
+def test_09_the_average_reward(rng):
+    """(1 - gamma) J tends to the stationary distribution's reward."""
+    mdp = random_mdp(rng, n_states=4, zeros=0.0, form=2, discount=1 - 1e-7)
+    policy = random_policy(rng, mdp)
+    kernel = np.einsum("sa,sat->st", policy, dense(mdp)[0])
+    system = np.vstack([kernel.T - np.eye(4), np.ones(4)])
+    stationary = np.linalg.lstsq(system, np.append(np.zeros(4), 1.0))[0]
+    expected = stationary @ (policy * mdp.rewards).sum(axis=1)
+    assert_allclose(oee.policy_value(mdp, policy, normalized=True), expected, atol=1e-4)
+
+
+@given(rngs)
+def test_11_what_the_simulator_cannot_do_is_lost(rng):
+    """sum P zeta = 1 - P'(P = 0), and the product's limit is J of the substochastic P' 1[P > 0]."""
+    simulator = random_mdp(rng, n_states=4, zeros=0.5, form=2, discount=0.9)
+    target = random_mdp(rng, n_states=4, n_actions=simulator.n_actions, zeros=0.2, form=2)
+    target = simulator.with_transitions(target.transitions)
+    policy = random_policy(rng, simulator)
+    p, q = dense(target)[0], dense(simulator)[0]
+    zeta = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
+    model = oee.exact.reweight(simulator, sparse.csr_array(zeta.reshape(-1, 4)))
+    assert_allclose(model.transitions.toarray().sum(axis=1), 1 - (p * (q == 0)).sum(axis=2).reshape(-1), atol=1e-12)
+    value = np.zeros(4)
+    for _ in range(5):
+        value = (policy * (simulator.rewards + 0.9 * (p * (q > 0)) @ value)).sum(axis=1)
+    assert_allclose(oee.policy_value(model, policy, horizon=5), simulator.initial @ value, rtol=1e-10, atol=1e-11)
+    if (p * (q == 0)).sum() > 0:
+        with pytest.raises(ValueError, match="target must stay where the simulator has probability"):
+            oee.true_ratio(target, simulator)
+
+
+def kl(p, q):
+    return float((p[p > 0] * np.log(p[p > 0] / q[p > 0])).sum())
+
+
+@given(rngs)
+def test_15_the_chain_rule_of_divergences(rng):
+    """KL(d'(s, a, s') || d(s, a, s')) = KL(d'(s, a) || d(s, a)) + E_d' KL(P' || P)."""
+    simulator, target = pair(rng, zeros=0.0)
+    policy = random_policy(rng, simulator)
+    moves = [oee.occupancy(m, policy, of="transition").toarray() for m in (target, simulator)]
+    pairs = [m.sum(axis=1) for m in moves]
+    rows = [kl(p, q) for p, q in zip(*(m.transitions.toarray() for m in (target, simulator)), strict=True)]
+    assert_allclose(kl(moves[0], moves[1]), kl(pairs[0], pairs[1]) + pairs[0] @ rows, rtol=1e-8, atol=1e-10)
+
+
+@given(rngs)
+def test_16_lumping_and_the_chi_square(rng):
+    """Cells taken together are closer; E_q zeta^2 = 1 + chi^2."""
+    p, q = rng.dirichlet(np.ones(6)), rng.dirichlet(np.ones(6))
+    together = np.kron(np.eye(3), np.ones(2))
+    assert kl(together @ p, together @ q) <= kl(p, q) + 1e-14
+    zeta = oee.density_ratio(p, q).ratio
+    assert_allclose(q @ zeta**2, 1 + ((p - q) ** 2 / q).sum(), rtol=1e-10)
+
+
+@given(rngs)
+def test_17_three_estimates_of_the_divergence(rng):
+    """KL - E_P phi(g/g*) = E_P log g - E_Q g + 1 <= E_P log g - log E_Q g <= KL; equal once g is normalised."""
+    p, q, g = rng.dirichlet(np.ones(5)), rng.dirichlet(np.ones(5)), rng.uniform(0.2, 3.0, 5)
+    u = g / (p / q)
+    dual = p @ np.log(g) - q @ g + 1
+    varadhan = p @ np.log(g) - np.log(q @ g)
+    assert_allclose(dual, kl(p, q) - p @ (u - 1 - np.log(u)), atol=1e-12)
+    assert dual <= varadhan + 1e-13
+    assert varadhan <= kl(p, q) + 1e-13
+    h = g / (q @ g)
+    assert_allclose(p @ np.log(h) - q @ h + 1, varadhan, atol=1e-12)
+    assert_allclose(oee.density_ratio(p, q).divergence, kl(p, q), atol=1e-12)
