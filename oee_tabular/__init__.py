@@ -53,10 +53,10 @@ _EXPORTS = {
     "evaluate": "report",
     "Report": "report",
 }
-_MODULES = ("data", "estimators", "exact", "mdp", "plots", "ratio", "report", "simulate", "tasks")
+_MODULES = ("data", "estimators", "exact", "inference", "mdp", "plots", "ratio", "report", "simulate", "tasks")
 
 if TYPE_CHECKING:
-    from oee_tabular import data, estimators, exact, mdp, plots, ratio, report, simulate, tasks
+    from oee_tabular import data, estimators, exact, inference, mdp, plots, ratio, report, simulate, tasks
     from oee_tabular.data import Transitions
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
@@ -106,6 +106,7 @@ __all__ = [
     "estimators",
     "evaluate",
     "exact",
+    "inference",
     "mdp",
     "mix",
     "occupancy",

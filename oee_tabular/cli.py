@@ -34,7 +34,8 @@ POLICY_HELP = (
 )
 
 ESTIMATORS_HELP = (
-    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis; with "
+    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, dr-beta, "
+    "dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
     "--target: oracle, oracle-product"
 )
 

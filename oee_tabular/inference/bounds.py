@@ -1,0 +1,395 @@
+"""Bounds on the error of J that hold: theory.md, section 4, (A), (B) and (C), and the simulation lemma they rest on.
+
+P' is the target, K the model that stands for it, K = zhat * P or any other, with the target's rewards, start and discount;
+R = max |r|, and alpha_t the distribution of (s_t, a_t). A horizon T means the rewards at t = 0..T-1, as everywhere in this
+package. A reward r(s, a) at t rests on t moves, a reward r(s, a, s') on t + 1: each bound below counts moves, and so is
+larger by one step in the second case. Functions ``*_bound`` take a bound's constants, functions ``*_sides`` a pair.
+
+References: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time, Machine Learning 49, 2002 (the
+simulation lemma). [2] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4 (Pinsker; KL of a path).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse, special
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, on_pattern, row_sums
+from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.reweighted import Model
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.finite_mdp import name_move
+
+_LONGEST, _NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Both sides of an inequality ``left <= right``, each as it was computed (no tolerance)."""
+
+    left: float
+    right: float
+
+    @property
+    def holds(self) -> bool:
+        """left <= right."""
+        return self.left <= self.right
+
+    @property
+    def ratio(self) -> float:
+        """left / right: above 1 where the inequality fails, by that factor; 0 where left is 0."""
+        if self.left == 0.0:
+            return 0.0
+        return self.left / self.right if self.right > 0.0 else math.inf
+
+
+@dataclass(frozen=True)
+class SimulationLemma:
+    """J' - J(K) by two evaluations, and by each form of the lemma; the three are equal up to rounding."""
+
+    difference: float
+    by_target_occupancy: float
+    by_model_occupancy: float
+
+
+def simulation_lemma(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+) -> SimulationLemma:
+    """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
+
+    With a horizon, sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same with the two exchanged (V_T = 0).
+    Where rewards are r(s, a, s'), r(s, a, s') + g V(s') takes the place of g V(s').
+
+    Parameters
+    ----------
+    target : FiniteMDP, P'
+    model : FiniteMDP or ReweightedModel, K: the target's rewards, initial distribution and discount, rows of any sum
+    policy : (S, A), or (T, S, A) with a horizon T
+    horizon : positive int or None
+    ratio : None, or csr (S*A, S) or an object with such ``values``: ``model`` is then the simulator P, and K = ratio * P
+
+    Raises
+    ------
+    ValueError
+        What is not a pair; without a horizon, discount 1 or a K whose infinite sum does not exist.
+
+    Notes
+    -----
+    Values are not normalised. Cost: O(T * nnz) time and O(T * S) memory, or four sparse solves.
+    """
+    kernel = check_pair(target, model, ratio)
+    steps = _checks.optional_horizon(horizon)
+    pi = check_policy(policy, target, horizon=steps)
+    difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
+    first = _moved_value(target, kernel, pi, steps, measured=target, valued=kernel)
+    second = _moved_value(target, kernel, pi, steps, measured=kernel, valued=target)
+    return SimulationLemma(difference, first, second)
+
+
+def _moved_value(
+    target: Model, kernel: Model, pi: Array, steps: int | None, *, measured: Model, valued: Model
+) -> float:
+    """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of ``valued``."""
+    gamma, paid = target.discount, target.rewards - kernel.rewards
+
+    def moved(value: Array) -> Array:
+        change: Array = target.transitions @ value - kernel.transitions @ value
+        return paid + gamma * change.reshape(paid.shape)
+
+    if steps is None:
+        return float(np.sum(occupancy(measured, pi) * moved(state_values(valued, pi))) / (1.0 - gamma))
+    to_go = np.zeros((steps + 1, target.n_states))
+    for t in range(steps - 1, -1, -1):
+        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(paid.shape)
+        to_go[t] = np.sum((pi if pi.ndim == 2 else pi[t]) * q, axis=1)
+    return sum(
+        gamma**t * float(np.sum(pairs * moved(to_go[t + 1]))) for t, pairs in enumerate(_forward(measured, pi, steps))
+    )
+
+
+def _forward(model: Model, pi: Array, steps: int) -> Iterator[Array]:
+    """alpha_t, (S, A), for t = 0..steps-1; not normalised."""
+    transposed = sparse.csr_array(model.transitions.T)
+    states = model.initial
+    for t in range(steps):
+        pairs = states[:, None] * (pi if pi.ndim == 2 else pi[t])
+        yield pairs
+        states = transposed @ pairs.reshape(-1)
+
+
+def unnormalised_bound(
+    eta: float, reward_bound: float, discount: float, *, horizon: int | None = None, rewards_on_moves: bool = False
+) -> float:
+    """(A): |J(K) - J'| <= R sum_t g^t ((1 + eta)^t - 1), whatever the rows of K sum to.
+
+    Parameters
+    ----------
+    eta : max over (s, a) of sum_s' |K - P'| = E_P |zhat - zeta|, in [0, inf)
+    reward_bound : R = max |r|, in [0, inf)
+    discount : g in [0, 1]
+    horizon : T (t < T), or None: the sum is R g eta / ((1 - g) (1 - g (1 + eta))), and inf where g (1 + eta) >= 1
+    rewards_on_moves : True for r(s, a, s'): (1 + eta)^{t+1} takes the place of (1 + eta)^t
+
+    Notes
+    -----
+    Exponential in the horizon, and truly so: K = (1 + eta) P' and r = R attain it. It is inf where its numbers overflow.
+
+    >>> round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12), unnormalised_bound(0.5, 1.0, 0.9)
+    (0.5625, inf)
+    """
+    eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
+    shift = int(rewards_on_moves)
+    if bound == 0.0 or eta == 0.0:
+        return 0.0
+    if gamma == 0.0:
+        return bound * shift * eta
+    if steps is None:
+        rest = 1.0 - gamma * (1.0 + eta)
+        return bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest) if rest > 0.0 else math.inf
+    t = np.arange(steps)
+    growth = (t + shift) * np.log1p(eta)
+    with np.errstate(over="ignore"):
+        return float(bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth)))
+
+
+def unnormalised_sides(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+) -> Sides:
+    """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
+
+    Arguments and errors as in ``simulation_lemma``; left is inf where the infinite sum J(K) does not exist (right is then,
+    too). eta counts the target's moves to which K gives nothing. Cost: two evaluations.
+    """
+    kernel = check_pair(target, model, ratio)
+    left = _error(target, kernel, policy, horizon)
+    return Sides(
+        left, unnormalised_bound(*_measured(target, kernel), horizon=horizon, rewards_on_moves=_on_moves(target))
+    )
+
+
+def normalised_bound(
+    eta: float, reward_bound: float, discount: float, *, horizon: int | None = None, rewards_on_moves: bool = False
+) -> float:
+    """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R g eta / (1 - g)^2.
+
+    Arguments as in ``unnormalised_bound``; (t + 1) eta takes the place of t eta for r(s, a, s'). inf at discount 1
+    without a horizon, unless eta or R is 0. An infinite sum is added up to discount^t = 1e-12 (at most 100 000 terms) and
+    bounded from there.
+
+    >>> normalised_bound(0.5, 1.0, 0.5, horizon=3), normalised_bound(0.5, 1.0, 1.0, horizon=10)
+    (0.5, 15.0)
+    """
+    eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
+    shift = int(rewards_on_moves)
+    if bound == 0.0 or eta == 0.0:
+        return 0.0
+    if steps is None and gamma == 1.0:
+        return math.inf
+    length = _long(gamma) if steps is None else steps
+    t = np.arange(length)
+    total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
+    if steps is None:
+        total += gamma**length / (1.0 - gamma) * min(2.0, (length + shift + gamma / (1.0 - gamma)) * eta)
+    return bound * total
+
+
+def _long(gamma: float) -> int:
+    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded by Jensen's inequality."""
+    return 1 if gamma == 0.0 else min(_LONGEST, math.ceil(math.log(_NEGLIGIBLE) / math.log(gamma)))
+
+
+def normalised_sides(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+) -> Sides:
+    """(B) on a pair. Arguments, errors and cost as in ``unnormalised_sides``; a K whose rows miss 1 is a ValueError."""
+    kernel = check_pair(target, model, ratio)
+    _require_rows(kernel)
+    left = _error(target, kernel, policy, horizon)
+    return Sides(
+        left, normalised_bound(*_measured(target, kernel), horizon=horizon, rewards_on_moves=_on_moves(target))
+    )
+
+
+def path_kl(target: FiniteMDP, model: Model, policy: Any, *, horizon: int, ratio: Any = None) -> Array:
+    """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
+
+    By the chain rule [2] the divergence of the first t moves under K from those under P'. inf from the first move on that K
+    makes and the target does not. Arguments and errors as in ``normalised_sides``. Cost: O(T * nnz).
+    """
+    kernel = check_pair(target, model, ratio)
+    _require_rows(kernel)
+    steps = _checks.positive_integer(horizon, "horizon")
+    pi = check_policy(policy, target, horizon=steps)
+    return _path_kl(kernel, pi, steps, _row_kl(target, kernel))
+
+
+def _path_kl(kernel: Model, pi: Array, steps: int, rows: Array) -> Array:
+    result = np.zeros(steps + 1)
+    for t, pairs in enumerate(_forward(kernel, pi, steps)):
+        made = pairs.reshape(-1) > 0.0  # 0 * inf is 0 here
+        result[t + 1] = result[t] + pairs.reshape(-1)[made] @ rows[made]
+    return result
+
+
+def _row_kl(target: Model, kernel: Model) -> Array:
+    """(S*A,): KL(K || P') of each row."""
+    on_kernel, _ = align(target.transitions, kernel.transitions)
+    _, shared = align(kernel.transitions, target.transitions)
+    elsewhere = row_sums(target.transitions, np.where(shared, 0.0, target.transitions.data))
+    return row_sums(kernel.transitions, divergence_terms(kernel.transitions.data, on_kernel)) + elsewhere
+
+
+def divergence_terms(p: Array, q: Array) -> Array:
+    """p log(p/q) - p + q >= 0, entry by entry, to full relative precision for q near p; q where p = 0, inf where q = 0 < p."""
+    terms: Array = np.asarray(special.kl_div(p, q))
+    near = (p > 0.0) & (np.abs(q - p) < 0.5 * p)
+    change = (q[near] - p[near]) / p[near]
+    terms[near] = p[near] * (change - np.log1p(change))
+    return terms
+
+
+def kl_path_bound(path_divergence: Any, reward_bound: float, discount: float) -> float:
+    """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2 KL_t)).
+
+    Parameters
+    ----------
+    path_divergence : (T,) nonnegative, inf allowed: KL of the moves that the reward at t rests on, t = 0..T-1; with
+        ``path_kl`` its entries 0..T-1 for r(s, a), 1..T for r(s, a, s')
+    reward_bound : R = max |r|, in [0, inf)
+    discount : g in [0, 1]
+
+    Notes
+    -----
+    Proof: |E_K r_t - E_P' r_t| <= 2 R TV of those moves; Pinsker; the chain rule. No exponential in the horizon: with
+    |zhat/zeta - 1| <= eps, KL_t <= t eps^2 (``corrected_value_error_bound``). It is tight to second order in eps.
+
+    >>> kl_path_bound([0.0, 0.5, 8.0], 1.0, 0.5)
+    1.0
+    """
+    kl = _checks.float_array(path_divergence, "path_divergence", ndim=1)
+    bad = np.flatnonzero(~(kl >= 0.0))
+    if bad.size:
+        raise ValueError(f"path_divergence[{bad[0]}] must be nonnegative; it is {kl[bad[0]]}")
+    _, bound, gamma, _ = _constants(0.0, reward_bound, discount, None)
+    return float(bound * np.sum(gamma ** np.arange(len(kl)) * np.minimum(2.0, np.sqrt(2.0 * kl))))
+
+
+def kl_path_sides(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+) -> Sides:
+    """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
+
+    Arguments and errors as in ``normalised_sides``. Without a horizon the sum runs to discount^t = 1e-12 (at most
+    100 000 steps), and what follows is bounded by Jensen's inequality, so right stays a bound. Cost: O(T * nnz).
+    """
+    kernel = check_pair(target, model, ratio)
+    _require_rows(kernel)
+    left = _error(target, kernel, policy, horizon)
+    _, bound, gamma = _measured(target, kernel)
+    shift = int(_on_moves(target))
+    rows = _row_kl(target, kernel)
+    steps = _checks.optional_horizon(horizon)
+    pi = check_policy(policy, target, horizon=steps)
+    if steps is not None:
+        return Sides(left, kl_path_bound(_path_kl(kernel, pi, steps, rows)[shift:][:steps], bound, gamma))
+    if gamma == 1.0:  # every state that is reached is reached in S moves
+        never = bound == 0.0 or _path_kl(kernel, pi, kernel.n_states, rows)[-1] == 0.0
+        return Sides(left, 0.0 if never else math.inf)
+    length = _long(gamma)
+    kl = _path_kl(kernel, pi, length + shift, rows)[shift:]
+    later = kl[length] + rows.max() * gamma / (1.0 - gamma) if gamma > 0.0 else 0.0
+    tail = gamma**length / (1.0 - gamma) * min(2.0, math.sqrt(2.0 * later))
+    return Sides(left, kl_path_bound(kl[:length], bound, gamma) + bound * tail)
+
+
+def check_pair(target: object, model: object, ratio: Any = None) -> FiniteMDP | ReweightedModel:
+    """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
+    if not isinstance(target, FiniteMDP):
+        raise ValueError(f"target must be a FiniteMDP; got {type(target).__name__}")
+    if ratio is not None:
+        if not isinstance(model, FiniteMDP):
+            raise ValueError(f"model must be a FiniteMDP (the simulator) with a ratio; got {type(model).__name__}")
+        model = reweight(model, ratio)
+    if not isinstance(model, FiniteMDP | ReweightedModel):
+        raise ValueError(f"model must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}")
+    if target.transitions.shape != model.transitions.shape:
+        raise ValueError(
+            f"target and model must have the same states and actions; their transitions have shapes "
+            f"{target.transitions.shape} and {model.transitions.shape}"
+        )
+    if target.discount != model.discount:
+        raise ValueError(f"model must have the target's discount {target.discount:g}; it has {model.discount:g}")
+    bad = np.flatnonzero(np.abs(target.initial - model.initial) > _checks.SUM_TOLERANCE)
+    if bad.size:
+        s = bad[0]
+        raise ValueError(f"model.initial[{s}] must be the target's {target.initial[s]:g}; it is {model.initial[s]:g}")
+    _check_rewards(target, model)
+    return model
+
+
+def _check_rewards(target: FiniteMDP, model: Model) -> None:
+    """The same form of rewards, and the same values (for r(s, a, s') on the moves that both make)."""
+    if target.reward_data is None or model.reward_data is None:
+        if target.reward_data is not model.reward_data:
+            forms = ["r(s, a)" if m.reward_data is None else "r(s, a, s')" for m in (target, model)]
+            raise ValueError(f"model must have the target's form of rewards, {forms[0]}; it has {forms[1]}")
+        bad = np.argwhere(~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12))
+        if bad.size:
+            s, a = bad[0]
+            wanted, found = target.rewards[s, a], model.rewards[s, a]
+            raise ValueError(f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is {found:g}")
+        return
+    found, shared = align(on_pattern(model.transitions, model.reward_data), target.transitions)
+    wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
+    if wrong.size:
+        k = int(wrong[0])
+        where = name_move(target.transitions, k, target.n_actions)
+        raise ValueError(
+            f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
+        )
+
+
+def _require_rows(model: Model) -> None:
+    sums = row_sums(model.transitions).reshape(model.n_states, model.n_actions)
+    _checks.require_sums_to_one(sums, "model.transitions")
+
+
+def _constants(
+    eta: float, reward_bound: float, discount: float, horizon: int | None
+) -> tuple[float, float, float, int | None]:
+    return (
+        _checks.number_in(eta, "eta", 0.0, math.inf),
+        _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf),
+        _checks.number_in(discount, "discount", 0.0, 1.0),
+        _checks.optional_horizon(horizon),
+    )
+
+
+def _error(target: FiniteMDP, model: Model, policy: Any, horizon: int | None) -> float:
+    """|J(K) - J'|; inf where J(K) does not exist (nothing is paid: 0)."""
+    truth = policy_value(target, policy, horizon=horizon)
+    pi = check_policy(policy, target, horizon=horizon)
+    try:
+        return abs(policy_value(model, pi, horizon=horizon) - truth)
+    except DivergentKernelError:
+        return math.inf if _measured(target, model)[1] > 0.0 else 0.0
+
+
+def _measured(target: Model, model: Model) -> tuple[float, float, float]:
+    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the moves of either, and the discount."""
+    change = row_sums(sparse.csr_array(abs(model.transitions - target.transitions)))
+    tables = [m.rewards if m.reward_data is None else m.reward_data for m in (target, model)]
+    largest = max(float(np.abs(table).max(initial=0.0)) for table in tables)
+    return float(change.max(initial=0.0)), largest, target.discount
+
+
+def _on_moves(mdp: FiniteMDP) -> bool:
+    return mdp.reward_data is not None

@@ -1,0 +1,369 @@
+"""The paper's statements on estimation error, as they stand, beside what is true of them (theory.md, section 4).
+
+Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables or MDPs.
+Theorem 1 (the ratio g, equation "upperbound") needs a constant K that does not exist; the Lemma (zeta) holds and is loose;
+Theorem 2 (the value) is false. ``*_counterexample`` shows each failure, ``sup_error_bound``, the Lemma's tight constant and
+``corrected_value_error_bound`` (with ``bounds``) say what holds. g* = p/q; the paper's class of functions is nu <= g <= mu
+with nu < 1 < mu. ``ratio.check_assumptions`` says whether p/q lies in it. Divergences and risks are in nats.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse, special
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.exact import policy_value
+from oee_tabular.exact.reweighted import Model
+from oee_tabular.inference.bounds import Sides, check_pair, divergence_terms
+from oee_tabular.mdp import FiniteMDP
+
+
+def renyi_divergence(p: Any, q: Any, order: float) -> float:
+    """D_a(p || q) = log(sum p^a q^{1-a}) / (a - 1) in nats; a = 1: KL(p || q), a = inf: log max p/q.
+
+    Parameters
+    ----------
+    p, q : (n,) nonnegative; counts or probabilities, each is scaled to sum to 1
+    order : a > 0, inf included
+
+    Notes
+    -----
+    It grows with a. inf where p > 0 = q somewhere and a >= 1, and for a < 1 where p and q have nothing in common. exp(D_2)
+    = E_q (p/q)^2 = 1 + chi^2. Source: van Erven and Harremoes, IEEE Trans. Information Theory 60(7), 2014.
+
+    >>> [round(renyi_divergence([3, 1], [1, 1], a), 6) for a in (0.5, 1, 2, float("inf"))]
+    [0.069336, 0.130812, 0.223144, 0.405465]
+    """
+    ps, qs = _distributions(p, q)
+    a = _checks.number_in(order, "order", 0.0, math.inf, infinite=True)
+    if a == 0.0:
+        raise ValueError("order must be positive; it is 0")
+    if a == 1.0:
+        return float(np.sum(divergence_terms(ps, qs)))
+    shared, alone = (ps > 0.0) & (qs > 0.0), float(np.sum(ps[qs == 0.0]))
+    if not shared.any() or (a > 1.0 and alone > 0.0):
+        return math.inf
+    log_ratio = np.log(ps[shared]) - np.log(qs[shared])
+    if math.isinf(a):
+        return max(0.0, float(log_ratio.max()))
+    powers = (a - 1.0) * log_ratio
+    if np.abs(powers).max() < 0.5 and alone < 0.5:  # the sum is near 1: what it differs by, for orders near 1
+        log_sum = math.log1p(float(ps[shared] @ np.expm1(powers)) - alone)
+    else:
+        log_sum = float(special.logsumexp(powers + np.log(ps[shared])))
+    return max(0.0, log_sum / (a - 1.0))
+
+
+def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float) -> float:
+    """Theorem 1's right-hand side: of the SQUARE |ghat_n - g*|_inf^2, with probability ``confidence`` = 1 - delta.
+
+    K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) / n)).
+
+    Parameters
+    ----------
+    n : samples from each of P and Q
+    mu, nu : the box, nu in (0, 1) and mu in (1, inf)
+    confidence : 1 - delta, in (0, 1)
+    renyi : D_inf(P || Q) >= 0 in nats, inf allowed; ``renyi_divergence(p, q, inf)``
+    constant : the paper's universal K > 0
+
+    Notes
+    -----
+    No such K exists: ``universal_constant_counterexample``. K must contain 1 / min q and the size of the class; with P and
+    Q fixed the bound holds for large n, but the rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states.
+    ``sup_error_bound`` is a version with its constants. The paper calls both this bound and its root M(G, delta).
+
+    >>> round(estimation_bound(100, 10.0, 0.1, 0.95, 0.0, 1.0), 4)
+    1.475
+    """
+    samples = _checks.positive_integer(n, "n")
+    lower, upper = _box(nu, mu)
+    delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    divergence = _checks.number_in(renyi, "renyi", 0.0, math.inf, infinite=True)
+    k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
+    with np.errstate(over="ignore"):
+        scale = float(np.exp(divergence))
+    spread = upper + max(math.log(upper), -math.log(lower)) + math.sqrt(-2.0 * math.log(delta))
+    return k * scale * spread / math.sqrt(samples)
+
+
+def estimation_sides(
+    g: Any, p: Any, q: Any, *, n: int, mu: float, nu: float, confidence: float, constant: float
+) -> Sides:
+    """Theorem 1 on tables: left = max |g - p/q|^2 over the cells with p + q > 0, right = ``estimation_bound``.
+
+    ``g`` (n_cells,) must lie in [nu, mu]; p and q as in ``renyi_divergence``, for a pair of MDPs their occupancies of
+    transitions. Both sides are inf where p > 0 = q.
+    """
+    ps, qs = _distributions(p, q)
+    values = _in_box(g, "g", *_box(nu, mu))
+    _same_length(values, ps)
+    right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
+    return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0])) ** 2, right)
+
+
+@dataclass(frozen=True)
+class EstimationCounterexample(Sides):
+    """Theorem 1 at K = 1 where it fails: ``ratio`` is the K that it would need.
+
+    ``probability_flat``: that neither sample has the atom, so that every ghat there minimises the empirical risk;
+    ``probability_forced``: that only P's sample has it, so that ghat = mu is the one minimiser. Both are above delta = 0.05.
+    """
+
+    probability_flat: float
+    probability_forced: float
+
+
+def universal_constant_counterexample(
+    n: int, *, mu: float = 10.0, nu: float = 0.1, confidence: float = 0.95
+) -> EstimationCounterexample:
+    """P = Q = (1/n, 1 - 1/n), so g* = 1 and D_inf = 0: with constant probability |ghat - g*|_inf = mu - 1, whatever n is.
+
+    left = (mu - 1)^2, right = the bound of Theorem 1 at K = 1, of order n^-1/2: the K needed grows as sqrt(n).
+
+    >>> [round(universal_constant_counterexample(n).ratio) for n in (100, 10_000, 1_000_000)]
+    [55, 549, 5491]
+    >>> found = universal_constant_counterexample(1_000_000)
+    >>> round(found.probability_flat, 4), round(found.probability_forced, 4)
+    (0.1353, 0.2325)
+    """
+    samples = _checks.positive_integer(n, "n")
+    if samples < 2:
+        raise ValueError(f"n must be at least 2; it is {samples}")
+    right = estimation_bound(samples, mu, nu, confidence, 0.0, 1.0)
+    unseen = math.exp(samples * math.log1p(-1.0 / samples))
+    return EstimationCounterexample((mu - 1.0) ** 2, right, unseen**2, unseen * (1.0 - unseen))
+
+
+def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float) -> float:
+    """What holds in place of Theorem 1 for tables, ghat = phat/qhat, with probability ``confidence`` = 1 - delta.
+
+    |ghat - g*|_inf <= mu (e_p + e_q) / (1 - e_q),   e_p = sqrt(3 log(4 n_cells / delta) / (n p_min)), e_q likewise.
+
+    Parameters
+    ----------
+    n : samples from each of P and Q
+    p_min, q_min : smallest positive probability of a cell, in [0, 1]
+    n_cells : cells of the table
+    mu : max p/q, at least 1
+    confidence : 1 - delta, in (0, 1)
+
+    Notes
+    -----
+    The error itself, not its square. Chernoff's exp(-n p e^2 / 3), for each cell and each side, holds for e <= 1; where e_p
+    would be larger it solves n p e^2 / (2 + e) = log(4 n_cells / delta) instead. inf where e_q >= 1: a cell that Q's sample
+    misses is then not excluded.
+
+    >>> round(sup_error_bound(100_000, 0.1, 0.2, 4, 1.5, 0.95), 4)
+    0.1097
+    """
+    samples, cells = _checks.positive_integer(n, "n"), _checks.positive_integer(n_cells, "n_cells")
+    smallest = [_checks.number_in(x, name, 0.0, 1.0) for x, name in ((p_min, "p_min"), (q_min, "q_min"))]
+    largest = _checks.number_in(mu, "mu", 1.0, math.inf)
+    delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    log_term = math.log(4.0 * cells / delta)
+    e_p, e_q = (_chernoff(log_term, samples * x) for x in smallest)
+    return largest * (e_p + e_q) / (1.0 - e_q) if e_q < 1.0 else math.inf
+
+
+def _chernoff(log_term: float, mean: float) -> float:
+    if mean == 0.0:
+        return math.inf
+    small = math.sqrt(3.0 * log_term / mean)
+    return small if small <= 1.0 else (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
+
+
+def excess_risk(g: Any, p: Any, q: Any) -> Sides:
+    """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p log g, phi(u) = u - 1 - log u.
+
+    ``g`` (n,) nonnegative; p and q as in ``renyi_divergence``. left is the difference of the two risks, right the
+    expectation, which is accurate for g near g* as well; they are equal up to rounding. inf where g = 0 < p or q = 0 < p.
+
+    >>> sides = excess_risk([1.0, 1.0], [3, 1], [2, 2])
+    >>> round(sides.left, 12) == round(sides.right, 12) == round(renyi_divergence([3, 1], [2, 2], 1), 12)
+    True
+    """
+    ps, qs = _distributions(p, q)
+    values = _checks.float_array(g, "g", ndim=1)
+    _checks.require_nonnegative(values, "g")
+    _same_length(values, ps)
+    right = float(np.sum(divergence_terms(ps, qs * values)))
+    if math.isinf(right):
+        return Sides(right, right)
+    with np.errstate(invalid="ignore"):
+        best = np.where(qs > 0.0, _ratio(ps, qs), 0.0)
+    risks = [float(qs @ h - np.sum(special.xlogy(ps, h))) for h in (values, best)]
+    return Sides(risks[0] - risks[1], right)
+
+
+def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> Sides:
+    """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls L2(P), not the sup norm.
+
+    ``mu`` (default: the largest of g and g* where p > 0) must be at least those; other arguments as in ``excess_risk``.
+    """
+    risk = excess_risk(g, p, q).right
+    ps, qs = _distributions(p, q)
+    values, best = _checks.float_array(g, "g")[ps > 0.0], _ratio(ps, qs)[ps > 0.0]
+    largest = float(max(values.max(), best.max()))
+    bound = largest if mu is None else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
+    if bound < largest:
+        raise ValueError(f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}")
+    left = float(ps[ps > 0.0] @ (values - best) ** 2)
+    return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound**2 * risk)
+
+
+def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
+    """The Lemma: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
+
+    zeta = beta_sas' / beta_sa; ``error`` bounds both |betahat - beta|_inf (Theorem 1 twice: probability 1 - 2 delta), and
+    all four ratios lie in [nu, mu], so that zeta lies in [nu/mu, mu/nu]. nu in (0, 1), mu in (1, inf), error in [0, inf].
+
+    Notes
+    -----
+    The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n. The tight constant is attained as error -> 0.
+
+    >>> ratio_error_bound(0.01, 2.0, 0.5), ratio_error_bound(0.01, 2.0, 0.5, tight=True)
+    (0.16, 0.1)
+    """
+    lower, upper = _box(nu, mu)
+    size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
+    return (upper + lower if tight else upper * (1.0 + lower * upper)) / lower**2 * size
+
+
+def ratio_error_sides(
+    moves: Any, pairs: Any, true_moves: Any, true_pairs: Any, *, mu: float, nu: float, tight: bool = False
+) -> Sides:
+    """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
+
+    ``moves``, ``pairs``: estimates of beta_sas' and beta_sa, ``true_moves``, ``true_pairs`` what they estimate, all (n,):
+    entry k is a transition's, and the pair's value is repeated for each of its transitions. All in [nu, mu].
+    """
+    named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
+    top, bottom, best_top, best_bottom = (_in_box(value, name, *_box(nu, mu)) for name, value in named.items())
+    for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):
+        if array.shape != top.shape:
+            raise ValueError(f"{name} must have the length of moves, {len(top)}; it has {len(array)}")
+    error = float(max(np.abs(top - best_top).max(initial=0.0), np.abs(bottom - best_bottom).max(initial=0.0)))
+    left = float(np.abs(top / bottom - best_top / best_bottom).max(initial=0.0))
+    return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))
+
+
+def value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float, nu: float) -> float:
+    """Theorem 2's right-hand side: of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
+
+    T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2 sum_{t=1..T} t x^t.
+
+    Parameters
+    ----------
+    horizon : the paper's T. Its sum runs over t = 0..T, T + 1 rewards: ``policy_value(..., horizon=T + 1)``
+    reward_bound : R >= max |r(s, a)|
+    discount : gamma in [0, 1]
+    error : M(G, delta) / n^{1/4}, the sup error of both betahat
+    nu : in (0, 1)
+
+    Notes
+    -----
+    ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1 + error))^2 > gamma / nu. Causes: sum t
+    stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta.
+    What holds: ``corrected_value_error_bound`` and ``bounds``. It is inf where x^T overflows.
+
+    >>> round(value_error_bound(2, 1.0, 0.99, error=0.03, nu=0.97), 8)
+    0.0055871
+    """
+    steps = _checks.positive_integer(horizon, "horizon")
+    bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+    size = _checks.number_in(error, "error", 0.0, math.inf)
+    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
+    if bound == 0.0 or size == 0.0:
+        return 0.0
+    t = np.arange(1.0, steps + 1.0)
+    with np.errstate(over="ignore"):
+        return float(steps * (bound * size) ** 2 * np.sum(t * (gamma / lower) ** t))
+
+
+def value_error_sides(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int, error: float, nu: float, ratio: Any = None
+) -> Sides:
+    """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
+
+    ``model`` and ``ratio`` as in ``simulation_lemma``; rewards r(s, a), as the theorem has them.
+    """
+    kernel = check_pair(target, model, ratio)
+    if target.reward_data is not None:
+        raise ValueError("target must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')")
+    largest = float(np.abs(target.rewards).max())
+    right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
+    values = [policy_value(mdp, policy, horizon=horizon + 1) for mdp in (target, kernel)]
+    return Sides((values[0] - values[1]) ** 2, right)
+
+
+def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu: float) -> Sides:
+    """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1: zhat = 1 + epsilon, sup error epsilon.
+
+    left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right = the theorem's bound.
+
+    >>> [round(value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio, 2) for T in (2, 50)]
+    [1.43, 18.37]
+    """
+    size = _checks.number_in(epsilon, "epsilon", 0.0, math.inf)
+    mdp = FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], discount)
+    ratio = sparse.csr_array([[1.0 + size]])
+    return value_error_sides(mdp, mdp, np.ones((1, 1)), horizon=horizon, error=size, nu=nu, ratio=ratio)
+
+
+def corrected_value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float) -> float:
+    """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}.
+
+    ``error`` = max |zhat/zeta - 1|; the other arguments as in ``value_error_bound``. The paper's shape without 1/nu: from
+    (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order 1 / (1 - gamma) the
+    error is of order (1 - gamma)^{-3/2}: not exponential.
+    """
+    steps = _checks.positive_integer(horizon, "horizon")
+    bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+    size = _checks.number_in(error, "error", 0.0, math.inf)
+    t = np.arange(1.0, steps + 1.0)
+    return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))
+
+
+def _distributions(p: Any, q: Any) -> tuple[Array, Array]:
+    arrays = []
+    for value, name in ((p, "p"), (q, "q")):
+        array = _checks.float_array(value, name, ndim=1)
+        _checks.require_nonnegative(array, name)
+        if not 0.0 < array.sum() < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {array.sum():g}")
+        arrays.append(array / array.sum())
+    if arrays[0].shape != arrays[1].shape:
+        raise ValueError(f"p and q must have one length; they have {len(arrays[0])} and {len(arrays[1])}")
+    return arrays[0], arrays[1]
+
+
+def _same_length(g: Array, p: Array) -> None:
+    if g.shape != p.shape:
+        raise ValueError(f"g must have the length of p, {len(p)}; it has {len(g)}")
+
+
+def _ratio(p: Array, q: Array) -> Array:
+    """p/q: inf where q = 0 < p, and 1 where p = q = 0 (nothing depends on it)."""
+    return np.divide(p, q, out=np.where(p > 0.0, np.inf, 1.0), where=q > 0.0)
+
+
+def _box(nu: float, mu: float) -> tuple[float, float]:
+    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
+    return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
+
+
+def _in_box(value: Any, name: str, nu: float, mu: float) -> Array:
+    array = _checks.float_array(value, name, ndim=1)
+    bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}")
+    return array
