@@ -50,6 +50,8 @@ _EXPORTS = {
     "TransitionRatio": "ratio",
     "Problem": "estimators",
     "Estimate": "estimators",
+    "interval": "inference",
+    "Interval": "inference",
     "evaluate": "report",
     "Report": "report",
 }
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
         weighted_return_moments,
     )
     from oee_tabular.exact.occupancy import occupancy
+    from oee_tabular.inference import Interval, interval
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import (
         RatioFit,
@@ -90,6 +93,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Estimate",
     "FiniteMDP",
+    "Interval",
     "Moments",
     "Problem",
     "RatioFit",
@@ -107,6 +111,7 @@ __all__ = [
     "evaluate",
     "exact",
     "inference",
+    "interval",
     "mdp",
     "mix",
     "occupancy",

@@ -15,26 +15,30 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-WHERE = ["tests/exact", "tests/estimators", "tests/ratio/test_transition.py"]
-# number: (what, file, text, what takes its place)
+MOMENTS, BOUNDS = "tests/exact/test_moments.py", "tests/exact/test_efficiency.py"
+VALUES, RATIOS = "tests/exact/test_values.py", "tests/ratio/test_transition.py"
+# number: (what, file, text, what takes its place, the tests that are run)
 BUGS = {
     1: (
         "second moment with w for w^2",
         "kernels/moments.py",
         "spread += prob[x] * w[x] * w[x] * next_var[j]",
         "spread += prob[x] * w[x] * next_var[j]",
+        MOMENTS,
     ),
     2: (
         "trajectory product with one factor too many",
         "kernels/moments.py",
         "plain = left == 0 and not by_move",
         "plain = False",
+        MOMENTS,
     ),
     3: (
         "occupancy left unnormalised",
         "exact/occupancy.py",
         "start = (1.0 - mdp.discount) * mdp.initial",
         "start = mdp.initial",
+        VALUES,
     ),
     4: (
         "asymptotic variance with d for d^2",
@@ -42,12 +46,14 @@ BUGS = {
         "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\ndef leading",
         "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n"
         "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\ndef leading",
+        BOUNDS,
     ),
     5: (
         "asymptotic variance without gamma",
         "exact/gradient.py",
         "action_share * (pay + gamma * values[columns])",
         "action_share * (pay + values[columns])",
+        BOUNDS,
     ),
     6: (
         "doubly robust second moment without its cross term",
@@ -60,37 +66,42 @@ BUGS = {
         "                    if by_move:\n"
         "                        y += (pay[x] - shift[t]) * scale[t]\n"
         "                    off",
+        MOMENTS,
     ),
     7: (
         "ratio inverted",
         "ratio/transition.py",
         "data / simulator.transitions.data, ",
         "simulator.transitions.data / data.clip(1e-9), ",
+        RATIOS,
     ),
     8: (
         "ratio 1 outside the support",
         "ratio/transition.py",
         '    refuse_unsupported(target.transitions, simulator, what="target")\n',
         "",
+        RATIOS,
     ),
     9: (
         "forward measure discounted twice",
         "exact/occupancy.py",
         "states = transposed @ states",
         "states = mdp.discount * (transposed @ states)",
+        VALUES,
     ),
     10: (
         "finite-horizon value that forgets gamma",
         "exact/values.py",
         "value, following = rewards + model.discount * (kernel @ value), value",
         "value, following = rewards + (kernel @ value), value",
+        VALUES,
     ),
 }
 
 
 def killers(number):
     """The names of the tests that fail with the bug planted (at most ten)."""
-    what, name, text, instead = BUGS[number]
+    what, name, text, instead, where = BUGS[number]
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for part in ("oee_tabular", "tests", "pyproject.toml", "README.md"):
@@ -104,7 +115,7 @@ def killers(number):
         if code.count(text) != 1:
             raise SystemExit(f"bug {number} ({what}): its text is {code.count(text)} times in {name}, not once")
         path.write_text(code.replace(text, instead))
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--maxfail=10", "-p", "no:cacheprovider", *WHERE]
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--maxfail=10", "-p", "no:cacheprovider", where]
         environment = os.environ | {"PYTHONPATH": str(copy), "CI": "true"}
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
     found = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, flags=re.M)

@@ -12,6 +12,7 @@ from oee_tabular.inference.bounds import (
     unnormalised_bound,
     unnormalised_sides,
 )
+from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.inference.theorems import (
     EstimationCounterexample,
     corrected_value_error_bound,
@@ -31,12 +32,14 @@ from oee_tabular.inference.theorems import (
 
 __all__ = [
     "EstimationCounterexample",
+    "Interval",
     "Sides",
     "SimulationLemma",
     "corrected_value_error_bound",
     "estimation_bound",
     "estimation_sides",
     "excess_risk",
+    "interval",
     "kl_path_bound",
     "kl_path_sides",
     "normalised_bound",

@@ -1,0 +1,123 @@
+"""What the log leaves open: counts, the prior box on every row, and the radii of confidence sets.
+
+Sources: [1] R. Agrawal, Finite-sample concentration of the multinomial in relative entropy, IEEE Trans. Information Theory 66,
+2020. [2] A. Jonsson et al., Planning in Markov decision processes with gap-dependent sample complexity, NeurIPS 2020. [3] T.
+Weissman et al., Inequalities for the L1 deviation of the empirical distribution, HP Labs, 2003.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse, special
+from scipy.sparse import csgraph
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._sparse import align, on_pattern, row_of_entry
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import ReweightedModel, reweight
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A problem as the sets of distributions read it, on the entries of the simulator's transitions.
+
+    ``phat`` (entries,) frequencies (the simulator's rows where there are none), ``n`` (S*A,) counts, ``low`` and ``high`` the
+    box lower_ratio * P and upper_ratio * P (at most 1), ``open_rows`` those with more than one next state.
+    """
+
+    model: FiniteMDP
+    policy: Array
+    horizon: int | None
+    indptr: IntArray
+    phat: Array
+    n: Array
+    low: Array
+    high: Array
+    open_rows: BoolArray
+    has_box: bool
+
+    @property
+    def rows(self) -> IntArray:
+        """The row of each entry."""
+        return row_of_entry(self.model.transitions)
+
+    def with_rows(self, probabilities: Array) -> ReweightedModel:
+        """The model with these probabilities on the simulator's entries, zeros kept."""
+        pattern = self.model.transitions
+        return reweight(self.model, on_pattern(pattern, probabilities / pattern.data))
+
+
+def gather(
+    problem: Problem, policy: Any, lower_ratio: float | None = None, upper_ratio: float | None = None
+) -> Evidence:
+    """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
+    model = problem.model
+    pi = check_policy(policy, model)
+    low = 0.0 if lower_ratio is None else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
+    high = np.inf if upper_ratio is None else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    matrix = model.transitions
+    indptr = matrix.indptr.astype(np.int64)
+    rows = row_of_entry(matrix)
+    observed, _ = align(problem.counts, matrix)
+    n = np.add.reduceat(observed, indptr[:-1])
+    probability = matrix.data / np.add.reduceat(matrix.data, indptr[:-1])[rows]
+    phat = np.where(n[rows] > 0, observed / np.maximum(n[rows], 1.0), probability)
+    above = np.minimum(high * probability, 1.0) if np.isfinite(high) else np.ones(len(phat))
+    return Evidence(
+        model,
+        pi,
+        problem.horizon,
+        indptr,
+        phat,
+        n,
+        low * probability,
+        above,
+        np.diff(indptr) > 1,
+        lower_ratio is not None or upper_ratio is not None,
+    )
+
+
+def reached_rows(evidence: Evidence) -> BoolArray:
+    """(S*A,) rows that the policy can reach in some model on the simulator's support."""
+    model = evidence.model
+    taken = evidence.policy > 0
+    rows, columns = row_of_entry(model.transitions), model.transitions.indices
+    used = taken.reshape(-1)[rows]
+    size = model.n_states
+    starts = np.flatnonzero(model.initial > 0)  # a node of its own leads to every start
+    tail = np.concatenate([rows[used] // model.n_actions, np.full(len(starts), size)])
+    head = np.concatenate([columns[used], starts])
+    graph = sparse.csr_array((np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1))
+    order = csgraph.breadth_first_order(graph, size, return_predecessors=False)
+    seen = np.zeros(size + 1, dtype=np.bool_)
+    seen[order] = True
+    return np.asarray((seen[:size, None] & taken).reshape(-1))
+
+
+def independent_radius(n: Array, k: IntArray, level: float) -> Array:
+    """epsilon with Pr(KL(phat || P) > epsilon) <= level for n independent draws over k outcomes [1].
+
+    c = n epsilon solves e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. inf where n = 0.
+    """
+    order = np.maximum(k - 1.0, 1.0)
+    # -c + (k-1) (1 + log(c / (k-1))) = log level: with y = c / (k-1), y e^-y = exp(log level / (k-1) - 1)
+    c = -order * special.lambertw(-np.exp(np.log(level) / order - 1.0), k=-1).real
+    return np.where(n > 0, c / np.maximum(n, 1.0), np.inf)
+
+
+def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
+    """The same where n is itself random, as in episodes: (log(1/level) + (k - 1) log(e (1 + n / (k - 1)))) / n [2]."""
+    order = np.maximum(k - 1.0, 1.0)
+    c = np.log(1.0 / level) + order * (1.0 + np.log1p(n / order))
+    return np.where(n > 0, c / np.maximum(n, 1.0), np.inf)
+
+
+def l1_radius(n: Array, k: IntArray, level: float) -> Array:
+    """r with Pr(|phat - P|_1 > r) <= level: sqrt(2 log((2^k - 2) / level) / n) [3]; at most 2."""
+    bound = np.sqrt(2.0 * (np.log(np.maximum(2.0**k - 2.0, 1.0)) - np.log(level)) / np.maximum(n, 1.0))
+    return np.where(n > 0, np.minimum(bound, 2.0), 2.0)

@@ -1,0 +1,155 @@
+"""``interval``: how sure a value is, by four methods, or why the log and the assumptions contradict each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import occupancy
+from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows
+from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
+from oee_tabular.inference.likelihood import profile_end
+from oee_tabular.inference.robust import contradicted_rows, describe_rows, extreme_value, radii
+
+METHODS = ("likelihood", "delta", "bootstrap", "robust")
+Method = Literal["likelihood", "delta", "bootstrap", "robust"]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval for J of a policy in the target, a discounted sum.
+
+    Attributes
+    ----------
+    lower, upper : the ends (nan where ``status`` says why there is none)
+    confidence : the level asked for; at least that for "robust", asymptotically for the others
+    method : "likelihood", "delta", "bootstrap" or "robust"
+    diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
+        that the policy reaches, and what the method adds
+    status : "ok", or the contradiction between the log and the assumed box
+    """
+
+    lower: float
+    upper: float
+    confidence: float
+    method: str
+    diagnostics: dict[str, Any] = field(default_factory=dict, repr=False)
+    status: str = "ok"
+
+    @property
+    def width(self) -> float:
+        """upper - lower."""
+        return self.upper - self.lower
+
+    def __contains__(self, value: object) -> bool:
+        return isinstance(value, int | float) and self.lower <= value <= self.upper
+
+
+def interval(
+    problem: Problem,
+    policy: Any,
+    *,
+    method: Method = "likelihood",
+    confidence: float = 0.95,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    radius: Literal["auto", "independent", "anytime"] = "auto",
+    ball: Literal["kl", "l1"] = "kl",
+    bootstrap: Literal["percentile", "basic"] = "percentile",
+    resample: Literal["transitions", "episodes"] = "transitions",
+    n_bootstrap: int = 400,
+    seed: Any = None,
+) -> Interval:
+    """How sure the log makes the value of a policy in the target. Rewards are taken as known.
+
+    Parameters
+    ----------
+    problem, policy : as for an estimator
+    method : "likelihood"
+        Profile likelihood, chi-square with one degree of freedom; rows that the policy reaches and the log has never seen are
+        set to their extremes in the box.
+        "delta", "bootstrap"
+        Of the maximum-likelihood model, rows without data being the simulator's (and taken for known).
+        "robust"
+        Guaranteed: every row in a KL ball around its counts and in the box, all at once; the extreme values by robust policy
+        evaluation, certified.
+    confidence : in (0, 1)
+    lower_ratio, upper_ratio : the prior box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the
+        simulator's support
+    radius : of the balls: "independent" rows, "anytime" (counts that are random, as in episodes), "auto": anytime for a log
+        with episodes
+    ball : "kl", or "l1" for comparison
+    bootstrap, resample, n_bootstrap, seed : which bootstrap interval, over what, how many, and its seed
+
+    Returns
+    -------
+    Interval
+        Where the counts contradict the box (with this confidence) no interval, but a status that names the rows.
+
+    Notes
+    -----
+    Cost: likelihood and robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations.
+    """
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem must be a Problem; got {type(problem).__name__}")
+    _checks.one_of(method, "method", METHODS)
+    _checks.one_of(radius, "radius", ("auto", "independent", "anytime"))
+    _checks.one_of(ball, "ball", ("kl", "l1"))
+    _checks.one_of(bootstrap, "bootstrap", ("percentile", "basic"))
+    _checks.one_of(resample, "resample", ("transitions", "episodes"))
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        raise ValueError("horizon must be given at discount 1")
+    evidence = gather(problem, policy, lower_ratio, upper_ratio)
+    kind = ("anytime" if problem.log.episode is not None else "independent") if radius == "auto" else radius
+    diagnostics = _coverage(evidence)
+    if evidence.has_box:
+        wrong = contradicted_rows(evidence, level, kind)
+        if wrong.size:
+            status = (
+                f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
+                f"{wrong.size} rows, with confidence {level:g}: {describe_rows(evidence, wrong)}; widen it"
+            )
+            return Interval(np.nan, np.nan, level, method, diagnostics | {"contradicted_rows": wrong}, status)
+    if method == "delta":
+        lower, upper, error = delta_ends(evidence, level)
+        return Interval(lower, upper, level, method, diagnostics | {"standard_error": error})
+    if method == "bootstrap":
+        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+        value, values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
+        tail = (1.0 - level) / 2.0
+        low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
+        if bootstrap == "basic":
+            low, high = 2.0 * value - high, 2.0 * value - low
+        return Interval(low, high, level, method, diagnostics | {"standard_error": float(values.std(ddof=1))})
+    if method == "likelihood":
+        ends = [profile_end(evidence, level, sign) for sign in (-1.0, 1.0)]
+        added = {
+            "divergence": max(end.divergence for end in ends),
+            "iterations": max(end.iterations for end in ends),
+            "last_change": max(end.change for end in ends),
+        }
+        return Interval(ends[0].value, ends[1].value, level, method, diagnostics | added)
+    size = radii(evidence, level, kind, ball)
+    low_end, high_end = (extreme_value(evidence, size, sign, ball=ball) for sign in (-1.0, 1.0))
+    if low_end.contradicted.size:
+        status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
+        return Interval(np.nan, np.nan, level, method, diagnostics, status)
+    certified: dict[str, Any] = {
+        "radius": kind,
+        "sweeps": max(low_end.sweeps, high_end.sweeps),
+        "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
+    }
+    return Interval(low_end.bound, high_end.bound, level, method, diagnostics | certified)
+
+
+def _coverage(evidence: Evidence) -> dict[str, Any]:
+    """How much of what the policy does the log has never seen."""
+    unseen = (evidence.n == 0) & evidence.open_rows
+    reached = unseen & reached_rows(evidence)
+    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon).reshape(-1)
+    return {"unvisited_share": float(time[unseen].sum()), "unvisited_rows": int(reached.sum())}

@@ -1,0 +1,358 @@
+"""Intervals: row problems against linear and conic programs, laws 33 to 44 of the theory notes, what is refused."""
+
+import itertools
+import warnings
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from helpers import dense, random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import stats
+from scipy.optimize import linprog
+
+import oee_tabular as oee
+from oee_tabular.inference import ambiguity, robust
+from oee_tabular.inference.likelihood import profile_end
+from oee_tabular.inference.reference import rectangular_program
+from oee_tabular.kernels import ambiguity as kernel
+
+
+def random_row(rng, box=True):
+    k = int(rng.integers(2, 6))
+    n = int(rng.integers(1, 40))
+    prior = rng.dirichlet(np.ones(k)) * 0.9 + 0.1 / k
+    phat = rng.multinomial(n, prior) / n
+    v = rng.integers(-3, 4, size=k) + 0.0
+    low, high = (0.3 * prior, np.minimum(2.5 * prior, 1.0)) if box else (np.zeros(k), np.ones(k))
+    return phat, v, low, high, float(10 ** rng.uniform(-2, 0.3))
+
+
+def solve_row(phat, v, low, high, epsilon):
+    out, above, kl, lam = np.empty(len(v)), np.empty(1), np.empty(1), np.zeros(1)
+    kernel.worst_rows(np.array([epsilon]), phat, v, low, high, np.array([0, len(v)]), lam, out, above, kl)
+    return out, above[0], kl[0]
+
+
+@settings(max_examples=150)
+@given(rngs, st.booleans())
+def test_37_the_worst_row_is_feasible_and_certified(rng, box):
+    phat, v, low, high, epsilon = random_row(rng, box)
+    p, above, kl = solve_row(phat, v, low, high, epsilon)
+    assert_allclose(p.sum(), 1.0, rtol=1e-12)
+    assert (p >= low - 1e-12).all()
+    assert (p <= high + 1e-12).all()
+    if kl > epsilon * (1 + 1e-9):  # the ball misses the box: no point of the box is nearer
+        assert np.isinf(above) or np.ptp(v) == 0
+        return
+    assert_allclose(kl, sum(a * np.log(a / b) for a, b in zip(phat, p, strict=True) if a > 0), atol=1e-9)
+    assert above >= p @ v - 1e-12
+    assert above - p @ v < 1e-7 * max(1.0, np.abs(v).max())
+    tv = 0.5 * np.abs(p - phat).sum()
+    assert tv <= np.sqrt(epsilon / 2) + 1e-9  # Pinsker: the KL ball is inside the L1 ball
+
+
+def test_the_worst_row_against_clarabel():
+    rng = np.random.default_rng(0)
+    for trial in range(40):
+        phat, v, low, high, epsilon = random_row(rng, trial % 2 == 0)
+        p, _, kl = solve_row(phat, v, low, high, epsilon)
+        x = cp.Variable(len(v))
+        seen = phat > 0
+        ball = cp.sum(cp.kl_div(phat[seen], x[seen]) + phat[seen] - x[seen]) <= epsilon
+        problem = cp.Problem(cp.Maximize(v @ x), [ball, cp.sum(x) == 1, x >= low, x <= high])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem.solve(solver="CLARABEL")
+        if kl > epsilon * (1 + 1e-9):
+            assert problem.status.startswith("infeasible")
+            continue
+        assert_allclose(p @ v, problem.value, atol=1e-6)
+
+
+def test_the_l1_ball_against_linear_programming():
+    rng = np.random.default_rng(1)
+    for trial in range(60):
+        phat, v, low, high, radius = random_row(rng, trial % 2 == 0)
+        k = len(v)
+        out = np.empty(k)
+        feasible = kernel.worst_l1(np.array([radius]), phat, v, low, high, np.array([0, k]), np.argsort(v), out)[0]
+        absolute = np.block([[np.eye(k), -np.eye(k)], [-np.eye(k), -np.eye(k)]])
+        rows = np.vstack([absolute, np.append(np.zeros(k), np.ones(k))])
+        limits = np.concatenate([phat, -phat, [radius]])
+        equal = np.append(np.ones(k), np.zeros(k))[None]
+        bounds = [*zip(low, high, strict=True), *[(0, None)] * k]
+        found = linprog(np.append(-v, np.zeros(k)), A_ub=rows, b_ub=limits, A_eq=equal, b_eq=[1.0], bounds=bounds)
+        assert feasible == (found.status == 0)
+        if feasible:
+            assert_allclose(out @ v, -found.fun, atol=1e-9)
+            assert np.abs(out - phat).sum() <= radius + 1e-9
+
+
+@pytest.mark.parametrize(("n", "k"), [(3, 2), (10, 2), (5, 3), (8, 3)])
+def test_43_the_radii_hold_by_enumeration(n, k):
+    """Pr(KL(phat || P) > epsilon) <= level, summed over all outcomes, for several P."""
+    for level in (0.3, 0.05, 0.001):
+        one, count = np.array([float(n)]), np.array([k])
+        epsilon = ambiguity.independent_radius(one, count, level)[0]
+        anytime = ambiguity.anytime_radius(one, count, level)[0]
+        c = n * epsilon
+        assert_allclose(np.exp(-c) * (np.e * c / (k - 1)) ** (k - 1), level, rtol=1e-8)
+        l1 = ambiguity.l1_radius(one, count, level)[0]
+        for p in (np.full(k, 1 / k), np.append(np.full(k - 1, 0.05), 1 - 0.05 * (k - 1))):
+            outside = outside_l1 = outside_anytime = 0.0
+            for counts in itertools.product(range(n + 1), repeat=k):
+                if sum(counts) != n:
+                    continue
+                phat = np.array(counts) / n
+                chance = stats.multinomial.pmf(counts, n, p)
+                kl = sum(a * np.log(a / b) for a, b in zip(phat, p, strict=True) if a > 0)
+                outside += chance * (kl > epsilon)
+                outside_anytime += chance * (kl > anytime)
+                outside_l1 += chance * (np.abs(phat - p).sum() > l1)
+            assert outside <= level
+            assert outside_anytime <= level
+            assert outside_l1 <= level
+    assert ambiguity.independent_radius(np.array([0.0]), np.array([2]), 0.1)[0] == np.inf
+
+
+def case(rng, n_states=3, n=60, **options):
+    simulator = random_mdp(rng, n_states=n_states, n_actions=2, discount=0.8, **options)
+    target = random_mdp(rng, like=simulator)
+    share = rng.dirichlet(np.ones(2 * n_states)).reshape(n_states, 2)
+    log = oee.sample_transitions(target, share, n, seed=int(rng.integers(1 << 30)))
+    return simulator, target, oee.Problem(simulator, log), random_policy(rng, simulator)
+
+
+@settings(max_examples=40)
+@given(rngs, st.sampled_from([None, 3]))
+def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
+    simulator, _, problem, policy = case(rng)
+    problem = oee.Problem(simulator, problem.log, horizon=horizon)
+    wide, narrow = (oee.interval(problem, policy, method="robust", confidence=c) for c in (0.99, 0.6))
+    slack = 1e-8 * max(1.0, abs(wide.upper), abs(wide.lower))
+    assert wide.lower <= narrow.lower + slack
+    assert narrow.upper <= wide.upper + slack
+    evidence = ambiguity.gather(problem, policy)
+    size = robust.radii(evidence, 0.6, "independent", "kl")
+    for _ in range(5):  # members: a step from the counts towards a random row, as far as the ball allows
+        p = evidence.phat.copy()
+        for k in range(len(evidence.n)):
+            row = slice(evidence.indptr[k], evidence.indptr[k + 1])
+            aim = rng.dirichlet(np.ones(row.stop - row.start))
+            low, high = 0.0, 1.0 - 1e-9
+            for _ in range(40):
+                middle = 0.5 * (low + high)
+                trial = (1 - middle) * evidence.phat[row] + middle * aim
+                a = evidence.phat[row]
+                kl = sum(x * np.log(x / y) for x, y in zip(a, trial, strict=True) if x > 0)
+                low, high = (middle, high) if kl <= size[k] else (low, middle)
+            p[row] = (1 - low) * evidence.phat[row] + low * aim
+        value = oee.policy_value(evidence.with_rows(p), policy, horizon=horizon)
+        assert narrow.lower - slack <= value <= narrow.upper + slack
+    if simulator.transition_rewards is not None:
+        negative = -simulator.transition_rewards
+    else:
+        negative = -simulator.rewards
+    mirrored = oee.Problem(simulator.with_rewards(negative), problem.log, horizon=horizon)
+    for method in ("robust", "likelihood", "delta"):
+        plain, other = (oee.interval(x, policy, method=method) for x in (problem, mirrored))
+        assert_allclose((other.lower, other.upper), (-plain.upper, -plain.lower), rtol=1e-6, atol=1e-6)
+    if horizon is None:
+        end = robust.extreme_value(evidence, size, 1.0)
+        assert end.residual <= 1e-8 * max(1.0, abs(end.value))
+        assert_allclose(end.bound, end.value, atol=1e-6 * max(1.0, abs(end.value)))
+
+
+def test_the_rectangular_set_as_one_conic_program():
+    """theory.md section 3: CLARABEL equals robust policy evaluation (3e-7; 1e-6 asked for)."""
+    rng = np.random.default_rng(3)
+    for trial in range(6):
+        _, _, problem, policy = case(rng, n=40, form=2)
+        box = {"lower_ratio": 0.2, "upper_ratio": 4.0} if trial % 2 else {}
+        evidence = ambiguity.gather(problem, policy, **box)
+        size = robust.radii(evidence, 0.9, "independent", "kl")
+        for sign in (1.0, -1.0):
+            end = robust.extreme_value(evidence, size, sign)
+            if end.contradicted.size:
+                continue
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                peer = rectangular_program(evidence, size, sign)
+            assert_allclose(end.value, peer, rtol=1e-6, atol=1e-6)
+
+
+def test_39_two_states_by_brute_force():
+    """One uncertain row with two outcomes: J on a fine grid of its probability."""
+    simulator = oee.FiniteMDP(np.array([[[0.6, 0.4]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
+    log = oee.Transitions([0] * 20, [0] * 20, [0] * 13 + [1] * 7)
+    problem, ones = oee.Problem(simulator, log), np.ones((2, 1))
+    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
+    kl = 0.65 * np.log(0.65 / grid) + 0.35 * np.log(0.35 / (1 - grid))
+    values = 1 / (1 - 0.9 * grid)
+    for method, limit in (
+        ("robust", ambiguity.independent_radius(np.array([20.0]), np.array([2]), 0.05)[0]),
+        ("likelihood", stats.chi2.ppf(0.95, 1) / 2 / 20),
+    ):
+        found = oee.interval(problem, ones, method=method)
+        inside = values[kl <= limit]
+        assert_allclose((found.lower, found.upper), (inside.min(), inside.max()), rtol=2e-5)
+    both = oee.interval(problem, ones, method="robust", lower_ratio=0.9, upper_ratio=1.1)
+    inside = values[
+        (kl <= ambiguity.independent_radius(np.array([20.0]), np.array([2]), 0.05)[0]) & (grid >= 0.56) & (grid <= 0.64)
+    ]
+    assert_allclose((both.lower, both.upper), (inside.min(), inside.max()), rtol=2e-5)
+
+
+@given(rngs)
+def test_36_boxes(rng):
+    """nu = mu = 1 gives the simulator's value alone; a wider box a wider interval; the true box contains the truth."""
+    simulator, target, problem, policy = case(rng, n=5)
+    truth = oee.policy_value(target, policy)
+    point = oee.interval(problem, policy, method="robust", lower_ratio=1.0, upper_ratio=1.0)
+    value = oee.policy_value(simulator, policy)
+    if point.status == "ok":
+        assert_allclose((point.lower, point.upper), (value, value), rtol=1e-9, atol=1e-9)
+    zeta = oee.true_ratio(target, simulator).values.data
+    wide = {"lower_ratio": float(min(zeta.min(), 1.0)), "upper_ratio": float(max(zeta.max(), 1.0))}
+    free = oee.interval(problem, policy, method="robust", confidence=0.999)
+    boxed = oee.interval(problem, policy, method="robust", confidence=0.999, **wide)
+    slack = 1e-8 * max(1.0, abs(free.upper), abs(free.lower))
+    if boxed.status == "ok":
+        assert free.lower - slack <= boxed.lower
+        assert boxed.upper <= free.upper + slack
+        evidence = ambiguity.gather(problem, policy, **wide)
+        size = np.full(len(evidence.n), np.inf)  # no data at all: the box alone
+        ends = [robust.extreme_value(evidence, size, sign).bound for sign in (-1.0, 1.0)]
+        assert ends[0] - slack <= truth <= ends[1] + slack
+
+
+def test_38_rows_never_seen_are_not_trusted():
+    """The log has no move of the only row that matters: the interval holds all that the box allows, delta nothing."""
+    rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
+    simulator = oee.FiniteMDP(rows, np.array([1.0, 0.0]), [1, 0], 0.9)
+    log = oee.Transitions([0, 0, 0], [1, 1, 1], [0, 1, 0])
+    problem, first = oee.Problem(simulator, log), np.array([[1.0, 0.0], [1.0, 0.0]])
+    identified = (1 / (1 - 0.9 * 0.25), 1 / (1 - 0.9 * 0.75))
+    for method in ("likelihood", "robust"):
+        found = oee.interval(problem, first, method=method, lower_ratio=0.5, upper_ratio=1.5)
+        assert_allclose((found.lower, found.upper), identified, rtol=1e-9)
+        assert found.diagnostics["unvisited_rows"] == 1
+        assert_allclose(found.diagnostics["unvisited_share"], 0.1 / 0.55)  # time in the first state
+        everything = oee.interval(problem, first, method=method)
+        assert_allclose((everything.lower, everything.upper), (1.0, 10.0), rtol=1e-9)
+    assert oee.interval(problem, first, method="delta").width == 0
+
+
+def test_the_profile_is_the_likelihoods():
+    """A bandit: max p . v under n KL <= c, in closed form by a fine grid; the divergence meets its limit."""
+    simulator = oee.FiniteMDP(
+        np.array([[[0, 0.5, 0.5]], [[0, 1, 0]], [[0, 0, 1]]]), np.array([0.0, 1.0, 0.0]), [1, 0, 0], 0.5
+    )
+    log = oee.Transitions([0] * 30, [0] * 30, [1] * 12 + [2] * 18)
+    found = oee.interval(oee.Problem(simulator, log), np.ones((3, 1)))
+    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
+    kl = 30 * (0.4 * np.log(0.4 / grid) + 0.6 * np.log(0.6 / (1 - grid)))
+    inside = grid[kl <= stats.chi2.ppf(0.95, 1) / 2]  # J = 0.5 * p * 2
+    assert_allclose((found.lower, found.upper), (inside.min(), inside.max()), rtol=1e-4)
+    assert_allclose(found.diagnostics["divergence"], stats.chi2.ppf(0.95, 1) / 2, rtol=1e-6)
+    evidence = ambiguity.gather(oee.Problem(simulator, log), np.ones((3, 1)))
+    assert profile_end(evidence, 0.95, 1.0).change < 1e-9
+
+
+def test_with_much_data_the_methods_agree():
+    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    policy = oee.tasks.gridworld_policy(3, 0.5)
+    log = oee.sample_transitions(target, np.full((9, 4), 1 / 36), 200_000, seed=0)
+    problem = oee.Problem(simulator, log)
+    delta = oee.interval(problem, policy, method="delta")
+    for options in ({}, {"method": "bootstrap", "seed": 0}, {"method": "bootstrap", "bootstrap": "basic", "seed": 0}):
+        other = oee.interval(problem, policy, **options)
+        assert_allclose(other.width, delta.width, rtol=0.15)
+        assert oee.policy_value(target, policy) in other
+    again = oee.interval(problem, policy, method="bootstrap", seed=0)
+    assert again == oee.interval(problem, policy, method="bootstrap", seed=0)
+    guaranteed = oee.interval(problem, policy, method="robust")
+    assert guaranteed.lower < delta.lower < delta.upper < guaranteed.upper
+    assert oee.interval(problem, policy, method="robust", ball="l1").width > guaranteed.width
+
+
+def test_bootstrap_by_episodes():
+    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    policy = oee.uniform_policy(simulator)
+    log = oee.sample_episodes(target, policy, 200, 10, seed=0)
+    problem = oee.Problem(simulator, log)
+    by_episodes, by_moves = (
+        oee.interval(problem, policy, method="bootstrap", resample=by, seed=0) for by in ("episodes", "transitions")
+    )
+    assert_allclose(by_episodes.width, by_moves.width, rtol=0.5)
+    few = oee.Problem(simulator, oee.sample_episodes(target, policy, 4, 10, seed=0))
+    with pytest.raises(ValueError, match="log must have at least 10 episodes to be resampled by episodes; it has 4"):
+        oee.interval(few, policy, method="bootstrap", resample="episodes")
+    bag = oee.Problem(simulator, log.draw(50, seed=0))
+    with pytest.raises(ValueError, match="log must have episodes to be resampled by episodes; it has none"):
+        oee.interval(bag, policy, method="bootstrap", resample="episodes")
+
+
+def test_a_box_that_the_counts_contradict_is_refused_by_name():
+    simulator = oee.FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
+    log = oee.Transitions([0] * 400, [0] * 400, [0] * 396 + [1] * 4)
+    for method in ("likelihood", "robust", "delta"):
+        found = oee.interval(
+            oee.Problem(simulator, log), np.ones((2, 1)), method=method, lower_ratio=0.5, upper_ratio=1.5
+        )
+        assert np.isnan(found.lower)
+        assert (
+            "the counts contradict the box [0.5, 1.5] in 1 rows, with confidence 0.95: (s=0, a=0, n=400)"
+            in found.status
+        )
+    assert oee.interval(oee.Problem(simulator, log), np.ones((2, 1)), lower_ratio=0.01, upper_ratio=2.0).status == "ok"
+
+
+@settings(max_examples=15)
+@given(rngs)
+def test_05_relabelling_leaves_intervals(rng):
+    simulator, _, problem, policy = case(rng, form=2)
+    states = rng.permutation(3)
+    rows = dense(simulator)[0][np.ix_(states, range(2), states)]
+    other = oee.FiniteMDP(rows, simulator.rewards[states], simulator.initial[states], 0.8)
+    names = np.argsort(states)
+    log = problem.log
+    moved = oee.Problem(other, oee.Transitions(names[log.state], log.action, names[log.next_state]))
+    for method in ("likelihood", "robust"):
+        one, two = oee.interval(problem, policy, method=method), oee.interval(moved, policy[states], method=method)
+        assert_allclose((two.lower, two.upper), (one.lower, one.upper), rtol=1e-6, atol=1e-6)
+
+
+GRID = oee.tasks.gridworld(3, 0.3, discount=0.9)
+PROBLEM = oee.Problem(GRID, oee.Transitions([0, 1], [0, 1], [3, 0]))
+UNIFORM = oee.uniform_policy(GRID)
+BAD = {
+    "confidence 1": ({"confidence": 1.0}, r"confidence must be in \(0, 1\); it is 1"),
+    "confidence 95": ({"confidence": 95}, r"confidence must be in \(0, 1\); it is 95"),
+    "a lower ratio above 1": ({"lower_ratio": 1.2}, r"lower_ratio must be in \[0, 1\]; it is 1.2"),
+    "an upper ratio below 1": ({"upper_ratio": 0.5}, r"upper_ratio must be in \[1, inf\]; it is 0.5"),
+    "an unknown method": ({"method": "bayes"}, "method must be one of 'likelihood', 'delta', 'bootstrap', 'robust'"),
+    "an unknown ball": ({"method": "robust", "ball": "l2"}, "ball must be one of 'kl', 'l1'; got 'l2'"),
+    "an unknown radius": ({"radius": "wide"}, "radius must be one of 'auto', 'independent', 'anytime'"),
+    "no resamples": ({"method": "bootstrap", "n_bootstrap": 0}, "n_bootstrap must be a positive integer; it is 0"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_calls(name):
+    options, text = BAD[name]
+    with pytest.raises(ValueError, match=text):
+        oee.interval(PROBLEM, UNIFORM, **options)
+
+
+def test_other_bad_calls():
+    with pytest.raises(ValueError, match="problem must be a Problem; got FiniteMDP"):
+        oee.interval(GRID, UNIFORM)
+    with pytest.raises(ValueError, match="horizon must be given at discount 1"):
+        oee.interval(oee.Problem(GRID.with_discount(1.0), PROBLEM.log), UNIFORM)
+    evidence = ambiguity.gather(oee.Problem(GRID, PROBLEM.log, horizon=3), UNIFORM)
+    with pytest.raises(ValueError, match="horizon must be None for the program over occupancies; it is 3"):
+        rectangular_program(evidence, np.ones(36), 1.0)
