@@ -279,6 +279,16 @@ def test_with_much_data_the_methods_agree():
     assert oee.interval(problem, policy, method="robust", ball="l1").width > guaranteed.width
 
 
+@given(rngs)
+def test_the_bootstraps_quick_value_is_the_value(rng):
+    from oee_tabular.inference.asymptotic import _quick_value
+
+    _, _, problem, policy = case(rng)
+    evidence = ambiguity.gather(problem, policy)
+    slow = oee.policy_value(evidence.with_rows(evidence.phat), policy)
+    assert_allclose(_quick_value(evidence, evidence.phat), slow, rtol=1e-9, atol=1e-9)
+
+
 def test_bootstrap_by_episodes():
     simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
     policy = oee.uniform_policy(simulator)
