@@ -12,6 +12,7 @@ from oee_tabular.inference.bounds import (
     unnormalised_bound,
     unnormalised_sides,
 )
+from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
 from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.inference.theorems import (
     EstimationCounterexample,
@@ -31,10 +32,13 @@ from oee_tabular.inference.theorems import (
 )
 
 __all__ = [
+    "Comparison",
     "EstimationCounterexample",
     "Interval",
+    "Selection",
     "Sides",
     "SimulationLemma",
+    "compare_policies",
     "corrected_value_error_bound",
     "estimation_bound",
     "estimation_sides",
@@ -48,6 +52,7 @@ __all__ = [
     "ratio_error_bound",
     "ratio_error_sides",
     "renyi_divergence",
+    "selection_measures",
     "simulation_lemma",
     "squared_error_sides",
     "sup_error_bound",

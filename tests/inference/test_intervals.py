@@ -118,6 +118,20 @@ def test_43_the_radii_hold_by_enumeration(n, k):
     assert ambiguity.independent_radius(np.array([0.0]), np.array([2]), 0.1)[0] == np.inf
 
 
+def test_43_the_rows_share_the_probability_of_failure():
+    """The sum of the rows' tail bounds is 1 - confidence, over the rows that are open and reached."""
+    simulator = oee.tasks.gridworld(4, 0.3, discount=0.9)
+    log = oee.sample_transitions(simulator, np.full((16, 4), 1 / 64), 5000, seed=0)
+    evidence = ambiguity.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator))
+    size = robust.radii(evidence, 0.9, "independent", "kl")
+    k = np.diff(evidence.indptr)
+    c = (evidence.n * size)[k > 1]
+    bounds = np.exp(-c) * (np.e * c / (k[k > 1] - 1)) ** (k[k > 1] - 1)
+    assert_allclose(bounds.sum(), 0.1, rtol=1e-9)
+    still = ambiguity.gather(oee.Problem(simulator, log), oee.tasks.gridworld_expert(4))
+    assert robust.radii(still, 0.9, "independent", "kl")[0] < size[0]  # fewer rows are reached
+
+
 def case(rng, n_states=3, n=60, **options):
     simulator = random_mdp(rng, n_states=n_states, n_actions=2, discount=0.8, **options)
     target = random_mdp(rng, like=simulator)

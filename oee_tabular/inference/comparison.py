@@ -1,0 +1,179 @@
+"""Several policies from one log: differences with their correlation kept, a ranking, and the field's measures of selection.
+
+Source of the measures: T. Voloshin et al., Empirical study of off-policy policy evaluation, 2021; J. Fu et al., Benchmarks for
+deep off-policy evaluation, ICLR 2021 (regret@k, rank correlation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy import stats
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.inference.ambiguity import Evidence, gather
+from oee_tabular.inference.asymptotic import bootstrap_values
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Policies on one log.
+
+    Attributes
+    ----------
+    names : the policies, best estimated value first
+    values, standard_errors : (k,) of the maximum-likelihood model
+    differences : (k, k) value of the row's policy less that of the column's
+    lower, upper : (k, k) intervals for the differences, at ``confidence``
+    probability_best : (k,) how often each has the largest value under the values' joint distribution
+    covariance : (k, k) of the values
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    differences: Array
+    lower: Array
+    upper: Array
+    probability_best: Array
+    covariance: Array
+    confidence: float
+
+    def __str__(self) -> str:
+        width = max(len(name) for name in self.names)
+        lines = [f"{'policy':<{width}}  {'value':>10}  {'std. error':>10}  {'P(best)':>7}  difference from the best"]
+        for i, name in enumerate(self.names):
+            text = "" if i == 0 else f"{self.differences[i, 0]:.4g} [{self.lower[i, 0]:.4g}, {self.upper[i, 0]:.4g}]"
+            lines.append(
+                f"{name:<{width}}  {self.values[i]:>10.5g}  {self.standard_errors[i]:>10.2g}  "
+                f"{100 * self.probability_best[i]:>6.1f}%  {text}"
+            )
+        return "\n".join(lines)
+
+
+def compare_policies(
+    problem: Problem,
+    policies: Mapping[str, Any],
+    *,
+    method: Literal["delta", "bootstrap"] = "delta",
+    confidence: float = 0.95,
+    n_draws: int = 10_000,
+    n_bootstrap: int = 400,
+    seed: Any = 0,
+) -> Comparison:
+    """Differences between policies evaluated on the same log, and how probable it is that each is the best.
+
+    Cov(J_i, J_j) = sum_x Cov_phat(G_i, G_j) / n_x, G the gradient of J at the maximum-likelihood model ("delta"), or the
+    covariance over common resamples of the transitions ("bootstrap"). Differences are much surer than values where
+    policies share their way.
+
+    Parameters
+    ----------
+    problem : Problem
+    policies : name -> (S, A)
+    method, confidence : as in ``interval``
+    n_draws : draws of the joint normal distribution behind ``probability_best`` ("delta")
+    n_bootstrap, seed : of the bootstrap, and of the draws
+
+    Notes
+    -----
+    Rows without data are the simulator's and taken for known (``interval`` says how many the policy reaches).
+    """
+    _checks.one_of(method, "method", ("delta", "bootstrap"))
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    if not isinstance(policies, Mapping) or len(policies) < 2:
+        raise ValueError("policies must be a mapping of at least two names to (S, A) arrays")
+    parts = {name: gather(problem, policy) for name, policy in policies.items()}
+    names, evidences = list(parts), list(parts.values())
+    values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])
+    if method == "delta":
+        covariance = _covariance(evidences)
+        generator = _checks.generator(seed)
+        root = _root(covariance)
+        draws = values + generator.standard_normal((_checks.positive_integer(n_draws, "n_draws"), len(names))) @ root.T
+    else:
+        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+        fixed = int(_checks.generator(seed).integers(1 << 62))  # the same resamples for every policy
+        draws = np.column_stack(
+            [bootstrap_values(problem, e, by="transitions", n_bootstrap=number, seed=fixed)[1] for e in evidences]
+        )
+        covariance = np.atleast_2d(np.cov(draws.T))
+    best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
+    order = np.argsort(-values, kind="stable")
+    values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
+    variance = np.diag(covariance)
+    difference = values[:, None] - values[None, :]
+    spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
+    z = float(stats.norm.ppf(0.5 + level / 2.0))
+    return Comparison(
+        tuple(names[i] for i in order),
+        values,
+        np.sqrt(np.maximum(variance, 0.0)),
+        difference,
+        difference - z * spread,
+        difference + z * spread,
+        best,
+        covariance,
+        level,
+    )
+
+
+def _covariance(evidences: list[Evidence]) -> Array:
+    first = evidences[0]
+    starts, rows, seen = first.indptr[:-1], first.rows, first.n > 0
+    centred = []
+    for part in evidences:
+        gradient = transition_gradient(part.with_rows(part.phat), part.policy, horizon=part.horizon)
+        centred.append(gradient - np.add.reduceat(part.phat * gradient, starts)[rows])
+    stacked = np.array(centred)
+    weight = np.where(seen[rows], first.phat / np.maximum(first.n[rows], 1.0), 0.0)
+    return np.asarray((stacked * weight) @ stacked.T)
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """How well estimated values choose among policies whose true values are known.
+
+    ``rank_correlation`` Spearman's (1: the same order); ``regret`` what the best of the k policies ranked first falls short of
+    the best of all, divided by the range of true values if that is not 0; ``absolute_error`` the mean |estimate - truth|.
+    """
+
+    rank_correlation: float
+    regret: float
+    absolute_error: float
+
+
+def selection_measures(estimates: Any, truths: Any, *, k: int = 1) -> Selection:
+    """Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
+
+    >>> selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0])
+    Selection(rank_correlation=0.5, regret=0.3333333333333333, absolute_error=1.0)
+    """
+    guess = _checks.float_array(estimates, "estimates", ndim=1)
+    truth = _checks.float_array(truths, "truths", ndim=1)
+    if guess.shape != truth.shape or len(guess) < 2:
+        raise ValueError(
+            f"estimates and truths must have one length of at least 2; they have {len(guess)} and {len(truth)}"
+        )
+    for array, name in ((guess, "estimates"), (truth, "truths")):
+        _checks.require_finite(array, name)
+    number = _checks.positive_integer(k, "k")
+    if number > len(guess):
+        raise ValueError(f"k must be at most the number of policies, {len(guess)}; it is {number}")
+    flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
+    correlation = float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
+    chosen = np.argsort(-guess, kind="stable")[:number]
+    short = float(truth.max() - truth[chosen].max())
+    width = float(np.ptp(truth))
+    return Selection(correlation, short / width if width > 0 else 0.0, float(np.abs(guess - truth).mean()))
