@@ -13,7 +13,7 @@ from oee_tabular._sparse import align, find, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
-from oee_tabular.estimators.limits import population
+from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
@@ -36,7 +36,7 @@ WEIGHTS = ("occupancy", "beta")
 
 
 @dataclass(frozen=True)
-class DoublyRobust:
+class DoublyRobust(ExactLimit):
     """A value that is right if either of its two parts is.
 
     Parameters
@@ -129,16 +129,7 @@ class DoublyRobust:
             diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
         )
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """The exact population limit.
 
         transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are, visits in the
@@ -146,27 +137,19 @@ class DoublyRobust:
         policy takes every action of the policy (None: it does), else what the model makes of the rest (self-normalised:
         an error that names an action).
         """
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
         limit_model = OffEnvironment(ratio=self.ratio).limit_model(people)
         if self.data == "rollouts":
             return people.value(limit_model)
         if self.data == "episodes":
             if self.self_normalized and people.behavior is not None:
-                require_action_support(target, people.behavior, people.policy, people.horizon)
+                require_action_support(people.target, people.behavior, people.policy, people.horizon)
             return episode_limit(people, limit_model)
-        where: Model = limit_model if self.weights == "occupancy" else simulator
-        gradient = transition_gradient(where, people.policy, horizon=people.horizon, values_of=simulator)
-        inside, _ = align(target.transitions, simulator.transitions)
-        seen = people.support[row_of_entry(simulator.transitions)]
-        change = float(gradient[seen] @ (inside - simulator.transitions.data)[seen])
-        return policy_value(simulator, people.policy, horizon=people.horizon) + change
+        where: Model = limit_model if self.weights == "occupancy" else people.simulator
+        gradient = transition_gradient(where, people.policy, horizon=people.horizon, values_of=people.simulator)
+        inside, _ = align(people.target.transitions, people.simulator.transitions)
+        seen = people.support[row_of_entry(people.simulator.transitions)]
+        change = float(gradient[seen] @ (inside - people.simulator.transitions.data)[seen])
+        return policy_value(people.simulator, people.policy, horizon=people.horizon) + change
 
 
 def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> Array:

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
-from oee_tabular.estimators.limits import Population, population
+from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
@@ -20,7 +20,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 
 
 @dataclass(frozen=True)
-class ImportanceSampling:
+class ImportanceSampling(ExactLimit):
     """Episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
 
     Parameters
@@ -102,31 +102,14 @@ class ImportanceSampling:
             )
         return np.asarray(policy[log.state, log.action] / self._behavior(problem, log))
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
 
         J_target where that policy takes every action that the policy takes (None: it does); otherwise the
         rewards of the paths that it can make, self-normalised those of what is left over their weight.
         """
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
         if people.behavior is None:
-            return people.value(target)
+            return people.value(people.target)
         if (
             self.behavior == "estimated"
             or not self.self_normalized
@@ -134,8 +117,8 @@ class ImportanceSampling:
             or self.ragged == "pad"
         ):
             return policy_is_moments(
-                target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
-                horizon=rollout_horizon(target.discount, people.horizon),
+                people.target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
+                horizon=rollout_horizon(people.target.discount, people.horizon),
             ).mean  # fmt: skip
         return _limit_without_the_finished(people)
 

@@ -99,3 +99,43 @@ def expected_rewards(simulator: FiniteMDP, transitions: sparse.csr_array) -> Arr
         return simulator.rewards.reshape(-1)
     moves, _ = align(transitions, simulator.transitions)
     return row_sums(simulator.transitions, moves * simulator.reward_data)
+
+
+class ExactLimit:
+    """An estimator with an exact population limit: subclasses say what it is of a ``Population``."""
+
+    def limit(
+        self,
+        simulator: FiniteMDP,
+        target: FiniteMDP,
+        policy: Any,
+        *,
+        data_distribution: Any = None,
+        behavior_policy: Any = None,
+        horizon: int | None = None,
+    ) -> float:
+        """The exact population limit, bias included, of a policy's estimated value.
+
+        Parameters
+        ----------
+        simulator, target : FiniteMDP, the target inside the simulator's support where there are data
+        policy : (S, A)
+        data_distribution : (S, A) how rows of the target are recorded; matters through its support alone but for the
+            quotient of two ratios; None: everywhere, evenly
+        behavior_policy : (S, A) of the log's episodes; None: one with support
+        horizon : positive int or None
+        """
+        return self.limit_of(
+            population(
+                simulator,
+                target,
+                policy,
+                data_distribution=data_distribution,
+                behavior_policy=behavior_policy,
+                horizon=horizon,
+            )
+        )
+
+    def limit_of(self, people: Population) -> float:
+        """The limit in a checked population."""
+        raise NotImplementedError

@@ -13,15 +13,16 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators.base import Estimate, effective_sample_size
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
+from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import check_policy
 
 
 @dataclass(frozen=True)
-class Magic:
+class Magic(ExactLimit):
     """Model and guided importance sampling combining [1], on the log's episodes.
 
     g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model alone, j = T:
@@ -82,25 +83,9 @@ class Magic:
             },
         )
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""
-        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
+        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(people)
 
 
 def simplex_minimum(matrix: Array) -> Array:

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators.base import Estimate, effective_sample_size
-from oee_tabular.estimators.limits import expected_rewards, population
+from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
 from oee_tabular.estimators.problem import Problem
@@ -30,7 +30,7 @@ def total_discount(discount: float, horizon: int | None) -> float:
 
 
 @dataclass(frozen=True)
-class Marginalized:
+class Marginalized(ExactLimit):
     """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
 
     beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's rows), and
@@ -88,29 +88,12 @@ class Marginalized:
         weights = beta * shift
         return total_discount(model.discount, horizon) * float(share @ (weights * pay)), weights, gap
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P."""
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
         model = OffEnvironment(ratio=self.ratio).limit_model(people)
-        pay = expected_rewards(simulator, target.transitions)
+        pay = expected_rewards(people.simulator, people.target.transitions)
         share = people.distribution.reshape(-1)
-        return self._value(model, simulator, people.policy, people.horizon, share, pay)[0]
+        return self._value(model, people.simulator, people.policy, people.horizon, share, pay)[0]
 
 
 def _rewards_of_rows(problem: Problem) -> Array:
@@ -124,7 +107,7 @@ def _rewards_of_rows(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True)
-class DualDice:
+class DualDice(ExactLimit):
     """Tabular DualDICE [1] for a shift of the environment, with the simulator's occupancy as its base distribution.
 
     nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies (the simulator's
@@ -155,21 +138,9 @@ class DualDice:
             },
         )
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J of the target's rows where the data are, the simulator's elsewhere."""
-        people = population(
-            simulator, target, policy, data_distribution=data_distribution, behavior_policy=behavior_policy
-        )
-        return people.value(people.model(simulator.transitions))
+        return people.value(people.model(people.simulator.transitions))
 
 
 def _dual_dice(model: FiniteMDP, simulator: FiniteMDP, policy: Array) -> tuple[float, Array, Array, float]:

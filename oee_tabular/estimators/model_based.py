@@ -12,7 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import expected_rewards, population
+from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
@@ -21,7 +21,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 
 
 @dataclass(frozen=True)
-class ModelBased:
+class ModelBased(ExactLimit):
     """J in the model whose rows are the log's frequencies n_sas' / n_sa.
 
     Parameters
@@ -58,36 +58,23 @@ class ModelBased:
             diagnostics["standard_error_of"] = "log"
         return Estimate(found.value, error, diagnostics=diagnostics)
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J of the target's rows where the data are, the fallback's elsewhere."""
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
         if self.fallback == "simulator":
-            return people.value(people.model(simulator.transitions))
-        rows = np.arange(simulator.n_states * simulator.n_actions)
+            return people.value(people.model(people.simulator.transitions))
+        rows = np.arange(people.simulator.n_states * people.simulator.n_actions)
         stay = sparse.csr_array(
-            (np.ones(len(rows)), (rows, rows // simulator.n_actions)), shape=simulator.transitions.shape
+            (np.ones(len(rows)), (rows, rows // people.simulator.n_actions)), shape=people.simulator.transitions.shape
         )
         keep, rest = (np.where(mask, 1.0, 0.0) for mask in (people.support, ~people.support))
-        model = sparse.csr_array(sparse.diags_array(keep) @ target.transitions + sparse.diags_array(rest) @ stay)
-        paid = np.where(people.support, expected_rewards(simulator, target.transitions), simulator.rewards.reshape(-1))
-        rewards = paid.reshape(simulator.rewards.shape)
-        return people.value(FiniteMDP(model, rewards, simulator.initial, simulator.discount))
+        model = sparse.csr_array(sparse.diags_array(keep) @ people.target.transitions + sparse.diags_array(rest) @ stay)
+        paid = np.where(
+            people.support,
+            expected_rewards(people.simulator, people.target.transitions),
+            people.simulator.rewards.reshape(-1),
+        )
+        rewards = paid.reshape(people.simulator.rewards.shape)
+        return people.value(FiniteMDP(model, rewards, people.simulator.initial, people.simulator.discount))
 
     def model(self, problem: Problem) -> FiniteMDP:
         """The frequencies of the log, the fallback where it has none."""

@@ -12,7 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import Population, limit_ratio, population
+from oee_tabular.estimators.limits import ExactLimit, Population, limit_ratio
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
 from oee_tabular.exact import (
@@ -25,7 +25,7 @@ from oee_tabular.exact import (
     weighted_return_moments,
 )
 from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 
 NAMED = ("conditional", "ratio_of_ratios", "joint")  # the methods that need nothing but the problem
@@ -33,7 +33,7 @@ RatioOption = str | TransitionRatio | Callable[..., TransitionRatio]
 
 
 @dataclass(frozen=True)
-class OffEnvironment:
+class OffEnvironment(ExactLimit):
     """The paper's estimator: zeta from the log, the policy's value in zeta * P.
 
     Parameters
@@ -118,41 +118,24 @@ class OffEnvironment:
         known: dict[str, Any] = {"simulator_data": "exact", "behavior_policy": people.behavior}
         return reweight(people.simulator, transition_ratio(counts, people.simulator, method=self.ratio, **known))
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.
 
         Exact rows of the target where the data are, the prior's elsewhere ("conditional"); the box-clipped quotient
         ("ratio_of_ratios", "joint": data_distribution counts, against the simulator's exact occupancy under the
         behaviour policy, which is that of the data where it is not given).
         """
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
         model = self.limit_model(people)
         if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
             return people.value(model)
         zeta = on_pattern(
-            simulator.transitions,
-            np.divide(model.transitions.data, simulator.transitions.data, out=np.zeros(simulator.transitions.nnz),
-                      where=simulator.transitions.data > 0),
+            people.simulator.transitions,
+            np.divide(model.transitions.data, people.simulator.transitions.data, out=np.zeros(people.simulator.transitions.nnz),
+                      where=people.simulator.transitions.data > 0),
         )  # fmt: skip
         return weighted_return_moments(
-            simulator, zeta, people.policy, kind=self.weighting, self_normalized=self.self_normalized,
-            horizon=rollout_horizon(simulator.discount, people.horizon),
+            people.simulator, zeta, people.policy, kind=self.weighting, self_normalized=self.self_normalized,
+            horizon=rollout_horizon(people.simulator.discount, people.horizon),
         ).mean  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from oee_tabular import _checks
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import population
+from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
@@ -18,7 +18,7 @@ from oee_tabular.ratio import true_ratio
 
 
 @dataclass(frozen=True)
-class Simulator:
+class Simulator(ExactLimit):
     """J in the simulator as it stands, with its own rewards; the log is not used.
 
     Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
@@ -32,30 +32,13 @@ class Simulator:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J in the simulator."""
-        people = population(
-            simulator,
-            target,
-            policy,
-            data_distribution=data_distribution,
-            behavior_policy=behavior_policy,
-            horizon=horizon,
-        )
-        return people.value(simulator)
+        return people.value(people.simulator)
 
 
 @dataclass(frozen=True)
-class Oracle:
+class Oracle(ExactLimit):
     """The value under the true zeta, from a target that is known: exactly, or as in the paper by rollouts.
 
     Parameters
@@ -107,20 +90,11 @@ class Oracle:
             },
         )
 
-    def limit(
-        self,
-        simulator: FiniteMDP,
-        target: FiniteMDP,
-        policy: Any,
-        *,
-        data_distribution: Any = None,
-        behavior_policy: Any = None,
-        horizon: int | None = None,
-    ) -> float:
+    def limit_of(self, people: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
         return OffEnvironment(
-            ratio=true_ratio(self.target, simulator),
+            ratio=true_ratio(self.target, people.simulator),
             evaluation=self.evaluation,
             weighting=self.weighting,
             self_normalized=self.self_normalized,
-        ).limit(simulator, target, policy, horizon=horizon)
+        ).limit_of(people)
