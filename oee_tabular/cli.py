@@ -34,8 +34,8 @@ POLICY_HELP = (
 )
 
 ESTIMATORS_HELP = (
-    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, dr-beta, "
-    "dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
+    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, "
+    "dr-beta, dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
     "--target: oracle, oracle-product"
 )
 
@@ -66,6 +66,9 @@ def evaluate(
         float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
     ] = 0.0,
     confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+    guaranteed: Annotated[
+        bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
+    ] = False,
     seed: Seed = 0,
     output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
@@ -77,7 +80,7 @@ def evaluate(
         check_output(output)
     options = {"horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise}
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
-    common = {"estimators": chosen, "confidence": confidence, "seed": seed}
+    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
     if simulator is None and log is None:
         report = _embedded(policy, behavior, target, options, normalized, common)
     elif simulator is None or log is None:
@@ -185,6 +188,19 @@ def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy 
                 typer.echo(f"{what} ({name!r}): {array.dtype} of shape {array.shape}")
     else:
         typer.echo(repr(Transitions.load(file)))
+
+
+@app.command()
+def check(
+    estimator: Annotated[str, typer.Argument(help="MODULE:OBJECT, an estimator, or what makes one without arguments.")],
+    seed: Seed = 0,
+) -> None:
+    """Check an estimator of yours against the laws of estimators; exit code 0 if those that it claims hold, else 1."""
+    from oee_tabular.testing.command import check as run
+
+    verdicts = run(estimator, seed=seed)
+    typer.echo(str(verdicts))
+    raise typer.Exit(0 if verdicts.passed else 1)
 
 
 def _report_summary(path: Path) -> str:

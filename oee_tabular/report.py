@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from oee_tabular.estimators import Estimate, Estimator, Problem
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.sureness import Sureness, as_records, how_sure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +47,7 @@ class Report:
     confidence : of the intervals
     normalized : whether table, picture and JSON multiply values by (1 - discount)
     discount, horizon, seed, facts : how it was computed
+    sureness : likelihood (and guaranteed) intervals of each policy, and the sentences that end the report
     """
 
     results: tuple[Result, ...]
@@ -58,6 +60,7 @@ class Report:
     horizon: int | None
     seed: Any
     facts: Mapping[str, Any]
+    sureness: Sureness = field(default_factory=lambda: Sureness({}, ()))
 
     @property
     def unit(self) -> str:
@@ -128,6 +131,8 @@ class Report:
         if self.warnings:
             numbered = (f"  [{k}] {warning}" for k, warning in enumerate(self.warnings, start=1))
             text += ["", "Read before use:", *numbered]
+        if self.sureness.sentences:
+            text += ["", *self.sureness.sentences]
         return "\n".join(text)
 
     def _cells(self, row: Mapping[str, Any]) -> list[str]:
@@ -164,6 +169,8 @@ class Report:
                 "seed": self.seed if isinstance(self.seed, int) else None,
                 "facts": dict(self.facts),
                 "results": self.records(),
+                "intervals": as_records(self.sureness, self.scale),
+                "conclusion": list(self.sureness.sentences),
                 "warnings": list(self.warnings),
             }
         )
@@ -215,6 +222,7 @@ def evaluate(
     normalized: bool = False,
     target: FiniteMDP | None = None,
     facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
 ) -> Report:
     """Evaluate policies in the target by several estimators.
 
@@ -228,6 +236,7 @@ def evaluate(
     seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
     normalized : whether the report multiplies by (1 - discount)
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
+    guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Raises
@@ -292,7 +301,11 @@ def evaluate(
         problem.horizon,
         seed,
         known,
-    )
+        how_sure(
+            problem, named_policies, level, guaranteed=guaranteed,
+            scale=1.0 - problem.simulator.discount if normalized else 1.0,
+        ),
+    )  # fmt: skip
 
 
 def _named(policies: Any) -> dict[str, Any]:

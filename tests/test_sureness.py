@@ -1,0 +1,71 @@
+"""The sentences that end a report: how far, how sure, what would help."""
+
+import json
+
+import numpy as np
+
+import oee_tabular as oee
+
+SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
+POLICY = {"mine": oee.tasks.gridworld_policy(4, 0.5)}
+
+
+def report(recorded, n, share=None, **options):
+    share = np.full((16, 4), 1 / 64) if share is None else share
+    log = oee.sample_transitions(recorded, share, n, seed=0)
+    return oee.evaluate(oee.Problem(SIMULATOR, log), POLICY, estimators=["oee"], seed=0, **options)
+
+
+def test_much_data_of_another_environment():
+    found = report(TARGET, 60_000, guaranteed=True, target=TARGET)
+    far, sure = found.sureness.sentences
+    assert far.startswith("The target differs from the simulator: the log rules the simulator out in 60 of the 60 ")
+    assert " nats of the difference on average" in far
+    intervals = found.sureness.intervals["mine"]
+    assert set(intervals) == {"likelihood", "robust"}
+    assert found.truth["mine"] in intervals["likelihood"]
+    assert intervals["robust"].lower < intervals["likelihood"].lower
+    assert (
+        f"between {intervals['likelihood'].lower:.4g} and {intervals['likelihood'].upper:.4g} with 95% confidence"
+        in sure
+    )
+    assert "; guaranteed, between " in sure
+    assert str(found).endswith(sure)
+    told = json.loads(found.to_json())
+    assert told["conclusion"] == list(found.sureness.sentences)
+    assert [row["method"] for row in told["intervals"]] == ["likelihood", "robust"]
+
+
+def test_little_data_tells_by_all_moves_together():
+    far = report(TARGET, 400).sureness.sentences[0]
+    assert "do its own moves contradict the simulator, but all of them together do (z = " in far
+    assert "moves that the simulator holds likely come more often in the target" in far
+
+
+def test_the_simulator_itself():
+    assert (
+        report(SIMULATOR, 2000).sureness.sentences[0].endswith("contradict the simulator, nor do all of them together.")
+    )
+
+
+def test_what_was_never_recorded_comes_first():
+    share = np.full((16, 4), 1.0)
+    share[0, 0] = 0.0
+    found = report(TARGET, 5000, share / share.sum())
+    assert "What would help most: moves of action 0 in state 0 (never recorded)." in found.sureness.sentences[1]
+    assert "(the 1 reachable state-action pairs never recorded at their worst)" in found.sureness.sentences[1]
+
+
+def test_values_are_in_the_reports_unit():
+    plain, scaled = report(TARGET, 3000), report(TARGET, 3000, normalized=True)
+    row, small = (json.loads(found.to_json())["intervals"][0] for found in (plain, scaled))
+    assert np.isclose(small["lower"], 0.1 * row["lower"])
+    assert "guaranteed" not in plain.sureness.sentences[1]
+
+
+def test_a_certain_simulator_has_nothing_to_learn():
+    chain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
+    problem = oee.Problem(chain, oee.Transitions([0], [0], [1]))
+    sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).sureness.sentences
+    assert sentences[0] == "The log has no move that could tell the target from the simulator."
+    assert sentences[1].endswith("More moves would not narrow it.")
