@@ -4,6 +4,7 @@ from numpy.testing import assert_allclose
 from scipy import optimize, stats
 
 from oee_tabular.ratio import density_ratio_samples, samples
+from oee_tabular.ratio.features import gaussian
 
 GRID = np.linspace(-3, 3, 400)
 
@@ -49,33 +50,166 @@ def test_log_linear_minimises_its_risk():
     assert_allclose(fit.details["theta"], found.x, atol=1e-5)
 
 
-def test_the_kernel_class_finds_the_shape():
-    errors = [error(density_ratio_samples(*gaussians(seed=seed))) for seed in range(5)]
-    assert np.mean(errors) < 0.12
-    fit = density_ratio_samples(*gaussians())
+def test_quadratic_is_the_class_of_gaussians():
+    """On p of variance .64: log g = -x^2/2 (1/.64 - 1) + x .5/.64 + constant."""
+    fit = density_ratio_samples(*gaussians(200_000), features="quadratic")
+    center, scale = fit.details["center"][0], fit.details["scale"][0]
+    first, second = fit.details["theta"]
+    assert_allclose(second / scale**2, -0.5 * (1 / 0.64 - 1), atol=0.01)
+    assert_allclose(first / scale - 2 * center * second / scale**2, 0.5 / 0.64, atol=0.01)
+    assert error(fit) < 0.01
+
+
+def test_the_words_are_functions_of_standardised_points():
+    rng = np.random.default_rng(3)
+    p, q = rng.normal(0.3, 0.9, (80, 3)), rng.normal(5.0, 2.0, (90, 3)) - [5.0, 4.0, 5.0]
+    linear = density_ratio_samples(p, q, features="linear")
+    assert_allclose(linear.p_ratio, density_ratio_samples(p, q, features=lambda x: x).p_ratio, rtol=1e-9)
+
+    def products(x):
+        z = (x - q.mean(axis=0)) / q.std(axis=0)
+        return np.hstack([z, np.array([z[:, i] * z[:, j] for i in range(3) for j in range(i, 3)]).T])
+
+    quadratic_fit = density_ratio_samples(p, q, features="quadratic")
+    assert quadratic_fit.details["theta"].shape == (9,)
+    assert_allclose(quadratic_fit.q_ratio, density_ratio_samples(p, q, features=products).q_ratio, rtol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{"features": "linear"}, {"features": "quadratic"}, {}])
+def test_shift_and_scale_change_nothing(options):
+    p, q = gaussians(300)
+    expected = density_ratio_samples(p, q, **options)
+    for shift, scale in ((1e6, 1.0), (-3.0, 1e-8), (0.0, 1e8)):
+        fit = density_ratio_samples(shift + scale * p, shift + scale * q, **options)
+        assert_allclose(fit.q_ratio, expected.q_ratio, rtol=1e-6, atol=1e-8)
+        assert_allclose(fit.at(shift + scale * p), fit.p_ratio, rtol=1e-8)
+        if options:
+            assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shift", [1e6, 1e9])
+def test_features_without_digits_are_normalised_all_the_same(shift):
+    p, q = gaussians(300)
+    with pytest.warns(UserWarning, match="features should be linearly independent on x_q; they have rank 1 of 2"):
+        fit = density_ratio_samples(p + shift, q + shift, features=quadratic)
+    assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
+
+
+def test_collinear_and_constant_features():
+    p, q = gaussians(300)
+    x = density_ratio_samples(p, q, features="linear")
+    with pytest.warns(UserWarning, match="they have rank 1 of 3") as caught:
+        fit = density_ratio_samples(p, q, features=lambda x: np.hstack([x, 1 - 2 * x, 3 * x]))
+    assert caught[0].filename == __file__
     assert fit.gap < 1e-12
-    assert fit.method == "kernel"
-    assert (fit.q_ratio >= 0).all()
+    assert_allclose(fit.p_ratio, x.p_ratio, rtol=0.01)  # of a penalty that is a third
+    everywhere = density_ratio_samples(p, q, features=lambda x: np.hstack([x, np.full_like(x, 7.1)]))  # without warning
+    assert_allclose(everywhere.p_ratio, x.p_ratio, rtol=1e-12)
+    pairs = [np.column_stack([z, np.full((300, 2), 0.1)]) for z in (p, q)]
+    pairs[0][5, 2] = 4.0
+    with pytest.warns(UserWarning, match=r"features\[:, 2\] is constant there and not on x_p") as caught:
+        fit = density_ratio_samples(*pairs, features="linear")
+    assert caught[0].filename == __file__
+    assert_allclose(fit.p_ratio, x.p_ratio, rtol=1e-12)
+
+
+def test_samples_that_do_not_overlap():
+    rng = np.random.default_rng(0)
+    q = rng.normal(0, 1, 200)
+    for distance in (6.0, 1e3, 1e8):
+        for features in ("linear", "quadratic", quadratic):
+            with pytest.raises(ValueError, match=r"x_q must cover x_p; the features extrapolate to a ratio of exp\("):
+                density_ratio_samples(distance + rng.normal(0, 1, 200), q, features=features)
+        fit = density_ratio_samples(distance + rng.normal(0, 1, 200), q)
+        assert np.isfinite(fit.p_ratio).all()
+        assert fit.gap < 1e-12
+    with pytest.warns(UserWarning, match="x_q must cover x_p"):
+        fit = density_ratio_samples([0.9] * 50 + [3.0], np.linspace(-1, 1, 100), features="linear")
+    assert 1e5 < fit.p_ratio[-1] < 1e14
+    assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
+    near = density_ratio_samples(rng.normal(1, 1, 200), q, features="linear")
+    assert np.isfinite(near.at([1e6, -1e6, 1e300])).all()
+
+
+def test_the_kernel_class_finds_the_shape():
+    errors = []
+    for seed in range(20):
+        p, q = gaussians(seed=seed)
+        fit = density_ratio_samples(p, q)
+        assert fit.gap < 1e-12
+        assert fit.method == "kernel"
+        assert (fit.q_ratio >= 0).all()
+        assert_allclose(fit.at(p), fit.p_ratio, rtol=1e-9, atol=1e-12)
+        errors.append(np.mean(np.abs(fit.q_ratio - stats.norm(0.5, 0.8).pdf(q) / stats.norm(0, 1).pdf(q))))
+    assert np.mean(errors) < 0.0804  # densratio's uLSIF on these samples (tests/benchmarks/sample_ratios.py)
 
 
 def test_leave_one_out_leaves_one_out():
     rng = np.random.default_rng(1)
     at_p, at_q = rng.random((12, 4)), rng.random((15, 4))
-    for ridge in (0.01, 0.5):
+    ridges = np.array([0.01, 0.5, 3.0])
+    fits = samples._leave_one_out(at_p, at_q, ridges)
+    for k, ridge in enumerate(ridges):
 
         def weights(p, q, ridge=ridge):
             return np.linalg.solve(q.T @ q / len(q) + ridge * np.eye(4), p.mean(axis=0))
 
         squares = [(at_q[i] @ weights(at_p, np.delete(at_q, i, axis=0))) ** 2 for i in range(15)]
         values = [at_p[j] @ weights(np.delete(at_p, j, axis=0), at_q) for j in range(12)]
-        expected = 0.5 * np.mean(squares) - np.mean(values)
-        assert_allclose(samples._leave_one_out(at_p, at_q, np.array([ridge])), [expected], rtol=1e-10)
+        assert_allclose(fits.scores[k], 0.5 * np.mean(squares) - np.mean(values), rtol=1e-10)
+        assert_allclose(fits.weights[:, k], weights(at_p, at_q), rtol=1e-10)
+    assert (fits.gaps < 1e-25).all()
+
+
+def test_the_kernel_fit_is_the_weighted_mean_of_refits():
+    rng = np.random.default_rng(2)
+    p, q = rng.normal(0.3, 1, (30, 2)), rng.normal(0, 1, (40, 2))
+    fit = density_ratio_samples(p, q, n_centers=7, seed=1)
+    details = fit.details
+    assert len(details["scores"]) == len(details["shares"]) == 7 * 13
+    assert_allclose(sum(details["shares"].values()), 1.0, rtol=1e-12)
+    least = details["scores"][details["bandwidth"], details["ridge"]]
+    assert least == min(details["scores"].values())
+    n, expected = 2 / (1 / 30 + 1 / 40), 0.0
+    for (bandwidth, ridge), share in details["shares"].items():
+        assert bandwidth in details["weights"] or share == 0
+        if share > 0:
+            rise = details["scores"][bandwidth, ridge] - least
+            assert_allclose(
+                np.log(share / details["shares"][details["bandwidth"], details["ridge"]]), -n * rise, atol=1e-9
+            )
+        at_p, at_q = (gaussian(bandwidth)(x, details["centers"]) for x in (p, q))
+        w = np.linalg.solve(at_q.T @ at_q / 40 + ridge * np.eye(7), at_p.mean(axis=0))
+        expected = expected + share * at_q @ w
+    assert_allclose(fit.q_ratio, np.maximum(expected, 0.0), rtol=1e-9, atol=1e-12)
 
 
 def test_a_kernel_of_one_s_own():
     p, q = gaussians(300)
     own = density_ratio_samples(p, q, kernel=lambda x, c: np.exp(-np.abs(x - c.T)))
     assert error(own) < 0.3
+    assert own.details["bandwidth"] is None
+
+
+def test_centers_are_distinct_points():
+    """On categories the kernel of sameness is a table: p/q of the counts, shrunk."""
+    rng = np.random.default_rng(0)
+    p, q = rng.integers(0, 5, 400), rng.choice(5, 400, p=[0.4, 0.3, 0.1, 0.1, 0.1])
+    fit = density_ratio_samples(p, q, kernel=lambda x, c: (x == c.T).astype(float), n_centers=5)
+    assert sorted(fit.details["centers"][:, 0]) == [0, 1, 2, 3, 4]
+    assert_allclose(fit.at(np.arange(5)), np.bincount(p) / np.bincount(q), rtol=0.1)
+
+
+@pytest.mark.parametrize("options", [{"features": "linear"}, {}])
+def test_at_asks_for_the_dimension_of_the_samples(options):
+    rng = np.random.default_rng(0)
+    fit = density_ratio_samples(rng.normal(size=(20, 2)), rng.normal(size=(30, 2)), **options)
+    assert fit.at(np.zeros((3, 2))).shape == (3,)
+    for x, found in ((np.zeros((3, 3)), 3), (np.zeros(2), 1)):
+        with pytest.raises(
+            ValueError, match=f"x must have points of dimension 2, as x_p has; they have dimension {found}"
+        ):
+            fit.at(x)
 
 
 @pytest.mark.parametrize(
@@ -90,6 +224,15 @@ def test_a_kernel_of_one_s_own():
             "kernel must be one of 'gaussian'; got 'cubic'",
         ),
         (lambda: density_ratio_samples([1, 2], [1, 2], features=lambda x: [1.0]), "features must give one row a point"),
+        (
+            lambda: density_ratio_samples([1, 2], [1, 2], features="cubic"),
+            "features must be one of 'linear', 'quadratic'; got 'cubic'",
+        ),
+        (
+            lambda: density_ratio_samples([1, 2], [1, 2], features=3),
+            "features must be one of 'linear', 'quadratic'; got 3",
+        ),
+        (lambda: density_ratio_samples([1, 2], [1, 2], kernel=3), "kernel must be one of 'gaussian'; got 3"),
         (
             lambda: density_ratio_samples([1, 2], [1, 2], kernel=lambda x, c: x),
             r"kernel must give an array of shape \(2, 2\)",
