@@ -38,6 +38,8 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
 
 def require_finite(array: Array, name: str) -> None:
     """Every entry is a finite number."""
+    if np.isfinite(array).all():
+        return
     bad = np.argwhere(~np.isfinite(array))
     if bad.size:
         first = tuple(bad[0])
@@ -47,6 +49,8 @@ def require_finite(array: Array, name: str) -> None:
 def require_nonnegative(array: Array, name: str) -> None:
     """Every entry is a finite number, none below 0."""
     require_finite(array, name)
+    if array.size == 0 or array.min() >= 0:
+        return
     bad = np.argwhere(array < 0)
     if bad.size:
         first = tuple(bad[0])

@@ -119,10 +119,12 @@ def _points(value: Any, name: str) -> Array:
 
 
 def _log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -> SampleRatio:
+    from oee_tabular.kernels.loglinear import column_statistics, newton
+
     phi, details = _feature_function(q, features)
     at_p, at_q = phi(p), phi(q)
-    center, spread = at_q.mean(axis=0), at_q.std(axis=0)
-    level = 1e-12 * np.abs(at_q).max(axis=0)
+    center, spread, size = column_statistics(at_q)
+    level = 1e-12 * size
     used = spread > level
     lost = np.flatnonzero(~used & (np.abs(at_p - center).max(axis=0) > level))
     if len(lost):
@@ -135,8 +137,7 @@ def _log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -> S
     at_p, at_q = (at_p - center) / scale, (at_q - center) / scale
     if used.any():
         warn_of_rank(at_q[:, used], where=" on x_q")
-    theta, gap = _tilt(at_q, at_p.mean(axis=0), 1.0 / len(p))
-    log_mean = _log_mean(at_q @ theta)[0]
+    theta, gap, log_mean = newton(np.ascontiguousarray(at_q), at_p.mean(axis=0), 1.0 / len(p))
     log_p, q_ratio = at_p @ theta - log_mean, np.exp(at_q @ theta - log_mean)
     far = int(np.argmax(log_p))
     beyond = log_p[far] - np.log(len(q))  # no g that is normalised on x_q is above len(q) there
@@ -161,14 +162,18 @@ def _feature_function(
     function, details = features, {}
     if not callable(function):
         _checks.one_of(features, "features", ("linear", "quadratic"))
-        center, scale = q.mean(axis=0), q.std(axis=0)
-        scale = np.where(scale > 1e-12 * np.abs(q).max(axis=0), scale, 1.0)
+        from oee_tabular.kernels.loglinear import column_statistics
+
+        center, scale, size = column_statistics(q)
+        scale = np.where(scale > 1e-12 * size, scale, 1.0)
         details = {"center": center, "scale": scale}
         first, second = np.triu_indices(q.shape[1] if features == "quadratic" else 0)
 
         def function(x: Array) -> Array:
             z = (x - center) / scale
-            return np.hstack([z, z[:, first] * z[:, second]])
+            return np.concatenate([z, z[:, first] * z[:, second]], axis=1) if len(first) else z
+
+        return function, details  # finite, of the right shape
 
     def phi(x: Array) -> Array:
         array = _checks.float_array(function(x), "features", ndim=(1, 2))
@@ -178,41 +183,6 @@ def _feature_function(
         return array.reshape(len(x), -1)
 
     return phi, details
-
-
-def _log_mean(exponent: Array) -> tuple[float, Array]:
-    """log mean exp, and the weights exp / sum exp."""
-    top = float(exponent.max())
-    weights = np.exp(exponent - top)
-    return top + float(np.log(weights.mean())), weights / weights.sum()
-
-
-def _tilt(standard: Array, aim: Array, penalty: float) -> tuple[Array, float]:
-    """argmin log mean exp(standard theta) - aim . theta + penalty/2 |theta|^2, by Newton; and |gradient|^2 / (2 penalty)."""
-
-    def risk(theta: Array) -> tuple[float, Array]:
-        log_mean, weights = _log_mean(standard @ theta)
-        return log_mean - float(aim @ theta) + 0.5 * penalty * float(theta @ theta), weights
-
-    theta, ridge = np.zeros(standard.shape[1]), penalty * np.eye(standard.shape[1])
-    value, weights = risk(theta)
-    for _ in range(200):
-        mean = weights @ standard
-        gradient = mean - aim + penalty * theta
-        spread = standard - mean
-        step = -np.linalg.solve((spread * weights[:, None]).T @ spread + ridge, gradient)
-        decrement = float(-gradient @ step)
-        if decrement < 1e-22:
-            break
-        length, blur = 1.0, 1e-13 if decrement < 1e-9 else 0.0  # what rounding may add to a fall that it hides
-        while (trial := risk(theta + length * step))[0] > value - 1e-4 * length * decrement + blur and length > 1e-12:
-            length *= 0.5
-        if length <= 1e-12:
-            break
-        theta = theta + length * step
-        value, weights = trial
-    gradient = weights @ standard - aim + penalty * theta
-    return theta, float(gradient @ gradient) / (2.0 * penalty)
 
 
 def _kernel(p: Array, q: Array, kernel: str | Kernel, n_centers: int, seed: Any) -> SampleRatio:
