@@ -1,7 +1,19 @@
 import os
+import sys
 
-from hypothesis import settings
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
+
+from hypothesis import Phase, settings
 
 settings.register_profile("dev", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=100, derandomize=True, print_blob=True)
+settings.register_profile(  # no shrinking: a mutant is dead with its first failure
+    "mutation", deadline=None, max_examples=15, derandomize=True, database=None, phases=[Phase.explicit, Phase.generate]
+)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+if "mutmut" in sys.modules:  # its workers are forks, which threads do not survive: compile the kernels without any
+    import numba
+
+    compiled = numba.njit
+    numba.njit = lambda *arguments, parallel=False, **options: compiled(*arguments, **options)

@@ -85,7 +85,7 @@ class DoublyRobust(ExactLimit):
         if self.data == "rollouts":
             return self._on_rollouts(problem, pi, zeta, generator)
         found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
-        value, error = (found.total, found.error) if self.self_normalized else mean_and_error(found.values)
+        value, error = found.total, found.error
         diagnostics = {
             "standard_error_of": "log",
             "n_episodes": len(found.values),

@@ -10,7 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
-from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
@@ -67,7 +67,6 @@ class Marginalized(ExactLimit):
             "gap": max(gap, zeta.gap),
             "largest_weight": float(weights.max()),
             "mean_weight": float(share @ weights),
-            "effective_sample_size": effective_sample_size(weights * np.sqrt(share)) if len(weights) else 0.0,
             **coverage(problem, model, pi, counts.reshape(model.n_states, -1)),
         }
         return Estimate(value, None, diagnostics=diagnostics)
