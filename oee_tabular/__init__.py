@@ -51,6 +51,8 @@ _EXPORTS = {
     "Problem": "estimators",
     "Estimate": "estimators",
     "interval": "inference",
+    "plan_data_collection": "inference",
+    "Plan": "inference",
     "Interval": "inference",
     "evaluate": "report",
     "Report": "report",
@@ -75,7 +77,7 @@ if TYPE_CHECKING:
         weighted_return_moments,
     )
     from oee_tabular.exact.occupancy import occupancy
-    from oee_tabular.inference import Interval, interval
+    from oee_tabular.inference import Interval, Plan, interval, plan_data_collection
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import (
         RatioFit,
@@ -95,6 +97,7 @@ __all__ = [
     "FiniteMDP",
     "Interval",
     "Moments",
+    "Plan",
     "Problem",
     "RatioFit",
     "Report",
@@ -116,6 +119,7 @@ __all__ = [
     "mix",
     "occupancy",
     "optimal_policy",
+    "plan_data_collection",
     "plots",
     "policy_is_moments",
     "policy_value",

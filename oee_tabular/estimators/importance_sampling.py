@@ -110,12 +110,7 @@ class ImportanceSampling(ExactLimit):
         """
         if people.behavior is None:
             return people.value(people.target)
-        if (
-            self.behavior == "estimated"
-            or not self.self_normalized
-            or self.kind == "trajectory"
-            or self.ragged == "pad"
-        ):
+        if not self.self_normalized or self.kind == "trajectory" or self.ragged == "pad":
             return policy_is_moments(
                 people.target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
                 horizon=rollout_horizon(people.target.discount, people.horizon),

@@ -13,6 +13,8 @@ from oee_tabular.inference.bounds import (
     unnormalised_sides,
 )
 from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
+from oee_tabular.inference.design_plan import Outlook, Plan
+from oee_tabular.inference.experimental_design import plan_data_collection
 from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.inference.theorems import (
     EstimationCounterexample,
@@ -35,6 +37,8 @@ __all__ = [
     "Comparison",
     "EstimationCounterexample",
     "Interval",
+    "Outlook",
+    "Plan",
     "Selection",
     "Sides",
     "SimulationLemma",
@@ -49,6 +53,7 @@ __all__ = [
     "normalised_bound",
     "normalised_sides",
     "path_kl",
+    "plan_data_collection",
     "ratio_error_bound",
     "ratio_error_sides",
     "renyi_divergence",

@@ -1,0 +1,159 @@
+"""What each (s, a) costs: how much one observation of it is worth for a policy's value.
+
+    c_x = Var_{s' ~ P'(.|x)}[G_x(s')],  G_x(s') = dJ / dP'(s' | x),
+
+the terms of the asymptotic variance sum_x c_x / n_x of J from n_x observations of each row x = (s, a), at a model P'. A
+row that P' makes deterministic has c_x = 0, which would leave the model's claim for ever untested. Its cost is *optimistic*
+instead, the largest variance that is still plausible: max Var_P[G_x] over
+
+    lower_ratio R <= P <= upper_ratio R,  R(.|s, a) = 0.9 P(.|s, a) + 0.05 mean_b P(.|s, b) + 0.05 1{s' = s},
+
+P the simulator: something like another action is carried out, or nothing happens. Without a box, any distribution on the
+support of R, and the largest variance is (range of G_x / 2)^2. In a row with n_x observations, all of them the one outcome,
+that outcome has moreover a probability of at least (1 - confidence)^(1 / n_x), the exact (Clopper-Pearson) bound. States that
+no action leaves have nothing to tell and cost 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular.exact import Model, ReweightedModel, transition_gradient
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.box import Box
+
+ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
+_SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
+_ROUNDING = 1e-24  # of the largest cost: less is the rounding of 0
+
+
+@dataclass(frozen=True, eq=False)
+class Costs:
+    """``table`` (K, S*A) c_x of each policy, squared units of J; ``optimistic`` (S*A,) rows where it is a worst case."""
+
+    table: Array
+    optimistic: BoolArray
+
+
+def row_costs(
+    simulator: FiniteMDP,
+    model: Model,
+    policies: list[Array],
+    counts: Array,
+    *,
+    horizon: int | None,
+    box: Box,
+    confidence: float,
+    optimistic: bool,
+) -> Costs:
+    """c_x of each policy at ``model`` (moves inside the simulator's support), with the log's ``counts`` (S*A,) of the rows.
+
+    Cost: one policy evaluation and one occupancy a policy, and O(rows * 60) for the rows without spread.
+    """
+    reference = _reference(simulator)
+    padded = _on_reference(simulator, model, reference)
+    indptr = reference.indptr.astype(np.int64)
+    probability = padded.transitions.data
+    alone = np.maximum.reduceat(probability, indptr[:-1]) >= _SURE
+    alone &= ~np.repeat(simulator.closed(), simulator.n_actions)
+    if not optimistic:
+        alone[:] = False
+    rows = np.flatnonzero(alone)
+    place, inside = _table_of(indptr, rows)
+    weight, model_row = (np.where(inside, x[place], 0.0) for x in (reference.data, probability))
+    low, high = _box_around(weight, model_row, box, counts[rows], confidence)
+    table = np.zeros((len(policies), reference.shape[0]))
+    for k, policy in enumerate(policies):
+        gradient = transition_gradient(padded, policy, horizon=horizon)
+        mean = row_sums(reference, probability * gradient)
+        table[k] = row_sums(reference, probability * (gradient - mean[row_of_entry(reference)]) ** 2)
+        if rows.size:
+            values = np.where(inside, gradient[place], gradient[place[:, :1]])
+            table[k, rows] = largest_variance(values, low, high)
+        table[k, table[k] <= _ROUNDING * table[k].max(initial=0.0)] = 0.0
+    return Costs(table, alone)
+
+
+def largest_variance(values: Array, low: Array, high: Array) -> Array:
+    """max Var_P[v] over low <= P <= high, sum P = 1, for each row of (R, W) arrays (sum low <= 1 <= sum high).
+
+    min_c max_P E_P (v - c)^2, the two exchanged (linear in P, convex in c): for a given c the mass goes first where |v - c| is
+    largest, and c is bisected for E_P v = c. The largest variance of v in {0, 1}, and with the mass of the 1 at most 0.1:
+
+    >>> largest_variance(np.array([[0.0, 1.0], [0.0, 1.0]]), np.zeros((2, 2)), np.array([[1.0, 1.0], [1.0, 0.1]])).round(9)
+    array([0.25, 0.09])
+    """
+    left, right = values.min(axis=1), values.max(axis=1)
+    slack, free = high - low, 1.0 - low.sum(axis=1, keepdims=True)
+    for _ in range(60):
+        center = 0.5 * (left + right)
+        far = np.abs(values - center[:, None])
+        order = np.argsort(-far, axis=1, kind="stable")
+        room = np.take_along_axis(slack, order, axis=1)
+        given = np.clip(free - (np.cumsum(room, axis=1) - room), 0.0, room)
+        p = np.array(low)
+        np.put_along_axis(p, order, np.take_along_axis(low, order, axis=1) + given, axis=1)
+        above = np.sum(p * values, axis=1) > center
+        left, right = np.where(above, center, left), np.where(above, right, center)
+    return np.asarray(np.sum(p * far**2, axis=1))
+
+
+def _reference(simulator: FiniteMDP) -> sparse.csr_array:
+    """R of the module's docstring, csr (S*A, S)."""
+    n_states, n_actions = simulator.n_states, simulator.n_actions
+    mean = sparse.kron(sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions))
+    stay = sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, 1)))
+    half = 0.5 * ACTION_NOISE
+    mixed = (1.0 - ACTION_NOISE) * simulator.transitions + half * (mean @ simulator.transitions) + half * stay
+    return canonical(sparse.csr_array(mixed), drop_zeros=True)
+
+
+def _on_reference(simulator: FiniteMDP, model: Model, reference: sparse.csr_array) -> ReweightedModel:
+    """The model with the entries of R, most of them 0.
+
+    A move that the simulator does not make in this row pays what it pays under another action, or else the row's mean.
+    """
+    data, _ = align(model.transitions, reference)
+    rewards = None
+    if simulator.transition_rewards is not None:
+        noisy: Any = simulator.with_action_noise(ACTION_NOISE).transition_rewards
+        own, defined = align(simulator.transition_rewards, reference)
+        other, known = align(noisy, reference)
+        expected = simulator.rewards.reshape(-1)[row_of_entry(reference)]
+        rewards = np.where(defined, own, np.where(known, other, expected))
+    return ReweightedModel(
+        model.n_states,
+        model.n_actions,
+        on_pattern(reference, data),
+        model.rewards,
+        rewards,
+        model.initial,
+        model.discount,
+        model.terminal_state,
+    )
+
+
+def _table_of(indptr: Any, rows: Any) -> tuple[Any, BoolArray]:
+    """(R, W) positions of the entries of ``rows``, and which of them are there (rows are of unequal length)."""
+    lengths = indptr[rows + 1] - indptr[rows]
+    offset = np.arange(int(lengths.max(initial=1)))
+    inside = offset < lengths[:, None]
+    return np.where(inside, indptr[rows][:, None] + offset, indptr[rows][:, None]), inside
+
+
+def _box_around(
+    reference: Array, probability: Array, box: Box, counts: Array, confidence: float
+) -> tuple[Array, Array]:
+    """The bounds of each row's entries, (R, W); the outcome that the model is sure of keeps what its observations assure."""
+    low = box.lower * reference
+    high = np.minimum(box.upper * reference, 1.0) if np.isfinite(box.upper) else np.where(reference > 0.0, 1.0, 0.0)
+    seen = probability >= _SURE
+    assured = np.where(counts > 0, (1.0 - confidence) ** (1.0 / np.maximum(counts, 1.0)), 0.0)[:, None]
+    room = 1.0 - np.where(seen, 0.0, low).sum(axis=1, keepdims=True)
+    return np.where(seen, np.clip(assured, low, np.minimum(high, room)), low), high

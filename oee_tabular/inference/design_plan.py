@@ -1,0 +1,181 @@
+"""What ``plan_data_collection`` returns: the plan, what it promises, and how it reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.inference.design_programs import evaluate
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a plan does for one policy.
+
+    Attributes
+    ----------
+    name : the policy's
+    variance_now, variance_after : asymptotic variance of J with the log, and after the plan; inf where an (s, a) that
+        matters has no data
+    inefficiency : variance_after over the least that a plan for this policy alone reaches, sampling as here (1 at best)
+    free_inefficiency : the same, if every (s, a) could be recorded at will
+    confidence : of ``width``
+    """
+
+    name: str
+    variance_now: float
+    variance_after: float
+    inefficiency: float
+    free_inefficiency: float
+    confidence: float
+
+    @property
+    def standard_error(self) -> tuple[float, float]:
+        """(now, after), units of J."""
+        return float(np.sqrt(self.variance_now)), float(np.sqrt(self.variance_after))
+
+    @property
+    def width(self) -> tuple[float, float]:
+        """(now, after): 2 z standard errors, the interval J -+ z standard errors."""
+        z = float(special.ndtri(0.5 + self.confidence / 2.0))
+        return 2.0 * z * self.standard_error[0], 2.0 * z * self.standard_error[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Where to record the next ``n`` transitions.
+
+    Attributes
+    ----------
+    sampling : "free" or "behavior"
+    n, confidence : as asked for
+    distribution : (S, A), sums to 1: the share of the n transitions that each (s, a) gets ("behavior": on average)
+    behavior_policy : (S, A): distribution / sum over actions, uniform in states that it never visits
+    policies : an Outlook for each policy
+    gap : certificate: by how much of itself the criterion (the largest relative inefficiency) could at most be smaller
+    next_pairs : the best next single (s, a), one after another (at most 10): the largest c_x / (n_x (n_x + 1)), the fall of
+        c_x / n_x; those without data first, the costliest of them first. c_x is the policies' mean, weighted by the
+        multipliers of the worst case
+    counts : (S, A) the log's
+    costs : name -> (S, A) c_x, squared units of J
+    optimistic : (S, A) where c_x is the largest plausible variance, the model having none
+    restart : probability of starting again after a move; None for free sampling
+    model, solver, status : what variances were evaluated at, what solved the program, "ok" or what is wrong
+    """
+
+    sampling: str
+    n: int
+    confidence: float
+    distribution: Array
+    behavior_policy: Array
+    policies: tuple[Outlook, ...]
+    gap: float
+    next_pairs: tuple[tuple[int, int], ...]
+    counts: Array
+    costs: dict[str, Array]
+    optimistic: BoolArray
+    restart: float | None
+    model: str
+    solver: str
+    status: str = "ok"
+
+    @property
+    def inefficiency(self) -> float:
+        """The largest of the policies': variance over the least that a plan for that policy alone reaches."""
+        return max(outlook.inefficiency for outlook in self.policies)
+
+    @property
+    def free_inefficiency(self) -> float:
+        """The largest of the policies', against recording every (s, a) at will for that policy alone."""
+        return max(outlook.free_inefficiency for outlook in self.policies)
+
+    @property
+    def expected_standard_error(self) -> tuple[float, float]:
+        """(now, after n more transitions) of J, the largest of the policies'."""
+        now, after = zip(*(outlook.standard_error for outlook in self.policies), strict=True)
+        return max(now), max(after)
+
+    @property
+    def expected_width(self) -> tuple[float, float]:
+        """(now, after n more transitions) of the interval for J, the largest of the policies'."""
+        now, after = zip(*(outlook.width for outlook in self.policies), strict=True)
+        return max(now), max(after)
+
+    @property
+    def unvisited(self) -> int:
+        """How many (s, a) matter to a policy and have never been recorded."""
+        return int(np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0)))
+
+    @property
+    def allocation(self) -> IntArray:
+        """(S, A) whole numbers of transitions that sum to n: n * distribution, the largest remainders rounded up."""
+        exact = self.n * self.distribution.reshape(-1)
+        whole = np.floor(exact)
+        order = np.argsort(-(exact - whole), kind="stable")[: self.n - int(whole.sum())]
+        whole[order] += 1.0
+        return whole.reshape(self.distribution.shape).astype(np.int64)
+
+    def after(self, m: int) -> dict[str, Outlook]:
+        """The outlook after m more transitions, instead of n, of the same distribution.
+
+        The inefficiencies are the plan's own (for n).
+        """
+        number = _checks.positive_integer(m, "m")
+        total = (self.counts + number * self.distribution).reshape(-1)
+        costs = np.array([cost.reshape(-1) for cost in self.costs.values()])
+        variances = evaluate(costs, total, np.zeros_like(total))
+        return {
+            o.name: Outlook(o.name, o.variance_now, float(v), o.inefficiency, o.free_inefficiency, o.confidence)
+            for o, v in zip(self.policies, variances, strict=True)
+        }
+
+    def __str__(self) -> str:
+        how = (
+            "any (s, a)"
+            if self.sampling == "free"
+            else f"by a behaviour policy, restart probability {self.restart:.3g}"
+        )
+        lines = [f"Plan for {self.n} transitions, {how}; variances at {self.model}"]
+        size = max(6, *(len(o.name) for o in self.policies))
+        level = f"{100 * self.confidence:.4g}% width"
+        lines.append(
+            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  to free"
+        )
+        for o in self.policies:
+            errors, widths = o.standard_error, o.width
+            lines.append(
+                f"{o.name:<{size}}  {errors[0]:>10.3g} -> {errors[1]:<9.3g}  {widths[0]:>10.3g} -> {widths[1]:<9.3g}  "
+                f"{o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}"
+            )
+        flat = self.distribution.reshape(-1)
+        top = [divmod(int(k), self.distribution.shape[1]) for k in np.argsort(-flat, kind="stable")[:5]]
+        lines.append("most of it: " + ", ".join(f"s={s}, a={a} {100 * self.distribution[s, a]:.1f}%" for s, a in top))
+        if self.next_pairs:
+            lines.append("next (s, a): " + ", ".join(str(pair) for pair in self.next_pairs))
+        if self.unvisited:
+            lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
+        if self.optimistic.any():
+            lines.append(
+                f"{int(self.optimistic.sum())} (s, a) that the model makes deterministic: worst variance assumed"
+            )
+        lines.append(
+            f"{self.solver}: at most {100 * self.gap:.2g}% from the best plan" if self.status == "ok" else self.status
+        )
+        return "\n".join(lines)
+
+
+def greedy_pairs(cost: Array, counts: Array, n_actions: int, number: int) -> tuple[tuple[int, int], ...]:
+    """The first ``number`` rows, as (s, a), of the greedy design that adds one observation at a time; none that costs 0."""
+    n = np.array(counts)
+    chosen = []
+    for _ in range(number if np.any(cost > 0.0) else 0):
+        empty = (n == 0) & (cost > 0.0)
+        fall = np.where(empty, cost, 0.0) if empty.any() else cost / np.maximum(n * (n + 1.0), 1.0)
+        row = int(np.argmax(fall))
+        n[row] += 1.0
+        chosen.append(divmod(row, n_actions))
+    return tuple(chosen)

@@ -1,0 +1,271 @@
+"""``plan_data_collection``: which (s, a) to record next, or which behaviour policy to run, for the surest value.
+
+From n_x observations of each row x = (s, a) the best estimator of J has the asymptotic variance sum_x c_x / n_x
+(``design_costs``). After n more, distributed as q, it is
+
+    sum_x c_x / (n_x + n q_x),
+
+convex in q. A plan minimises it over all q (``sampling="free"``: where nothing has been recorded Neyman's n_x ~ sqrt(c_x),
+value (sum sqrt c)^2 / n), or over the occupancies of behaviour policies ("behavior", ``design_flow``); for several policies
+it minimises the largest relative inefficiency max_pi [variance of pi / the least that a plan for pi alone reaches]. Since
+the log's counts are in the criterion, planning again with the longer log is the sequential design.
+
+Sources: [1] J. Neyman, On the two different aspects of the representative method, J. Royal Statistical Society 97, 1934.
+[2] F. Pukelsheim, Optimal Design of Experiments, 1993.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import row_sums
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import occupancy
+from oee_tabular.inference.design_costs import row_costs
+from oee_tabular.inference.design_flow import certify, collection_mdp, flow_design, policy_of
+from oee_tabular.inference.design_plan import Outlook, Plan, greedy_pairs
+from oee_tabular.inference.design_programs import Design, evaluate, fill, free_design
+from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
+from oee_tabular.ratio import transition_ratio
+from oee_tabular.ratio.box import check_box
+from oee_tabular.ratio.programs import SolverStatusError
+from oee_tabular.ratio.support import refuse_unsupported
+
+Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
+LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so; "auto" then asks Clarabel as well
+_CONIC_ROWS = 4000  # "auto" asks it up to here
+
+
+def plan_data_collection(
+    problem: Problem | FiniteMDP,
+    policies: Any,
+    *,
+    n: int,
+    sampling: Literal["free", "behavior"] = "free",
+    model: Literal["estimate", "simulator"] | FiniteMDP = "estimate",
+    horizon: int | None = None,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+    optimistic: bool = True,
+    restart: float | None = None,
+    restart_costs_a_move: bool = False,
+    solver: Solver = "auto",
+    confidence: float = 0.95,
+) -> Plan:
+    """Where the next n transitions of the target should be recorded to know the value of the policies best.
+
+    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,   c^pi_x = Var_{s' ~ P'(.|x)}[dJ_pi / dP'(s' | x)],
+
+    with n_x the log's counts and best_pi what a plan for pi alone reaches.
+
+    Parameters
+    ----------
+    problem : Problem, or the simulator (FiniteMDP) where nothing has been recorded yet
+    policies : (S, A), or a mapping name -> (S, A): the worst of several
+    n : how many transitions are to be recorded
+    sampling : "free"
+        Any (s, a) can be set up and recorded.
+        "behavior"
+        Data are what a behaviour policy meets: q is its occupancy in the target as ``model`` sees it, started again after each
+        move with probability ``restart``, and where a state that no action leaves is entered.
+    model : P', where variances are evaluated: "estimate" (``transition_ratio``'s zeta * P from the log; the simulator
+        where there is no log), "simulator", or a FiniteMDP, of which the transitions are used
+    horizon : positive int or None; only where ``problem`` is a simulator (a Problem has its own)
+    lower_ratio, upper_ratio : the prior box for rows without spread, see ``optimistic``; None: any distribution there
+    optimistic : True
+        (s, a) that ``model`` makes deterministic cost the largest variance that is plausible, not 0: they would never be
+        tested (``inference.design_costs`` has the set: another action is carried out or nothing happens, within the box,
+        and the less often the more of the log says otherwise).
+    restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
+    restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
+        in the state that ended it
+    solver : "frank_wolfe" (certified; see ``inference.design_programs``), "CLARABEL" (the conic reference), or "auto": the
+        first, and the second as well where its gap stays above 1%
+    confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        Bad arguments; discount 1 without a horizon; a ``model`` that moves where the simulator does not; episodes too short to
+        reach what matters.
+
+    Notes
+    -----
+    Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. An
+    (s, a) that matters and has no data makes the present error infinite, and gets some. An estimator that lets all rows tell
+    about each (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free,
+    O(S A log(S A)) after two solves a policy; behaviour, 5 to 200 rounds of one policy iteration and a few solves in the
+    collection MDP.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator = oee.tasks.gridworld(4, slip=0.3, discount=0.9)
+    >>> plan = plan_data_collection(simulator, oee.tasks.gridworld_expert(4), n=1000)
+    >>> round(plan.expected_standard_error[1], 3), plan.next_pairs[:3]
+    (0.106, ((4, 0), (0, 0), (8, 0)))
+    """
+    counts, mdp, steps = _known(problem, horizon)
+    number = _checks.positive_integer(n, "n")
+    _checks.one_of(sampling, "sampling", ("free", "behavior"))
+    _checks.one_of(solver, "solver", ("auto", "frank_wolfe", "CLARABEL"))
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    box = check_box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
+    if sampling == "free" and restart is not None:
+        raise ValueError(f"restart must be left out with sampling 'free'; it is {restart!r}")
+    pis = _policies(policies, mdp)
+    if steps is None and mdp.discount == 1.0:
+        raise ValueError("horizon must be given at discount 1")
+    truth, source = _model(problem, mdp, model)
+    found = row_costs(
+        mdp,
+        truth,
+        list(pis.values()),
+        counts,
+        horizon=steps,
+        box=box,
+        confidence=level,
+        optimistic=bool(optimistic),
+    )
+    collection = None
+    if sampling == "behavior":
+        again = _restart(restart, mdp.discount, steps)
+        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=bool(restart_costs_a_move))
+    base, costs = counts / number, found.table / number
+    matters = np.flatnonzero(costs.max(axis=1) > 0.0)
+    after, least, free = (np.zeros(len(pis)) for _ in range(3))
+    blend, status = np.zeros_like(base), "ok"
+    if matters.size:
+        reached = [list(pis.values())[k] for k in matters]
+        design, least[matters] = _solve(costs[matters], base, collection, reached, solver)
+        after[matters] = evaluate(costs[matters], base, design.q)
+        free[matters] = _free(costs[matters], base)
+        blend = design.weights @ (costs[matters] / least[matters, None])
+        if design.gap > LARGEST_GAP:
+            status = f"not finished: another plan may be better by up to {design.gap:.1%} of the variance"
+    else:
+        q = np.full(base.size, 1.0 / base.size)
+        if collection is not None:
+            q = occupancy(collection, uniform_policy(collection)).reshape(-1)
+        design = Design(q, 1.0, 1.0, np.zeros(0), "none")
+        status = "nothing to learn: no transition probability bears on these policies' values"
+    now = evaluate(costs, base, np.zeros_like(base))
+    relative = [np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free)]
+    shape = (mdp.n_states, mdp.n_actions)
+    return Plan(
+        sampling=sampling,
+        n=number,
+        confidence=level,
+        distribution=design.q.reshape(shape),
+        behavior_policy=policy_of(design.q, shape),
+        policies=tuple(
+            Outlook(name, float(now[k]), float(after[k]), float(relative[0][k]), float(relative[1][k]), level)
+            for k, name in enumerate(pis)
+        ),
+        gap=design.gap,
+        next_pairs=greedy_pairs(blend, counts, shape[1], min(number, 10)),
+        counts=counts.reshape(shape),
+        costs={name: c.reshape(shape) for name, c in zip(pis, found.table, strict=True)},
+        optimistic=found.optimistic.reshape(shape),
+        restart=None if collection is None else 1.0 - collection.discount,
+        model=source,
+        solver=design.solver,
+        status=status,
+    )
+
+
+def _solve(
+    costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
+) -> tuple[Design, Array]:
+    """The design, and the least variance that a plan for each policy alone reaches."""
+    free = _free(costs, base)
+    if collection is None:
+        return _one(costs / free[:, None], base, None, policies, solver), free
+    alone = [_one(c[None] / f, base, collection, [pi], solver) for c, f, pi in zip(costs, free, policies, strict=True)]
+    least = free * np.array([design.value for design in alone])
+    if len(policies) == 1:
+        return alone[0], least
+    singles = [policy_of(design.q, (collection.n_states, collection.n_actions)) for design in alone]
+    return _one(costs / least[:, None], base, collection, [*policies, *singles], solver), least
+
+
+def _free(costs: Array, base: Array) -> Array:
+    """(K,) the least variance of each policy where every row can be recorded at will."""
+    return np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
+
+
+def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver) -> Design:
+    """One program, by the solver asked for; every result with its own certificate."""
+    if solver == "CLARABEL":
+        return _conic(costs, base, collection)
+    design = free_design(costs, base) if collection is None else flow_design(collection, costs, base, policies)
+    if solver == "auto" and design.gap > LARGEST_GAP and base.size <= _CONIC_ROWS:
+        try:
+            return min(design, _conic(costs, base, collection), key=lambda d: d.gap)
+        except SolverStatusError:
+            pass
+    return design
+
+
+def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
+    from oee_tabular.inference.design_reference import conic_design
+
+    q, weights = conic_design(costs, base, collection)
+    if collection is not None:
+        return certify(collection, costs, base, q, weights, "CLARABEL")
+    q = np.maximum(q, 0.0) / np.maximum(q, 0.0).sum()
+    bound = float(weights @ evaluate(costs, base, fill(weights @ costs, base)))
+    return Design(q, float(evaluate(costs, base, q).max()), bound, weights, "CLARABEL")
+
+
+def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
+    """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
+    if isinstance(problem, FiniteMDP):
+        return np.zeros(problem.n_states * problem.n_actions), problem, _checks.optional_horizon(horizon)
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem must be a Problem or a FiniteMDP; got {type(problem).__name__}")
+    if horizon is not None:
+        raise ValueError(
+            f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {horizon}"
+        )
+    return row_sums(problem.counts), problem.model, problem.horizon
+
+
+def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
+    if not isinstance(policies, Mapping):
+        return {"policy": check_policy(policies, mdp, name="policies")}
+    if not policies:
+        raise ValueError("policies must have at least one policy; it has none")
+    return {str(name): check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in policies.items()}
+
+
+def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: Any) -> tuple[FiniteMDP, str]:
+    if isinstance(model, FiniteMDP):
+        if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
+            raise ValueError(
+                f"model must be for {mdp.n_states} states and {mdp.n_actions} actions; "
+                f"it is for {model.n_states} and {model.n_actions}"
+            )
+        refuse_unsupported(model.transitions, mdp, what="model")
+        return mdp.with_transitions(model.transitions), "a given model"
+    if not isinstance(model, str):
+        raise ValueError(f"model must be 'estimate', 'simulator' or a FiniteMDP; got {type(model).__name__}")
+    _checks.one_of(model, "model", ("estimate", "simulator"))
+    if model == "simulator" or isinstance(problem, FiniteMDP):
+        return mdp, "the simulator"
+    return transition_ratio(problem.log, problem.simulator).target_model(mdp), "the estimate from the log"
+
+
+def _restart(restart: float | None, discount: float, horizon: int | None) -> float:
+    if restart is not None:
+        return _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
+    return 1.0 / horizon if horizon is not None and discount == 1.0 else 1.0 - discount
