@@ -5,16 +5,20 @@ from __future__ import annotations
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from oee_tabular._checks import Array
-    from oee_tabular.data import Transitions
-    from oee_tabular.mdp import FiniteMDP
-    from oee_tabular.report import Report
-    from oee_tabular.tasks import NamedTask
+from oee_tabular.cli_inputs import (
+    embedded,
+    from_files,
+    policies_of,
+    policy_of,
+    problem_of,
+    report_summary,
+    sampled,
+    task_of,
+)
 
 app = typer.Typer(
     help="What return will a policy get in the target, given a simulator and a log of the target?",
@@ -82,12 +86,12 @@ def evaluate(
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
     if simulator is None and log is None:
-        report = _embedded(policy, behavior, target, options, normalized, common)
+        report = embedded(policy, behavior, target, options, normalized, common)
     elif simulator is None or log is None:
         given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
         raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
     else:
-        report = _from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
+        report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     typer.echo(report.to_json() if json else str(report))
     if output is not None:
         written = report.save(output)
@@ -109,8 +113,8 @@ def sample(
     """Record a log. A Gymnasium environment is stepped through its own step()."""
     if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
-    task = _task(environment, discount)
-    pi = _policy(policy, task, "policy")
+    task = task_of(environment, discount)
+    pi = policy_of(policy, task, "policy")
     if task.environment is not None:
         from oee_tabular.tasks import record_episodes
 
@@ -118,7 +122,7 @@ def sample(
         log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=horizon, seed=seed)
         env.close()
     else:
-        log = _sampled(task.mdp, pi, transitions, episodes, horizon, seed)
+        log = sampled(task.mdp, pi, transitions, episodes, horizon, seed)
     log.save(output)
     typer.echo(f"{output}: {log.describe()}")
 
@@ -135,8 +139,8 @@ def policy(
 
     from oee_tabular._files import whole_file
 
-    task = _task(simulator, discount)
-    pi = _policy(spec, task, "policy")
+    task = task_of(simulator, discount)
+    pi = policy_of(spec, task, "policy")
     with whole_file(output, (".npy",)) as handle:
         np.save(handle, pi, allow_pickle=False)
     typer.echo(f"{output}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
@@ -150,7 +154,7 @@ def export(
     action_noise: Annotated[float, typer.Option(help="As in evaluate.")] = 0.0,
 ) -> None:
     """Write a simulator to an .npz file."""
-    mdp = _task(simulator, discount).mdp
+    mdp = task_of(simulator, discount).mdp
     if action_noise:
         mdp = mdp.with_action_noise(action_noise)
     mdp.save(output)
@@ -169,7 +173,7 @@ def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy 
         path = path / "report.json"
     suffix = path.suffix.lower()
     if suffix == ".json":
-        typer.echo(_report_summary(path))
+        typer.echo(report_summary(path))
     elif suffix in (".npz", ".npy"):
         arrays = _files.read_npz(file)
         kind = _files.npz_kind(arrays)
@@ -191,6 +195,44 @@ def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy 
 
 
 @app.command()
+def plan(
+    simulator: Annotated[str, typer.Option(help=SIMULATOR_HELP)],
+    log: Annotated[Path, typer.Option(help="Log of the target so far, as in evaluate.")],
+    transitions: Annotated[int, typer.Option(help="How many more transitions to record.")],
+    policy: Annotated[
+        list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable; SPEC: {POLICY_HELP}.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option(help="The behaviour policy to record with: .npy.")] = None,
+    free: Annotated[
+        bool, typer.Option("--free", help="Any (s, a) can be set up and recorded, not only episodes.")
+    ] = False,
+    horizon: Annotated[int | None, typer.Option(help="As in evaluate.")] = None,
+    discount: Discount = None,
+    confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+) -> None:
+    """What to record next: a behaviour policy, and the width of each value's interval before and after."""
+    import numpy as np
+
+    from oee_tabular._files import whole_file
+    from oee_tabular.inference import plan_data_collection
+
+    task = task_of(simulator, discount)
+    problem = problem_of(task, log, horizon=horizon, behavior=None, rewards="simulator")
+    found = plan_data_collection(
+        problem,
+        policies_of(policy, task),
+        n=transitions,
+        sampling="free" if free else "behavior",
+        confidence=confidence,
+    )
+    typer.echo(str(found))
+    if output is not None:
+        with whole_file(output, (".npy",)) as handle:
+            np.save(handle, found.behavior_policy, allow_pickle=False)
+        typer.echo(f"{output}: policy to record with")
+
+
+@app.command()
 def check(
     estimator: Annotated[str, typer.Argument(help="MODULE:OBJECT, an estimator, or what makes one without arguments.")],
     seed: Seed = 0,
@@ -201,148 +243,6 @@ def check(
     verdicts = run(estimator, seed=seed)
     typer.echo(str(verdicts))
     raise typer.Exit(0 if verdicts.passed else 1)
-
-
-def _report_summary(path: Path) -> str:
-    """What a report.json says, in a few lines."""
-    import json
-
-    try:
-        report = json.loads(path.read_text())
-        lines = [
-            f"Report of {report['unit']}",
-            f"Simulator: {report['facts']['simulator']}",
-            f"Log: {report['facts']['log']}",
-        ]
-        lines += [f"{row['policy']}  {row['estimator']}  {row['value']}" for row in report["results"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
-    return "\n".join(lines)
-
-
-def _task(spec: str, discount: float | None) -> NamedTask:
-    from oee_tabular.tasks import named_task
-
-    return named_task(spec, discount=discount)
-
-
-def _policy(spec: str, task: NamedTask, name: str) -> Array:
-    """The policy that ``spec`` names, in the MDP of ``task``."""
-    from oee_tabular import _files
-    from oee_tabular.exact import optimal_policy
-    from oee_tabular.mdp import check_policy, mix, uniform_policy
-
-    if spec == "uniform":
-        return uniform_policy(task.mdp)
-    if spec == "optimal":
-        return optimal_policy(task.mdp)
-    if spec == "expert":
-        return check_policy(task.expert(), task.mdp)
-    if spec.startswith("mix:"):
-        try:
-            weight = float(spec.removeprefix("mix:"))
-        except ValueError:
-            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
-        return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
-    if Path(spec).suffix.lower() not in (".npy", ".npz"):
-        raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
-    arrays = _files.read_npz(spec)
-    if _files.npz_kind(arrays) is not None:
-        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
-    if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
-    array = arrays.get("policy", next(iter(arrays.values())))
-    return check_policy(array, task.mdp, name=f"{name} {spec!r}")
-
-
-def _policies(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for text in specs or ["optimal"]:
-        name, equals, spec = text.partition("=")
-        label, source = (name, spec) if equals else (text, text)
-        if label in found:
-            raise ValueError(f"--policy names must differ; {label!r} is given twice")
-        found[label] = _policy(source, task, "--policy")
-    return found
-
-
-def _sampled(
-    mdp: FiniteMDP, pi: Array, transitions: int | None, episodes: int | None, horizon: int, seed: int
-) -> Transitions:
-    """Episodes of our own sampler: as many as asked for, or as many as hold the transitions, the last one cut."""
-    from oee_tabular._checks import positive_integer
-    from oee_tabular.simulate import sample_episodes
-
-    positive_integer(horizon, "horizon")
-    if episodes is not None:
-        return sample_episodes(mdp, pi, episodes, horizon, seed=seed)
-    assert transitions is not None
-    wanted = positive_integer(transitions, "transitions")
-    count = 1 + wanted // horizon
-    while len(log := sample_episodes(mdp, pi, count, horizon, seed=seed)) < wanted:
-        count *= 2
-    return log.first(wanted)
-
-
-def _from_files(
-    simulator: str,
-    log: Path,
-    policy: list[str] | None,
-    behavior: str | None,
-    target: str | None,
-    options: dict[str, Any],
-    normalized: bool,
-    common: dict[str, Any],
-) -> Report:
-    from dataclasses import replace
-
-    from oee_tabular.data import Transitions
-    from oee_tabular.estimators import Problem
-    from oee_tabular.report import evaluate as run
-
-    task = _task(simulator, options["discount"])
-    if options["action_noise"]:
-        task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
-    problem = Problem(
-        task.mdp,
-        Transitions.load(log),
-        horizon=options["horizon"],
-        behavior_policy=None if behavior is None else _policy(behavior, task, "--behavior"),
-        rewards=options["rewards"],
-    )
-    truth = None if target is None else _task(target, task.mdp.discount).mdp
-    facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
-    if options["action_noise"]:
-        facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
-    return run(problem, _policies(policy, task), target=truth, normalized=normalized, facts=facts, **common)
-
-
-def _embedded(
-    policy: list[str] | None,
-    behavior: str | None,
-    target: str | None,
-    options: dict[str, Any],
-    normalized: bool | None,
-    common: dict[str, Any],
-) -> Report:
-    from oee_tabular.experiments import embedded_default
-    from oee_tabular.report import evaluate as run
-    from oee_tabular.tasks import named_task
-
-    for name, value in (("behavior", behavior), ("target", target), ("action-noise", options["action_noise"])):
-        if value:
-            raise ValueError(f"--{name} needs --simulator and --log")
-    settings: dict[str, Any] = {"rewards": options["rewards"]}
-    settings |= {name: options[name] for name in ("horizon", "discount") if options[name] is not None}
-    default = embedded_default(seed=common["seed"], **settings)
-    policies: dict[str, Any] = default.policies
-    if policy is not None:
-        policies = _policies(policy, named_task("gridworld:10,slip=0.3", discount=options["discount"]))
-    if common["estimators"] is None:
-        names = "simulator,oee,oee-product,ratio-of-ratios,model-based,pdis,wpdis,oracle-product"
-        common = common | {"estimators": names.split(",")}
-    scaled = True if normalized is None else normalized
-    return run(default.problem, policies, target=default.target, normalized=scaled, **common)
 
 
 def _version(asked: bool) -> None:

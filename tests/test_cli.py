@@ -191,3 +191,45 @@ def test_action_noise_is_part_of_what_is_reported(capsys, tmp_path):
     facts = json.loads(run(capsys, *arguments, "--action-noise", 0.3, "--json"))["facts"]
     assert facts["action_noise"] == 0.3
     assert facts["log_name"] == str(log)
+
+
+def test_plan_writes_a_policy_that_narrows_the_intervals(tmp_path, capsys):
+    log, output = tmp_path / "log.npz", tmp_path / "next.npy"
+    run(capsys, "sample", "gridworld:3,slip=0.1", "--policy", "uniform", "--transitions", "400", "--output", str(log))
+    words = [
+        "plan",
+        "--simulator",
+        "gridworld:3,slip=0.3",
+        "--log",
+        str(log),
+        "--transitions",
+        "400",
+        "--discount",
+        "0.9",
+    ]
+    text = run(capsys, *words, "--policy", "one=mix:0.5", "--policy", "two=mix:0.9", "--output", str(output))
+    assert text.startswith("Plan for 400 transitions, by a behaviour policy")
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if line.startswith(("one", "two"))}
+    assert all(float(row[3]) < float(row[1]) for row in rows.values())
+    chosen = np.load(output)
+    assert chosen.shape == (9, 4)
+    np.testing.assert_allclose(chosen.sum(axis=1), 1.0)
+    assert run(capsys, *words, "--free") != text
+
+
+def test_guaranteed_intervals_are_asked_for(tmp_path, capsys):
+    log = tmp_path / "log.npz"
+    run(capsys, "sample", "gridworld:3,slip=0.1", "--policy", "uniform", "--transitions", "400", "--output", str(log))
+    words = [
+        "evaluate",
+        "--simulator",
+        "gridworld:3,slip=0.3",
+        "--log",
+        str(log),
+        "--policy",
+        "uniform",
+        "--estimators",
+        "oee",
+    ]
+    assert "guaranteed, between" not in run(capsys, *words)
+    assert "guaranteed, between" in run(capsys, *words, "--guaranteed")

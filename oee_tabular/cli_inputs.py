@@ -1,0 +1,166 @@
+"""What the command's words mean: tasks, policies, logs and problems from specifications and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oee_tabular._checks import Array
+    from oee_tabular.data import Transitions
+    from oee_tabular.estimators import Problem
+    from oee_tabular.mdp import FiniteMDP
+    from oee_tabular.report import Report
+    from oee_tabular.tasks import NamedTask
+
+
+def report_summary(path: Path) -> str:
+    """What a report.json says, in a few lines."""
+    import json
+
+    try:
+        report = json.loads(path.read_text())
+        lines = [
+            f"Report of {report['unit']}",
+            f"Simulator: {report['facts']['simulator']}",
+            f"Log: {report['facts']['log']}",
+        ]
+        lines += [f"{row['policy']}  {row['estimator']}  {row['value']}" for row in report["results"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
+    return "\n".join(lines)
+
+
+def task_of(spec: str, discount: float | None) -> NamedTask:
+    """The task that ``spec`` names."""
+    from oee_tabular.tasks import named_task
+
+    return named_task(spec, discount=discount)
+
+
+def policy_of(spec: str, task: NamedTask, name: str) -> Array:
+    """The policy that ``spec`` names, in the MDP of ``task``."""
+    from oee_tabular import _files
+    from oee_tabular.exact import optimal_policy
+    from oee_tabular.mdp import check_policy, mix, uniform_policy
+
+    if spec == "uniform":
+        return uniform_policy(task.mdp)
+    if spec == "optimal":
+        return optimal_policy(task.mdp)
+    if spec == "expert":
+        return check_policy(task.expert(), task.mdp)
+    if spec.startswith("mix:"):
+        try:
+            weight = float(spec.removeprefix("mix:"))
+        except ValueError:
+            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+        return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
+    if Path(spec).suffix.lower() not in (".npy", ".npz"):
+        raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
+    arrays = _files.read_npz(spec)
+    if _files.npz_kind(arrays) is not None:
+        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
+    if "policy" not in arrays and len(arrays) != 1:
+        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
+    array = arrays.get("policy", next(iter(arrays.values())))
+    return check_policy(array, task.mdp, name=f"{name} {spec!r}")
+
+
+def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    found: dict[str, Any] = {}
+    for text in specs or ["optimal"]:
+        name, equals, spec = text.partition("=")
+        label, source = (name, spec) if equals else (text, text)
+        if label in found:
+            raise ValueError(f"--policy names must differ; {label!r} is given twice")
+        found[label] = policy_of(source, task, "--policy")
+    return found
+
+
+def sampled(
+    mdp: FiniteMDP, pi: Array, transitions: int | None, episodes: int | None, horizon: int, seed: int
+) -> Transitions:
+    """Episodes of our own sampler: as many as asked for, or as many as hold the transitions, the last one cut."""
+    from oee_tabular._checks import positive_integer
+    from oee_tabular.simulate import sample_episodes
+
+    positive_integer(horizon, "horizon")
+    if episodes is not None:
+        return sample_episodes(mdp, pi, episodes, horizon, seed=seed)
+    assert transitions is not None
+    wanted = positive_integer(transitions, "transitions")
+    count = 1 + wanted // horizon
+    while len(log := sample_episodes(mdp, pi, count, horizon, seed=seed)) < wanted:
+        count *= 2
+    return log.first(wanted)
+
+
+def problem_of(task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any) -> Problem:
+    """A problem from a task and the file of a log."""
+    from oee_tabular.data import Transitions
+    from oee_tabular.estimators import Problem
+
+    return Problem(
+        task.mdp,
+        Transitions.load(log),
+        horizon=horizon,
+        behavior_policy=None if behavior is None else policy_of(behavior, task, "--behavior"),
+        rewards=rewards,
+    )
+
+
+def from_files(
+    simulator: str,
+    log: Path,
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool,
+    common: dict[str, Any],
+) -> Report:
+    """The report on a simulator, a log and policies from files."""
+    from dataclasses import replace
+
+    from oee_tabular.report import evaluate as run
+
+    task = task_of(simulator, options["discount"])
+    if options["action_noise"]:
+        task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
+    problem = problem_of(task, log, horizon=options["horizon"], behavior=behavior, rewards=options["rewards"])
+    truth = None if target is None else task_of(target, task.mdp.discount).mdp
+    facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
+    if options["action_noise"]:
+        facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
+    return run(problem, policies_of(policy, task), target=truth, normalized=normalized, facts=facts, **common)
+
+
+def embedded(
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool | None,
+    common: dict[str, Any],
+) -> Report:
+    """The report on the embedded default."""
+    from oee_tabular.experiments import embedded_default
+    from oee_tabular.report import evaluate as run
+    from oee_tabular.tasks import named_task
+
+    for name, value in (("behavior", behavior), ("target", target), ("action-noise", options["action_noise"])):
+        if value:
+            raise ValueError(f"--{name} needs --simulator and --log")
+    settings: dict[str, Any] = {"rewards": options["rewards"]}
+    settings |= {name: options[name] for name in ("horizon", "discount") if options[name] is not None}
+    default = embedded_default(seed=common["seed"], **settings)
+    policies: dict[str, Any] = default.policies
+    if policy is not None:
+        policies = policies_of(policy, named_task("gridworld:10,slip=0.3", discount=options["discount"]))
+    if common["estimators"] is None:
+        names = "simulator,oee,oee-product,ratio-of-ratios,model-based,pdis,wpdis,oracle-product"
+        common = common | {"estimators": names.split(",")}
+    scaled = True if normalized is None else normalized
+    return run(default.problem, policies, target=default.target, normalized=scaled, **common)
