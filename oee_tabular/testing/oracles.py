@@ -1,0 +1,235 @@
+"""An estimator beside what is known exactly: its bias, variance and error over many logs, its limit, the efficiency bound."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.estimators import Problem
+from oee_tabular.estimators.rollouts import rollout_horizon
+from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.simulate import sample_episodes, sample_transitions
+from oee_tabular.testing.calls import name_of, one_thread
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What repetitions of an estimator gave, beside what is exact; prints as a table.
+
+    Attributes
+    ----------
+    truth : J_target
+    limit : the estimator's own exact limit, or None
+    bound : the efficiency bound: n times the least asymptotic variance (inf where the data leave something out)
+    n, unit : size of each log, in "episodes" or "transitions"
+    values : (R,) of the repetitions whose status is "ok"; failures : how many others there were, with one of their ``reasons``
+    """
+
+    estimator: str
+    truth: float
+    limit: float | None
+    bound: float
+    n: int
+    unit: str
+    values: Array = field(repr=False)
+    failures: int = 0
+    reasons: str = ""
+
+    @property
+    def bias(self) -> float:
+        """Mean error over the repetitions."""
+        return float(self.values.mean()) - self.truth if len(self.values) else math.nan
+
+    @property
+    def bias_error(self) -> float:
+        """Standard error of ``bias``."""
+        return math.sqrt(self.variance / len(self.values)) if len(self.values) > 1 else math.nan
+
+    @property
+    def variance(self) -> float:
+        """Variance over the repetitions."""
+        return float(self.values.var(ddof=1)) if len(self.values) > 1 else math.nan
+
+    @property
+    def variance_error(self) -> float:
+        """Standard error of ``variance``: sqrt((m4 - (R - 3) / (R - 1) s^4) / R), m4 the fourth central moment."""
+        n = len(self.values)
+        if n < 4:
+            return math.nan
+        fourth = float(np.mean((self.values - self.values.mean()) ** 4))
+        return math.sqrt(max(fourth - (n - 3) / (n - 1) * self.variance**2, 0.0) / n)
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean squared error."""
+        return float(np.sqrt(np.mean((self.values - self.truth) ** 2))) if len(self.values) else math.nan
+
+    @property
+    def rmse_error(self) -> float:
+        """Standard error of ``rmse`` (delta method)."""
+        squares = (self.values - self.truth) ** 2
+        if len(squares) < 2:
+            return math.nan
+        return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2.0 * self.rmse)) if self.rmse > 0 else 0.0
+
+    @property
+    def inefficiency(self) -> float:
+        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the bound is 0 or infinite."""
+        return self.n * self.variance / self.bound if 0.0 < self.bound < math.inf else math.nan
+
+    @property
+    def inefficiency_error(self) -> float:
+        """Standard error of ``inefficiency``."""
+        return self.n * self.variance_error / self.bound if 0.0 < self.bound < math.inf else math.nan
+
+    def __str__(self) -> str:
+        lines = [f"{self.estimator}: {len(self.values)} logs of {self.n} {self.unit}"]
+        rows: list[tuple[str, float, float | None]] = [("J_target", self.truth, None)]
+        if self.limit is not None:
+            rows.append(("limit", self.limit, None))
+        rows += [
+            ("bias", self.bias, self.bias_error),
+            ("variance", self.variance, self.variance_error),
+            ("root-mean-square error", self.rmse, self.rmse_error),
+            ("efficiency bound (n * variance)", self.bound, None),
+            ("n * variance / bound", self.inefficiency, self.inefficiency_error),
+        ]
+        for name, value, error in rows:
+            lines.append(f"  {name:32}{value:11.5g}" + ("" if error is None else f" ± {error:.2g}"))
+        if self.failures:
+            lines.append(f"  without a value: {self.failures} more logs ({self.reasons})")
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def compare_with_oracle(
+    estimator: Any,
+    pair: tuple[FiniteMDP, FiniteMDP],
+    policy: Any,
+    *,
+    n: int,
+    behavior_policy: Any = None,
+    data_distribution: Any = None,
+    repetitions: int = 200,
+    seed: int = 0,
+    horizon: int | None = None,
+) -> Comparison:
+    """Run an estimator on independent logs of the target, and put it beside what is known exactly.
+
+    Parameters
+    ----------
+    estimator : callable (problem, policy, *, seed=None) -> Estimate, with ``limit`` if it has one
+    pair : (simulator, target)
+    policy : (S, A)
+    n : size of each log, in episodes or transitions
+    behavior_policy : (S, A): logs are ``n`` episodes of it, to the horizon (None: until discount^t < 1e-12)
+    data_distribution : (S, A): logs are ``n`` independent moves from it; one of the two must be given
+    repetitions : at least 2
+    seed : int; repetition k has the log of SeedSequence(seed, spawn_key=(k,)) and the estimator seed k
+    horizon : of the value; None: the infinite sum
+
+    Returns
+    -------
+    Comparison
+        Bias, variance and root-mean-square error with their Monte Carlo standard errors, J_target, the estimator's limit, and
+        the bound: for episodes ``trajectory_efficiency_bound``, which includes the chance of the first state and takes time
+        as part of the state, so that an estimator that knows the initial distribution or pools the steps may be below it; for
+        transitions ``efficiency_bound``.
+
+    Raises
+    ------
+    ValueError
+        Bad arguments, and whatever the estimator raises.
+
+    >>> import oee_tabular as oee
+    >>> pair = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    >>> even = np.full((9, 4), 1 / 36)
+    >>> found = compare_with_oracle(
+    ...     oee.estimators.ModelBased(), pair, oee.uniform_policy(pair[0]), n=2000, data_distribution=even, repetitions=20)
+    >>> abs(found.bias) < 4 * found.bias_error + 0.01, 0.3 < found.inefficiency < 2.0
+    (True, True)
+    """
+    simulator, target = _pair(pair)
+    pi = check_policy(policy, simulator)
+    size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
+    if times < 2:
+        raise ValueError(f"repetitions must be at least 2; it is {times}")
+    if (behavior_policy is None) == (data_distribution is None):
+        raise ValueError("one of behavior_policy and data_distribution must be given")
+    data: dict[str, Any]
+    if behavior_policy is not None:
+        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+        steps = rollout_horizon(target.discount, _checks.optional_horizon(horizon))
+        data = {"behavior_policy": behavior, "data_distribution": _visits(target, behavior, steps)}
+        bound = _or_infinite(target, behavior, pi, steps)
+    else:
+        shape = (simulator.n_states, simulator.n_actions)
+        share = _checks.distribution(data_distribution, "data_distribution", shape)
+        behavior, steps, data = None, None, {"data_distribution": share}
+        bound = efficiency_bound(target, pi, share, horizon=horizon)
+    limit = getattr(estimator, "limit", None)
+    goal = None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data))
+    values, reasons = [], []
+    with one_thread():
+        for k in range(times):
+            stream = np.random.SeedSequence(seed, spawn_key=(k,))
+            if behavior is not None and steps is not None:
+                log = sample_episodes(target, behavior, size, steps, seed=stream)
+            else:
+                log = sample_transitions(target, data["data_distribution"], size, seed=stream)
+            found = estimator(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
+            if found.status == "ok":
+                values.append(float(found.value))
+            else:
+                reasons.append(str(found.status))
+    return Comparison(
+        estimator=name_of(estimator),
+        truth=policy_value(target, pi, horizon=horizon),
+        limit=goal,
+        bound=bound,
+        n=size,
+        unit="transitions" if behavior is None else "episodes",
+        values=np.array(values),
+        failures=len(reasons),
+        reasons=reasons[0] if reasons else "",
+    )
+
+
+def _pair(pair: Any) -> tuple[FiniteMDP, FiniteMDP]:
+    try:
+        simulator, target = pair
+    except (TypeError, ValueError):
+        raise ValueError(f"pair must be (simulator, target); got {type(pair).__name__}") from None
+    for value, name in ((simulator, "pair[0], the simulator,"), (target, "pair[1], the target,")):
+        if not isinstance(value, FiniteMDP):
+            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+    if simulator.transitions.shape != target.transitions.shape:
+        raise ValueError(
+            f"pair must have the same states and actions; their transitions have shapes {simulator.transitions.shape} and "
+            f"{target.transitions.shape}"
+        )
+    return simulator, target
+
+
+def _visits(target: FiniteMDP, behavior: Array, steps: int) -> Array:
+    """(S, A): how the rows of such episodes are distributed (an episode ends on arrival in an absorbing state)."""
+    time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
+    alive = np.where(target.absorbing()[:, None], 0.0, time)
+    return np.asarray((alive if alive.any() else time) / (alive if alive.any() else time).sum())
+
+
+def _or_infinite(target: FiniteMDP, behavior: Array, policy: Array, steps: int) -> float:
+    """The bound; inf where the behaviour policy never takes an action that the policy takes."""
+    try:
+        return trajectory_efficiency_bound(target, behavior, policy, horizon=steps)
+    except ValueError:
+        if np.any((policy > 0) & (behavior == 0)):
+            return math.inf
+        raise

@@ -1,0 +1,275 @@
+"""Hypothesis strategies of finite MDPs, policies, pairs of environments, horizons and logs.
+
+Everything is made of small integers: probabilities are small weights over their sum, with exact zeros and many ties; rewards
+are integers from -5 to 5. Examples shrink towards one state, one action, discount 0 and even chances. Nothing is
+filtered. At discount 1 every state has a chance to end whatever is done (the last state is absorbing and pays nothing), so that
+the infinite sum exists for every policy.
+
+Needs hypothesis: ``pip install oee-tabular[testing]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.data import Transitions
+from oee_tabular.mdp import FiniteMDP, check_policy
+
+try:
+    from hypothesis import strategies as st
+except ImportError as error:  # pragma: no cover (tested in a process without it)
+    raise ImportError(
+        "oee_tabular.testing.strategies needs hypothesis, which is not installed: pip install oee-tabular[testing]"
+    ) from error
+
+WEIGHTS = (1, 0, 2, 0, 0, 5)  # of which probabilities are made; the first is what they shrink to
+REWARDS = ("s", "sa", "sas")
+SUPPORTS = ("equal", "inside", "violated")
+
+
+def mdps(
+    *,
+    min_states: int = 1,
+    max_states: int = 5,
+    max_actions: int = 3,
+    discounts: Sequence[float] = (0.0, 0.5, 0.9, 1.0),
+    rewards: Sequence[str] = REWARDS,
+    absorbing: bool | None = None,
+) -> st.SearchStrategy[FiniteMDP]:
+    """Finite MDPs.
+
+    Parameters
+    ----------
+    min_states, max_states, max_actions : sizes, from 1
+    discounts : to draw from
+    rewards : forms to draw from: "s", "sa", "sas" for r(s), r(s, a), r(s, a, s') (defined for every s')
+    absorbing : whether the last state is absorbing and pays nothing; None: either. At discount 1 it always is, and every
+        row has a chance of moving there
+
+    Raises
+    ------
+    ValueError
+        Sizes below 1 or in the wrong order, discounts outside [0, 1], unknown forms.
+    """
+    low, high = _sizes(min_states, max_states, "min_states", "max_states")
+    actions = _checks.positive_integer(max_actions, "max_actions")
+    factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in _some(discounts, "discounts")]
+    forms = _some(rewards, "rewards")
+    for form in forms:
+        _checks.one_of(form, "rewards", REWARDS)
+    return _mdps(low, high, actions, factors, forms, absorbing)
+
+
+@st.composite
+def _mdps(
+    draw: st.DrawFn,
+    low: int,
+    high: int,
+    max_actions: int,
+    discounts: list[float],
+    forms: list[Any],
+    absorbing: bool | None,
+) -> FiniteMDP:
+    n, a = draw(st.integers(low, high)), draw(st.integers(1, max_actions))
+    discount = draw(st.sampled_from(discounts))
+    over = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
+    certain = [n - 1] if discount == 1.0 else []
+    matrix = np.array([[draw(_row(n, certain)) for _ in range(a)] for _ in range(n)])
+    shape = (n, a, n)[: REWARDS.index(draw(st.sampled_from(forms))) + 1]
+    paid = np.array(draw(st.lists(st.integers(-5, 5), min_size=int(np.prod(shape)), max_size=int(np.prod(shape)))))
+    paid = paid.reshape(shape).astype(np.float64)
+    if over:
+        matrix[-1] = 0.0
+        matrix[-1, :, -1] = 1.0
+        paid[-1] = 0.0
+    return FiniteMDP(matrix, paid, draw(_row(n, [])), discount)
+
+
+def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
+    """(S, A) policies of ``mdp``; ``zeros=False``: every action has a chance in every state."""
+    return _policies(_require(mdp), list(range(mdp.n_actions)) if not zeros else [])
+
+
+@st.composite
+def _policies(draw: st.DrawFn, mdp: FiniteMDP, certain: list[int]) -> Array:
+    return np.array([draw(_row(mdp.n_actions, certain)) for _ in range(mdp.n_states)])
+
+
+def mdp_pairs(
+    *, support: Literal["equal", "inside", "violated"] = "equal", **options: Any
+) -> st.SearchStrategy[tuple[FiniteMDP, FiniteMDP]]:
+    """Pairs (simulator, target) that differ in their transitions alone.
+
+    Parameters
+    ----------
+    support : "equal": the target moves where the simulator does; "inside": nowhere else, perhaps not everywhere (a ratio
+        exists); "violated": from some state that an episode may begin in, some action takes the target to where the
+        simulator has probability 0
+    options : as in ``mdps``; for "violated" at least 2 states
+
+    Raises
+    ------
+    ValueError
+        As ``mdps``; an unknown support.
+    """
+    _checks.one_of(support, "support", SUPPORTS)
+    if support == "violated":
+        options = {"min_states": 2} | options
+        if _checks.positive_integer(options["min_states"], "min_states") < 2:
+            raise ValueError("min_states must be at least 2 for support 'violated'; it is 1")
+    return _violated(mdps(**options)) if support == "violated" else _inside(mdps(**options), support == "equal")
+
+
+@st.composite
+def _inside(draw: st.DrawFn, simulators: st.SearchStrategy[FiniteMDP], equal: bool) -> tuple[FiniteMDP, FiniteMDP]:
+    simulator = draw(simulators)
+    matrix = simulator.transitions.toarray()
+    for row in matrix:
+        where = np.flatnonzero(row)
+        keep = list(range(len(where)))
+        if not equal:
+            keep = [k for k in keep if simulator.discount == 1.0 and where[k] == simulator.n_states - 1]
+        row[where] = draw(_row(len(where), keep))
+    return simulator, simulator.with_transitions(_dense(matrix, simulator))
+
+
+@st.composite
+def _violated(draw: st.DrawFn, bases: st.SearchStrategy[FiniteMDP]) -> tuple[FiniteMDP, FiniteMDP]:
+    base = draw(bases)
+    n = base.n_states
+    matrix = base.transitions.toarray()
+    start, action = draw(st.integers(0, n - 2)), draw(st.integers(0, base.n_actions - 1))
+    to = draw(st.integers(0, n - 2))  # never the last, where all must be able to end at discount 1
+    row = start * base.n_actions + action
+    without = np.delete(np.arange(n), to)
+    closed = [n - 2] if base.discount == 1.0 else []
+    matrix[row] = 0.0
+    matrix[row, without] = draw(_row(n - 1, closed))
+    initial = base.initial.copy()
+    if initial[start] == 0.0:
+        initial = (initial + np.eye(n)[start]) / 2.0
+    rewards = base.rewards if base.transition_rewards is None else base.transition_rewards
+    simulator = FiniteMDP(_dense(matrix, base), rewards, initial, base.discount)
+    matrix[row] = draw(_row(n, [*([n - 1] if closed else []), to]))
+    return simulator, simulator.with_transitions(_dense(matrix, base))
+
+
+def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
+    """Horizons from 1, and None where the infinite sum exists for every policy (discount below 1, or all of ``mdps``)."""
+    model = _require(mdp)
+    finite = st.integers(1, _checks.positive_integer(max_horizon, "max_horizon"))
+    rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
+    over = model.absorbing()
+    ends = bool(over.any()) and bool((rows[~over][:, :, over].sum(axis=2) > 0).all())
+    return st.none() | finite if model.discount < 1.0 or ends else finite
+
+
+def logs(
+    mdp: FiniteMDP,
+    *,
+    kind: Literal["episodes", "transitions"] | None = "episodes",
+    behavior_policy: Any = None,
+    max_episodes: int = 4,
+    max_steps: int = 5,
+    rewards: bool = True,
+) -> st.SearchStrategy[Transitions]:
+    """Logs of ``mdp``: any moves that it can make, whatever their probability.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+    kind : "episodes": ragged, from the initial distribution's support, terminated on arrival in an absorbing state, truncated
+        otherwise; "transitions": a bag of moves from anywhere; None: either
+    behavior_policy : (S, A) whose actions are taken and whose probabilities are recorded; None: uniform
+    max_episodes, max_steps : sizes, from 1 (a bag has at most their product of rows)
+    rewards : whether rewards are recorded
+    """
+    model = _require(mdp)
+    if kind is not None:
+        _checks.one_of(kind, "kind", ("episodes", "transitions"))
+    even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
+    behavior = even if behavior_policy is None else check_policy(behavior_policy, model, name="behavior_policy")
+    sizes = (_checks.positive_integer(max_episodes, "max_episodes"), _checks.positive_integer(max_steps, "max_steps"))
+    episodes, bag = _episodes(model, behavior, *sizes, rewards), _bags(model, behavior, sizes[0] * sizes[1], rewards)
+    return episodes | bag if kind is None else episodes if kind == "episodes" else bag
+
+
+@st.composite
+def _episodes(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, n: int, steps: int, rewards: bool) -> Transitions:
+    over = mdp.absorbing()
+    moves, ended, episode = [], [], []
+    for k in range(draw(st.integers(1, n))):
+        state = draw(st.sampled_from(np.flatnonzero(mdp.initial).tolist()))
+        for _ in range(draw(st.integers(1, steps))):
+            move = draw(_move(mdp, behavior, state))
+            state = move[2]
+            moves.append(move)
+            episode.append(k)
+            ended.append(bool(over[state]))
+            if over[state]:
+                break
+    return _log(mdp, behavior, moves, rewards, terminated=ended, episode=episode)
+
+
+@st.composite
+def _bags(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, most: int, rewards: bool) -> Transitions:
+    states = draw(st.lists(st.integers(0, mdp.n_states - 1), min_size=1, max_size=most))
+    return _log(mdp, behavior, [draw(_move(mdp, behavior, state)) for state in states], rewards)
+
+
+@st.composite
+def _move(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, state: int) -> tuple[int, int, int]:
+    action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
+    row = state * mdp.n_actions + action
+    matrix = mdp.transitions
+    return state, action, draw(st.sampled_from(matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist()))
+
+
+def _log(
+    mdp: FiniteMDP, behavior: Array, moves: list[tuple[int, int, int]], rewards: bool, **flags: Any
+) -> Transitions:
+    state, action, following = (np.array(column) for column in zip(*moves, strict=True))
+    paid = mdp.rewards[state, action]
+    if mdp.transition_rewards is not None:
+        paid = mdp.transition_rewards.toarray()[state * mdp.n_actions + action, following]
+    probability = behavior[state, action]
+    return Transitions(state, action, following, paid if rewards else None, behavior_probability=probability, **flags)
+
+
+@st.composite
+def _row(draw: st.DrawFn, size: int, certain: list[int]) -> Array:
+    """A distribution of small weights; the entries in ``certain`` are positive."""
+    weights = np.array(draw(st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size)), dtype=np.float64)
+    weights[certain] += 1.0
+    if weights.sum() == 0.0:
+        weights[0] = 1.0
+    return np.asarray(weights / weights.sum())
+
+
+def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
+    return matrix.reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
+
+
+def _require(mdp: Any) -> FiniteMDP:
+    if not isinstance(mdp, FiniteMDP):
+        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+    return mdp
+
+
+def _sizes(low: Any, high: Any, low_name: str, high_name: str) -> tuple[int, int]:
+    least, most = _checks.positive_integer(low, low_name), _checks.positive_integer(high, high_name)
+    if least > most:
+        raise ValueError(f"{low_name} must be at most {high_name}; they are {least} and {most}")
+    return least, most
+
+
+def _some(values: Sequence[Any], name: str) -> list[Any]:
+    found = list(values)
+    if not found:
+        raise ValueError(f"{name} must hold at least one; it is empty")
+    return found
