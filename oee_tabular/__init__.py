@@ -57,10 +57,22 @@ _EXPORTS = {
     "evaluate": "report",
     "Report": "report",
 }
-_MODULES = ("data", "estimators", "exact", "inference", "mdp", "plots", "ratio", "report", "simulate", "tasks")
+_MODULES = (
+    "data",
+    "estimators",
+    "exact",
+    "inference",
+    "mdp",
+    "plots",
+    "ratio",
+    "report",
+    "simulate",
+    "tasks",
+    "testing",
+)
 
 if TYPE_CHECKING:
-    from oee_tabular import data, estimators, exact, inference, mdp, plots, ratio, report, simulate, tasks
+    from oee_tabular import data, estimators, exact, inference, mdp, plots, ratio, report, simulate, tasks, testing
     from oee_tabular.data import Transitions
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
@@ -132,6 +144,7 @@ __all__ = [
     "simulate",
     "state_values",
     "tasks",
+    "testing",
     "trajectory_efficiency_bound",
     "transition_ratio",
     "true_ratio",

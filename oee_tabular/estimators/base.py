@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.exact.linear import DivergentKernelError
 
 
 @dataclass(frozen=True)
@@ -58,3 +60,11 @@ def mean_and_error(values: Array) -> tuple[float, float | None]:
     """Mean and standard error of independent values; no error from a single one."""
     n = len(values)
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if n > 1 else None
+
+
+def without_divergence(make: Callable[[], Estimate]) -> Estimate:
+    """The estimate, or nan with a status where the sum that it needs does not exist."""
+    try:
+        return make()
+    except DivergentKernelError as divergence:
+        return Estimate(float("nan"), status=str(divergence))

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, find, row_of_entry, row_sums
 from oee_tabular.data import Transitions
-from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
+from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
 from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
@@ -77,6 +77,9 @@ class DoublyRobust(ExactLimit):
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
+        return without_divergence(lambda: self._estimate(problem, policy, seed))
+
+    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = check_policy(policy, problem.simulator)
         generator = _checks.generator(seed)
         if self.data == "transitions":

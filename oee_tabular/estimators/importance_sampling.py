@@ -100,7 +100,8 @@ class ImportanceSampling(ExactLimit):
             raise ValueError(
                 "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
             )
-        return np.asarray(policy[log.state, log.action] / self._behavior(problem, log))
+        ratio = policy[log.state, log.action] / self._behavior(problem, log)
+        return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)  # what is over has nothing to correct
 
     def limit_of(self, people: Population) -> float:
         """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
@@ -108,14 +109,15 @@ class ImportanceSampling(ExactLimit):
         J_target where that policy takes every action that the policy takes (None: it does); otherwise the
         rewards of the paths that it can make, self-normalised those of what is left over their weight.
         """
+        dropped = self.self_normalized and self.kind == "per_decision" and self.ragged == "zero"
         if people.behavior is None:
-            return people.value(people.target)
-        if not self.self_normalized or self.kind == "trajectory" or self.ragged == "pad":
-            return policy_is_moments(
-                people.target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
-                horizon=rollout_horizon(people.target.discount, people.horizon),
-            ).mean  # fmt: skip
-        return _limit_without_the_finished(people)
+            return _limit_without_the_finished(people, people.policy) if dropped else people.value(people.target)
+        if dropped:
+            return _limit_without_the_finished(people, people.behavior)
+        return policy_is_moments(
+            people.target, people.behavior, people.policy, kind=self.kind, self_normalized=self.self_normalized,
+            horizon=rollout_horizon(people.target.discount, people.horizon),
+        ).mean  # fmt: skip
 
     def _behavior(self, problem: Problem, log: Transitions) -> Array:
         """Probability of each recorded action under the policy that recorded it."""
@@ -142,11 +144,10 @@ class ImportanceSampling(ExactLimit):
         return np.asarray(probability)
 
 
-def _limit_without_the_finished(people: Population) -> float:
+def _limit_without_the_finished(people: Population, behavior: Array) -> float:
     """sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}]: what dropping finished episodes estimates."""
-    assert people.behavior is not None
     steps = rollout_horizon(people.target.discount, people.horizon)
-    walk = walk_of(people.target, people.behavior, policy=people.policy)
+    walk = walk_of(people.target, behavior, policy=people.policy)
     reached = forward_measure(walk, steps, power=1)[:steps, 0]
     going = ~people.target.absorbing()
     taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)

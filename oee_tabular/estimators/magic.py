@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators.base import Estimate, effective_sample_size, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
 from oee_tabular.estimators.limits import ExactLimit, Population
@@ -37,7 +37,8 @@ class Magic(ExactLimit):
 
     Notes
     -----
-    Limit: that of weighted doubly robust. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
+    Limit: that of weighted doubly robust. The standard error takes the model for known: where most of the weight is on it, that
+    is too small. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
     for reinforcement learning, ICML 2016.
     """
 
@@ -52,6 +53,9 @@ class Magic(ExactLimit):
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
+        return without_divergence(lambda: self._estimate(problem, policy, seed))
+
+    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = check_policy(policy, problem.simulator)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)

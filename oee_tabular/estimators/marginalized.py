@@ -10,7 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
-from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.base import Estimate, without_divergence
 from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
@@ -56,6 +56,9 @@ class Marginalized(ExactLimit):
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
+        return without_divergence(lambda: self._estimate(problem, policy, seed))
+
+    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = check_policy(policy, problem.simulator)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, _checks.generator(seed))
         model = reweight(problem.model, zeta)

@@ -64,8 +64,9 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float, *, ball: str =
         value = float(model.initial @ values)
         return Extreme(value, value, solver.p, horizon, 0.0, np.zeros(0, dtype=np.int64))
     values = state_values(evidence.with_rows(evidence.phat), evidence.policy)
-    residual, rise, sweep = np.inf, 0.0, 0
-    for sweep in range(1, most + 1):
+    residual, rise, sweeps, stalled = np.inf, 0.0, 0, 0
+    while sweeps < most:
+        sweeps += 1
         best = base + solver.above(paid + gamma * values[columns])
         if solver.bad.any():
             return _refused(solver)
@@ -73,13 +74,14 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float, *, ball: str =
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last, residual = residual, float(np.abs(backed - values).max())
         scale = 1e-12 * max(1.0, float(np.abs(values).max()))
-        if residual <= scale or (sweep > 3 and residual >= last):
+        stalled = stalled + 1 if residual >= 0.5 * last else 0
+        if residual <= scale or stalled >= 8:
             break
         found = evaluate_policy(evidence.with_rows(solver.p), evidence.policy)
         values = found.values
     value = float(model.initial @ values)
     beyond = rise / (1.0 - gamma)
-    return Extreme(value, value + sign * beyond, solver.p, sweep, residual, np.zeros(0, dtype=np.int64))
+    return Extreme(value, value + sign * beyond, solver.p, sweeps, residual, np.zeros(0, dtype=np.int64))
 
 
 def _refused(solver: _Rows) -> Extreme:

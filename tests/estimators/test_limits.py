@@ -288,6 +288,48 @@ def test_a_truncated_episode_goes_on_as_the_model():
     assert_allclose(DoublyRobust(data="episodes", ratio=zeta)(problem, policy).value, by_hand.mean(), rtol=1e-10)
 
 
+def test_a_ratio_that_diverges_is_a_status():
+    simulator, target = oee.tasks.gridworld(6, 0.3), oee.tasks.gridworld(6, 0.1)
+    behavior = oee.uniform_policy(simulator)
+    log = oee.sample_episodes(target, behavior, 12, 60, seed=0)
+    problem = oee.Problem(simulator, log, behavior_policy=behavior)
+    policy = oee.tasks.gridworld_policy(6, 0.5)
+    assert "spectral radius" in OffEnvironment("ratio_of_ratios")(problem, policy, seed=0).status
+    for estimator in (
+        DoublyRobust(ratio="ratio_of_ratios"),
+        DoublyRobust("episodes", ratio="ratio_of_ratios"),
+        Marginalized("ratio_of_ratios"),
+        Magic("ratio_of_ratios"),
+    ):
+        found = estimator(problem, policy, seed=0)
+        assert np.isnan(found.value)
+        assert "spectral radius" in found.status
+
+
+def test_weights_stand_still_in_absorbing_states():
+    """Rows recorded after the end change nothing, whatever is done there."""
+    simulator = oee.tasks.gridworld(3, 0.3, discount=0.9)
+    behavior, policy = oee.uniform_policy(simulator), oee.tasks.gridworld_policy(3, 0.7)
+    log = oee.sample_episodes(simulator, behavior, 40, 12, seed=0)
+    starts = log.episode_starts
+    columns = {name: [] for name in ("state", "action", "next_state", "reward", "episode")}
+    for k, (low, high) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+        over = bool(log.terminated[high - 1])
+        rest = 12 - (high - low) if over else 0
+        for name, last in (("state", 8), ("action", k % 4), ("next_state", 8), ("reward", 0.0)):
+            columns[name] += [*getattr(log, name)[low:high], *[last] * rest]
+        columns["episode"] += [k] * (high - low + rest)
+    padded = oee.Transitions(**columns)
+    assert len(padded) > len(log)
+    for estimator in (ImportanceSampling("trajectory"), ImportanceSampling(self_normalized=True)):
+        values = (
+            estimator(oee.Problem(simulator, each, horizon=12, behavior_policy=behavior), policy).value
+            for each in (log, padded)
+        )
+        one, two = values
+        assert_allclose(two, one, rtol=1e-12)
+
+
 def test_the_simplex():
     from oee_tabular.estimators.magic import simplex_minimum
 

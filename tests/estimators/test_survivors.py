@@ -366,6 +366,9 @@ def test_limits_of_importance_sampling_without_the_finished():
     estimator = ImportanceSampling(self_normalized=True, ragged="zero")
     limit = estimator.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
     assert_allclose(limit, found, rtol=1e-12)
+    guessed = ImportanceSampling(self_normalized=True, ragged="zero", behavior="estimated")
+    assert_allclose(guessed.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5), found, rtol=1e-12)
+    assert_allclose(estimator.limit(simulator, target, POLICY, horizon=5), found, rtol=1e-12)  # any policy with support
     lacking = BEHAVIOR.copy()
     lacking[1] = [1.0, 0.0]  # what it never does is lost: weights there are 0
     kept = POLICY * (lacking > 0)
@@ -374,7 +377,7 @@ def test_limits_of_importance_sampling_without_the_finished():
         found += 0.9**t * (reached @ (kept * target.rewards).sum(axis=1)) / (reached @ (alive * kept.sum(axis=1)))
         reached = np.einsum("s,sa,sat->t", reached, np.where(alive[:, None] > 0, kept, POLICY), transitions)
     assert_allclose(estimator.limit(simulator, target, POLICY, behavior_policy=lacking, horizon=5), found, rtol=1e-12)
-    for options in ({"kind": "trajectory"}, {"ragged": "pad"}, {"behavior": "estimated"}):
+    for options in ({"kind": "trajectory"}, {"ragged": "pad"}):
         other = ImportanceSampling(**({"self_normalized": True, "ragged": "zero"} | options))
         limit = other.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
         assert_allclose(limit, oee.policy_value(target, POLICY, horizon=5), rtol=1e-12)

@@ -180,6 +180,21 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
         assert_allclose(end.bound, end.value, atol=1e-6 * max(1.0, abs(end.value)))
 
 
+@settings(max_examples=25)
+@given(rngs)
+def test_33_four_times_the_same_moves_give_an_interval_inside(rng):
+    _, _, problem, policy = case(rng)
+    log = problem.log
+    more = oee.Problem(
+        problem.simulator, oee.Transitions(*(np.tile(x, 4) for x in (log.state, log.action, log.next_state)))
+    )
+    for method in ("robust", "likelihood", "delta"):
+        few, many = (oee.interval(each, policy, method=method) for each in (problem, more))
+        slack = 1e-7 * max(1.0, abs(few.lower), abs(few.upper))
+        assert few.lower - slack <= many.lower
+        assert many.upper <= few.upper + slack
+
+
 def test_the_rectangular_set_as_one_conic_program():
     """theory.md section 3: CLARABEL equals robust policy evaluation (3e-7; 1e-6 asked for)."""
     rng = np.random.default_rng(3)
