@@ -14,7 +14,7 @@ from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import Interval, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows
 
-LARGEST = 400_000  # entries beyond which the likelihood interval is left out: its fixed point takes minutes
+LARGEST = 200_000  # entries beyond which the likelihood interval is left out: its fixed point takes minutes
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence
 
@@ -67,34 +67,49 @@ def _step(evidence: Evidence, gradient: Array, limit: float) -> tuple[Array, flo
     low, high = np.where(seen, 0.0, evidence.low), np.where(seen, 1.0, evidence.high)
     p, kl = np.empty(len(evidence.phat)), np.empty(len(n))
 
-    def total(tau: float) -> float:
+    def fill(tau: float, todo: IntArray) -> None:
         lam = np.where(active, n / tau, np.where(n > 0, np.inf, 0.0))
-        kernel.rows_at(lam, evidence.phat, gradient, low, high, evidence.indptr, p, kl)
+        kernel.rows_at(lam, evidence.phat, gradient, low, high, evidence.indptr, todo, p, kl)
+
+    moving = np.flatnonzero(active)
+    fill(1.0, np.flatnonzero(~active))  # the others do not depend on tau
+
+    def total(tau: float) -> float:
+        fill(tau, moving)
         return float(n[active] @ kl[active])
 
     if not active.any():
-        total(1.0)
         return p.copy(), 0.0
     mean = np.add.reduceat(evidence.phat * gradient, evidence.indptr[:-1])
     variance = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, evidence.indptr[:-1])
     size = float(np.sum(variance[active] / n[active]))
     tau = np.sqrt(2.0 * limit / size) if size > 0 else 1.0
-    near, far = tau, tau
-    for _ in range(200):
-        if total(near) <= limit:
+    reached = total(tau)
+    near = far = tau
+    below = above = reached
+    for _ in range(200):  # near: inside the set, far: outside
+        if below <= limit:
             break
+        far, above = near, below
         near *= 0.5
+        below = total(near)
     for _ in range(200):
-        if total(far) >= limit:
+        if above >= limit:
             break
+        near, below = far, above
         far *= 2.0
-    for _ in range(100):
-        middle = np.sqrt(near * far)
-        if total(middle) <= limit:
-            near = middle
-        else:
-            far = middle
-        if far <= near * (1.0 + 1e-12):
+        above = total(far)
+    for step in range(200):  # the sum grows about as tau^2: a secant in logarithms, every third step a bisection
+        if far <= near * (1.0 + 1e-12) or below >= limit * (1.0 - 1e-10):
             break
+        middle = np.sqrt(near * far)
+        if step % 3 != 2 and 0.0 < below < above < np.inf:
+            share = np.log(limit / below) / np.log(above / below)
+            middle = near * (far / near) ** min(max(share, 1e-6), 1.0 - 1e-6)
+        reached = total(middle)
+        if reached <= limit:
+            near, below = middle, reached
+        else:
+            far, above = middle, reached
     used = total(near)
     return p.copy(), used

@@ -194,10 +194,10 @@ def worst_rows(
 worst_rows = njit(cache=True, error_model="numpy")(worst_rows)
 
 
-def rows_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, out: Any, kl: Any) -> Any:
-    """P of every row for given lambdas (inf: phat itself), and the KL of each."""
+def rows_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, todo: Any, out: Any, kl: Any) -> Any:
+    """P of every row in ``todo`` for given lambdas (inf: phat itself), and the KL of each."""
     spare = np.empty(len(phat))
-    for k in range(len(indptr) - 1):
+    for k in todo:
         start, stop = indptr[k], indptr[k + 1]
         if lam[k] == np.inf:
             for i in range(start, stop):
