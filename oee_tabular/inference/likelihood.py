@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact import policy_value, state_values, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence
 
 
@@ -38,10 +38,9 @@ def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int
     limit = float(stats.chi2.ppf(confidence, 1)) / 2.0
     p = evidence.phat.copy()
     value = policy_value(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
-    used, change, iteration = 0.0, np.inf, 0
+    used, change, iteration, still = 0.0, np.inf, 0, 0
     for iteration in range(1, most + 1):
-        gradient = transition_gradient(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
-        trial, used = _step(evidence, sign * gradient, limit)
+        trial, used = _step(evidence, sign * _direction(evidence, p), limit)
         new = policy_value(evidence.with_rows(trial), evidence.policy, horizon=evidence.horizon)
         length = 1.0
         while sign * (new - value) < -1e-12 * max(1.0, abs(value)) and iteration > 2 and length > 1e-3:
@@ -49,10 +48,31 @@ def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int
             trial = p + length * (trial - p)
             new = policy_value(evidence.with_rows(trial), evidence.policy, horizon=evidence.horizon)
         change = abs(new - value)
+        still = still + 1 if change <= 1e-10 * max(1.0, abs(value)) else 0
+        settled = float(np.abs(trial - p).max()) <= 1e-10
         p, value = trial, new
-        if change <= 1e-10 * max(1.0, abs(value)):
+        if still and (settled or still > 3):  # rows that are not reached yet may move before the value does
             break
     return ProfileEnd(value, p, used, iteration, change)
+
+
+def _direction(evidence: Evidence, p: Array) -> Array:
+    """The gradient of J; in rows without data r + gamma V, which orders next states the same and does not vanish unreached.
+
+    (With a horizon only where the gradient does vanish: there the order changes in time.)
+    """
+    model = evidence.with_rows(p)
+    gradient = transition_gradient(model, evidence.policy, horizon=evidence.horizon)
+    unseen = evidence.n == 0
+    if not unseen.any():
+        return gradient
+    starts = evidence.indptr[:-1]
+    flat = np.maximum.reduceat(gradient, starts) == np.minimum.reduceat(gradient, starts)
+    chosen = (unseen if evidence.horizon is None else unseen & flat)[evidence.rows]
+    values = state_values(model, evidence.policy, horizon=evidence.horizon)
+    pay = 0.0 if evidence.model.reward_data is None else evidence.model.reward_data
+    ahead = pay + evidence.model.discount * values[evidence.model.transitions.indices]
+    return np.where(chosen, ahead, gradient)
 
 
 def _step(evidence: Evidence, gradient: Array, limit: float) -> tuple[Array, float]:

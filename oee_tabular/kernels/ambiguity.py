@@ -40,8 +40,36 @@ def fill_at(eta: Any, lam: Any, phat: Any, v: Any, low: Any, high: Any, start: A
 fill_at = njit(cache=True, error_model="numpy")(fill_at)
 
 
+def greedy_row(v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any, spare: Any) -> Any:
+    """Without a ball: what ``low`` leaves goes to the largest v, then to the next; returns the last v that got some."""
+    rest = 1.0
+    for i in range(start, stop):
+        out[i] = low[i]
+        spare[i] = 0.0  # not yet filled
+        rest -= low[i]
+    eta = np.inf
+    for _ in range(stop - start):
+        best = -1
+        for i in range(start, stop):
+            if spare[i] == 0.0 and (best < 0 or v[i] > v[best]):
+                best = i
+        eta = v[best]
+        spare[best] = 1.0
+        room = min(high[best] - low[best], rest)
+        out[best] += room
+        rest -= room
+        if rest <= 0.0:
+            break
+    return eta
+
+
+greedy_row = njit(cache=True, error_model="numpy")(greedy_row)
+
+
 def row_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any, spare: Any) -> Any:
     """P for a given lambda, summing to 1, into ``out``; returns eta. Needs sum low <= 1 <= sum high."""
+    if lam == 0.0:
+        return greedy_row(v, low, high, start, stop, out, spare)
     least, smallest, largest = 0.0, np.inf, -np.inf
     for i in range(start, stop):
         least += low[i]

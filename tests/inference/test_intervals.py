@@ -275,6 +275,19 @@ def test_38_rows_never_seen_are_not_trusted():
     assert oee.interval(problem, first, method="delta").width == 0
 
 
+@pytest.mark.parametrize("horizon", [None, 4])
+def test_rows_that_only_an_unseen_move_reaches_are_set_to_their_extreme(horizon):
+    """20 moves from 0, all to 1; mass q = 1 - exp(-c / 20) may go to 2, whose unseen row leads to +10 or to -10."""
+    rows = np.zeros((6, 1, 6))
+    for s, to in ((0, (1, 2)), (1, (5,)), (2, (3, 4)), (3, (5,)), (4, (5,)), (5, (5,))):
+        rows[s, 0, list(to)] = 1 / len(to)
+    simulator = oee.FiniteMDP(rows, np.array([0.0, 0, 0, -10, 10, 0]), np.eye(6)[0], 0.9)
+    log = oee.Transitions([0] * 20, [0] * 20, [1] * 20)
+    found = oee.interval(oee.Problem(simulator, log, horizon=horizon), np.ones((6, 1)))
+    q = 1 - np.exp(-stats.chi2.ppf(0.95, 1) / 2 / 20)
+    assert_allclose((found.lower, found.upper), (-0.81 * 10 * q, 0.81 * 10 * q), rtol=1e-6)
+
+
 def test_the_profile_is_the_likelihoods():
     """A bandit: max p . v under n KL <= c, in closed form by a fine grid; the divergence meets its limit."""
     simulator = oee.FiniteMDP(
