@@ -79,6 +79,20 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
     return array
 
 
+def distribution_pair(p: object, q: object) -> tuple[Array, Array]:
+    """p and q, counts or probabilities of the same cells, each scaled to sum to 1."""
+    arrays = []
+    for value, name in ((p, "p"), (q, "q")):
+        array = float_array(value, name, ndim=1)
+        require_nonnegative(array, name)
+        if not 0.0 < array.sum() < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {array.sum():g}")
+        arrays.append(array / array.sum())
+    if arrays[0].shape != arrays[1].shape:
+        raise ValueError(f"p and q must have one length; they have {len(arrays[0])} and {len(arrays[1])}")
+    return arrays[0], arrays[1]
+
+
 def number_in(
     value: Any, name: str, low: float, high: float, *, open_ends: bool = False, infinite: bool = False
 ) -> float:

@@ -13,7 +13,8 @@ from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.ratio import TransitionRatio, refuse_unsupported
+from oee_tabular.ratio import TransitionRatio
+from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
 _MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is asked for one
 
@@ -63,14 +64,7 @@ def population(
     horizon: int | None = None,
 ) -> Population:
     """The arguments of every ``limit``, checked: shapes, and the target inside the simulator's support."""
-    for value, name in ((simulator, "simulator"), (target, "target")):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
-    if target.transitions.shape != simulator.transitions.shape:
-        raise ValueError(
-            f"target and simulator must have the same states and actions; their transitions have shapes "
-            f"{target.transitions.shape} and {simulator.transitions.shape}"
-        )
+    require_pair(target, simulator)
     shape = (simulator.n_states, simulator.n_actions)
     full = np.full(shape, 1.0 / (shape[0] * shape[1]))
     share = full if data_distribution is None else _checks.distribution(data_distribution, "data_distribution", shape)

@@ -1,14 +1,11 @@
-"""How sure: the paper's theorems with both sides of each, what fails of them, and bounds that hold."""
+"""How sure: intervals, comparisons of policies, what to record next, and the paper's theorems with both sides of each."""
 
 from oee_tabular.inference.bounds import (
-    Sides,
-    SimulationLemma,
     kl_path_bound,
     kl_path_sides,
     normalised_bound,
     normalised_sides,
     path_kl,
-    simulation_lemma,
     unnormalised_bound,
     unnormalised_sides,
 )
@@ -16,6 +13,7 @@ from oee_tabular.inference.comparison import Comparison, Selection, compare_poli
 from oee_tabular.inference.design_plan import Outlook, Plan
 from oee_tabular.inference.experimental_design import plan_data_collection
 from oee_tabular.inference.intervals import Interval, interval
+from oee_tabular.inference.pairs import Sides, SimulationLemma, simulation_lemma
 from oee_tabular.inference.theorems import (
     EstimationCounterexample,
     corrected_value_error_bound,

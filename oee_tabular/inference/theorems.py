@@ -20,7 +20,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.inference.bounds import Sides, check_pair, divergence_terms
+from oee_tabular.inference.bounds import divergence_terms
+from oee_tabular.inference.pairs import Sides, check_pair
 from oee_tabular.mdp import FiniteMDP
 
 
@@ -40,7 +41,7 @@ def renyi_divergence(p: Any, q: Any, order: float) -> float:
     >>> [round(renyi_divergence([3, 1], [1, 1], a), 6) for a in (0.5, 1, 2, float("inf"))]
     [0.069336, 0.130812, 0.223144, 0.405465]
     """
-    ps, qs = _distributions(p, q)
+    ps, qs = _checks.distribution_pair(p, q)
     a = _checks.number_in(order, "order", 0.0, math.inf, infinite=True)
     if a == 0.0:
         raise ValueError("order must be positive; it is 0")
@@ -101,7 +102,7 @@ def estimation_sides(
     ``g`` (n_cells,) must lie in [nu, mu]; p and q as in ``renyi_divergence``, for a pair of MDPs their occupancies of
     transitions. Both sides are inf where p > 0 = q.
     """
-    ps, qs = _distributions(p, q)
+    ps, qs = _checks.distribution_pair(p, q)
     values = _in_box(g, "g", *_box(nu, mu))
     _same_length(values, ps)
     right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
@@ -189,7 +190,7 @@ def excess_risk(g: Any, p: Any, q: Any) -> Sides:
     >>> round(sides.left, 12) == round(sides.right, 12) == round(renyi_divergence([3, 1], [2, 2], 1), 12)
     True
     """
-    ps, qs = _distributions(p, q)
+    ps, qs = _checks.distribution_pair(p, q)
     values = _checks.float_array(g, "g", ndim=1)
     _checks.require_nonnegative(values, "g")
     _same_length(values, ps)
@@ -208,7 +209,7 @@ def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> S
     ``mu`` (default: the largest of g and g* where p > 0) must be at least those; other arguments as in ``excess_risk``.
     """
     risk = excess_risk(g, p, q).right
-    ps, qs = _distributions(p, q)
+    ps, qs = _checks.distribution_pair(p, q)
     values, best = _checks.float_array(g, "g")[ps > 0.0], _ratio(ps, qs)[ps > 0.0]
     largest = float(max(values.max(), best.max()))
     bound = largest if mu is None else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
@@ -331,19 +332,6 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     size = _checks.number_in(error, "error", 0.0, math.inf)
     t = np.arange(1.0, steps + 1.0)
     return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))
-
-
-def _distributions(p: Any, q: Any) -> tuple[Array, Array]:
-    arrays = []
-    for value, name in ((p, "p"), (q, "q")):
-        array = _checks.float_array(value, name, ndim=1)
-        _checks.require_nonnegative(array, name)
-        if not 0.0 < array.sum() < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {array.sum():g}")
-        arrays.append(array / array.sum())
-    if arrays[0].shape != arrays[1].shape:
-        raise ValueError(f"p and q must have one length; they have {len(arrays[0])} and {len(arrays[1])}")
-    return arrays[0], arrays[1]
 
 
 def _same_length(g: Array, p: Array) -> None:

@@ -148,8 +148,8 @@ def forward(
 ) -> Any:  # fmt: skip
     """Fill ``out`` (T + 1, 3, S): E[W^p G^i 1{s_t = s}] for i = 0, 1, 2, p = ``power``, G the discounted return before t.
 
-    ``first`` is where (1 or T, S*A) of u starts counting: W holds the factors of the steps before t. ``second`` is not used
-    where the returns are not asked for (False leaves i = 1, 2 at 0).
+    ``first`` (S,) is the distribution of s_0; W holds the factors of the steps before t. ``second`` says whether the
+    returns are asked for (False leaves i = 1, 2 at 0).
     """
     n_states = out.shape[2]
     n_actions = act.shape[1] // n_states

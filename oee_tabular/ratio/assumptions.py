@@ -50,16 +50,7 @@ def check_assumptions(p: Any, q: Any, *, lower: float, upper: float) -> Assumpti
     >>> print(check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2))
     nu < 1 < mu: holds; nu <= p/q <= mu: fails (0 entries below, 1 above), p/q from 0.5 to 1.5; support: holds; D_inf = 0.4055
     """
-    arrays = []
-    for value, name in ((p, "p"), (q, "q")):
-        array = _checks.float_array(value, name, ndim=1)
-        _checks.require_nonnegative(array, name)
-        if not 0.0 < array.sum() < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {array.sum():g}")
-        arrays.append(array / array.sum())
-    ps, qs = arrays
-    if ps.shape != qs.shape:
-        raise ValueError(f"p and q must have one length; they have {len(ps)} and {len(qs)}")
+    ps, qs = _checks.distribution_pair(p, q)
     nu = _checks.number_in(lower, "lower", 0.0, np.inf)
     mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     ratio = ps[qs > 0] / qs[qs > 0]

@@ -43,3 +43,17 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
         raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]}")
     refuse_unsupported(matrix, simulator)
     return align(matrix, simulator.transitions)[0]
+
+
+def require_pair(target: object, simulator: object) -> None:
+    """Two MDPs with the same states and actions."""
+    for value, name in ((target, "target"), (simulator, "simulator")):
+        if not isinstance(value, FiniteMDP):
+            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+    assert isinstance(target, FiniteMDP)
+    assert isinstance(simulator, FiniteMDP)
+    if target.transitions.shape != simulator.transitions.shape:
+        raise ValueError(
+            f"target and simulator must have the same states and actions; their transitions have shapes "
+            f"{target.transitions.shape} and {simulator.transitions.shape}"
+        )

@@ -33,7 +33,7 @@ from oee_tabular.ratio.joint import fit_joint
 from oee_tabular.ratio.linear import N_CENTERS, fit_linear
 from oee_tabular.ratio.quotient import SimulatorData, fit_quotient
 from oee_tabular.ratio.result import TransitionRatio, make_result
-from oee_tabular.ratio.support import aligned_counts, refuse_unsupported
+from oee_tabular.ratio.support import aligned_counts, refuse_unsupported, require_pair
 
 # the options that a method has for itself
 _OWN = {
@@ -219,14 +219,7 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
 
     Raises ValueError where the target moves outside that support, naming the moves.
     """
-    for name, value in (("target", target), ("simulator", simulator)):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
-    if target.transitions.shape != simulator.transitions.shape:
-        raise ValueError(
-            f"target and simulator must have the same states and actions; their transitions have shapes "
-            f"{target.transitions.shape} and {simulator.transitions.shape}"
-        )
+    require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")
     data, _ = align(target.transitions, simulator.transitions)
     return make_result(simulator, data / simulator.transitions.data, "true", 0.0, data, {})

@@ -1,0 +1,164 @@
+"""A target and the model that stands for it: both sides of a statement, the checks of a pair, and the simulation lemma.
+
+Reference: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time, Machine Learning 49, 2002.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, on_pattern
+from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
+from oee_tabular.exact.reweighted import Model
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.finite_mdp import name_move
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Both sides of an inequality ``left <= right``, each as it was computed (no tolerance)."""
+
+    left: float
+    right: float
+
+    @property
+    def holds(self) -> bool:
+        """left <= right."""
+        return self.left <= self.right
+
+    @property
+    def ratio(self) -> float:
+        """left / right: above 1 where the inequality fails, by that factor; 0 where left is 0."""
+        if self.left == 0.0:
+            return 0.0
+        return self.left / self.right if self.right > 0.0 else math.inf
+
+
+@dataclass(frozen=True)
+class SimulationLemma:
+    """J' - J(K) by two evaluations, and by each form of the lemma; the three are equal up to rounding."""
+
+    difference: float
+    by_target_occupancy: float
+    by_model_occupancy: float
+
+
+def simulation_lemma(
+    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+) -> SimulationLemma:
+    """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
+
+    With a horizon, sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same with the two exchanged (V_T = 0).
+    Where rewards are r(s, a, s'), r(s, a, s') + g V(s') takes the place of g V(s').
+
+    Parameters
+    ----------
+    target : FiniteMDP, P'
+    model : FiniteMDP or ReweightedModel, K: the target's rewards, initial distribution and discount, rows of any sum
+    policy : (S, A), or (T, S, A) with a horizon T
+    horizon : positive int or None
+    ratio : None, or csr (S*A, S) or an object with such ``values``: ``model`` is then the simulator P, and K = ratio * P
+
+    Raises
+    ------
+    ValueError
+        What is not a pair; without a horizon, discount 1 or a K whose infinite sum does not exist.
+
+    Notes
+    -----
+    Values are not normalised. Cost: O(T * nnz) time and O(T * S) memory, or four sparse solves.
+    """
+    kernel = check_pair(target, model, ratio)
+    steps = _checks.optional_horizon(horizon)
+    pi = check_policy(policy, target, horizon=steps)
+    difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
+    first = _moved_value(target, kernel, pi, steps, measured=target, valued=kernel)
+    second = _moved_value(target, kernel, pi, steps, measured=kernel, valued=target)
+    return SimulationLemma(difference, first, second)
+
+
+def _moved_value(
+    target: Model, kernel: Model, pi: Array, steps: int | None, *, measured: Model, valued: Model
+) -> float:
+    """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of ``valued``."""
+    gamma, paid = target.discount, target.rewards - kernel.rewards
+
+    def moved(value: Array) -> Array:
+        change: Array = target.transitions @ value - kernel.transitions @ value
+        return paid + gamma * change.reshape(paid.shape)
+
+    if steps is None:
+        return float(np.sum(occupancy(measured, pi) * moved(state_values(valued, pi))) / (1.0 - gamma))
+    to_go = np.zeros((steps + 1, target.n_states))
+    for t in range(steps - 1, -1, -1):
+        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(paid.shape)
+        to_go[t] = np.sum((pi if pi.ndim == 2 else pi[t]) * q, axis=1)
+    return sum(
+        gamma**t * float(np.sum(pairs * moved(to_go[t + 1])))
+        for t, pairs in enumerate(forward_distributions(measured, pi, steps))
+    )
+
+
+def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array]:
+    """alpha_t, (S, A), for t = 0..steps-1; not normalised."""
+    transposed = sparse.csr_array(model.transitions.T)
+    states = model.initial
+    for t in range(steps):
+        pairs = states[:, None] * (pi if pi.ndim == 2 else pi[t])
+        yield pairs
+        states = transposed @ pairs.reshape(-1)
+
+
+def check_pair(target: object, model: object, ratio: Any = None) -> FiniteMDP | ReweightedModel:
+    """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
+    if not isinstance(target, FiniteMDP):
+        raise ValueError(f"target must be a FiniteMDP; got {type(target).__name__}")
+    if ratio is not None:
+        if not isinstance(model, FiniteMDP):
+            raise ValueError(f"model must be a FiniteMDP (the simulator) with a ratio; got {type(model).__name__}")
+        model = reweight(model, ratio)
+    if not isinstance(model, FiniteMDP | ReweightedModel):
+        raise ValueError(f"model must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}")
+    if target.transitions.shape != model.transitions.shape:
+        raise ValueError(
+            f"target and model must have the same states and actions; their transitions have shapes "
+            f"{target.transitions.shape} and {model.transitions.shape}"
+        )
+    if target.discount != model.discount:
+        raise ValueError(f"model must have the target's discount {target.discount:g}; it has {model.discount:g}")
+    bad = np.flatnonzero(np.abs(target.initial - model.initial) > _checks.SUM_TOLERANCE)
+    if bad.size:
+        s = bad[0]
+        raise ValueError(f"model.initial[{s}] must be the target's {target.initial[s]:g}; it is {model.initial[s]:g}")
+    _check_rewards(target, model)
+    return model
+
+
+def _check_rewards(target: FiniteMDP, model: Model) -> None:
+    """The same form of rewards, and the same values (for r(s, a, s') on the moves that both make)."""
+    if target.reward_data is None or model.reward_data is None:
+        if target.reward_data is not model.reward_data:
+            forms = ["r(s, a)" if m.reward_data is None else "r(s, a, s')" for m in (target, model)]
+            raise ValueError(f"model must have the target's form of rewards, {forms[0]}; it has {forms[1]}")
+        bad = np.argwhere(~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12))
+        if bad.size:
+            s, a = bad[0]
+            wanted, found = target.rewards[s, a], model.rewards[s, a]
+            raise ValueError(f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is {found:g}")
+        return
+    found, shared = align(on_pattern(model.transitions, model.reward_data), target.transitions)
+    wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
+    if wrong.size:
+        k = int(wrong[0])
+        where = name_move(target.transitions, k, target.n_actions)
+        raise ValueError(
+            f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
+        )
