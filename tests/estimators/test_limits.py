@@ -95,7 +95,6 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
     behavior = random_policy(rng, simulator, zeros=0)
     for estimator in (
         OffEnvironment(),
-        OffEnvironment(ratio="joint"),
         OffEnvironment(ratio=oee.true_ratio(target, simulator)),
         OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"),
         ModelBased(),
@@ -109,8 +108,6 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
         ImportanceSampling(kind="trajectory"),
         ImportanceSampling(self_normalized=True),
     ):
-        if estimator == OffEnvironment(ratio="joint"):
-            continue  # its box is part of its limit
         limit = estimator.limit(simulator, target, policy, behavior_policy=behavior, horizon=horizon)
         assert_allclose(limit, truth, rtol=1e-6, atol=1e-6, err_msg=repr(estimator))
 

@@ -59,8 +59,7 @@ def test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_say
     both = oee.efficiency_bound(mdp, policy, (one + two) / 2)
     ends = [oee.efficiency_bound(mdp, policy, x) for x in (one, two)]
     assert both <= np.mean(ends) * (1 + 1e-12) + 1e-12
-    unit = np.array([oee.efficiency_bound(mdp, policy, x) for x in (np.full((3, 2), 1 / 6),)])[0]
-    if unit == 0:
+    if oee.efficiency_bound(mdp, policy, np.full((3, 2), 1 / 6)) == 0:
         return
     parts = []
     for k in range(6):  # c_x, by making all but x certain to be seen often
