@@ -17,10 +17,11 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, programs
 from oee_tabular.ratio.box import Box, check_ridge
+from oee_tabular.ratio.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
 from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
-from oee_tabular.ratio.tilt import fit_tilt
+from oee_tabular.ratio.tilt import Tilt, fit_tilt
 
 PRIORS = ("tilt", "simulator", "none")
 Ridge = float | str | Callable[[float], float]
@@ -33,6 +34,7 @@ def fit_conditional(
     prior: str,
     strength: float | str,
     features: Any,
+    smoothness: float | str,
     box: Box,
     ridge: Ridge,
     toward: float | None,
@@ -42,11 +44,15 @@ def fit_conditional(
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
     n_row = segment_sums(observed, indptr)
-    tilt = fit_tilt(observed, simulator, features, solver=solver) if prior == "tilt" else None
+    tilt, told = _tilt(observed, simulator, features, smoothness, solver) if prior == "tilt" else (None, {})
     base = q if tilt is None else q * tilt.ratio
     kappa, details = _strength(observed, base, q, indptr, prior, strength)
-    if tilt is not None:
-        details |= {"theta": tilt.theta, "tilt_gap": tilt.gap, "feature_rank": tilt.rank}
+    details |= told
+    if "meaning" in details and "smoothness_gain" in told:
+        details["meaning"] = (
+            f"one tilt for all states does not fit (evidence {told['smoothness_gain']:.3g} nats below); "
+            f"varying over the states, {details['meaning']}"
+        )
     weight = n_row + kappa
     known = weight > 0
     smoothed = (observed + spread(kappa, indptr) * base) / spread(np.where(known, weight, 1.0), indptr)
@@ -73,6 +79,35 @@ def fit_conditional(
     )
     details |= {"prior": prior, "lower": box.lower, "upper": box.upper, **enclosure}
     return make_result(simulator, zeta, "conditional", gap, observed, details, influence)
+
+
+def _tilt(
+    observed: Array, simulator: FiniteMDP, features: Any, smoothness: float | str, solver: str
+) -> tuple[Tilt | LocalTilt, dict[str, Any]]:
+    """One tilt for all states, or one that varies over them, and its diagnostics."""
+    if smoothness not in ("evidence", np.inf):
+        smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
+    whole = fit_tilt(observed, simulator, features, solver=solver)
+    details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
+    if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
+        return whole, details
+    local = fit_local_tilt(
+        observed,
+        simulator,
+        whole.features,
+        whole.coefficients,
+        None if isinstance(smoothness, str) else smoothness,
+        solver=solver,
+    )
+    if local is None:
+        return whole, details
+    return local, details | {
+        "theta_by_state": local.theta / whole.scale,
+        "tilt_gap": local.gap,
+        "smoothness": local.smoothness,
+        "smoothness_gain": local.gain,
+        "smoothness_curve": local.curve,
+    }
 
 
 def _strength(

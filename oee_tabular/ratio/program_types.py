@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scipy import sparse
+
 from oee_tabular._checks import Array, IntArray
 
 
@@ -49,9 +51,13 @@ class LinearProgram:
 
 @dataclass(frozen=True, eq=False)
 class TiltProgram:
-    """The tilt's program: counts (entries,), log of the simulator's rows, features (entries, d), rows by ``indptr``."""
+    """The tilt's program: counts (entries,), log of the simulator's rows, features (entries, d), rows by ``indptr``.
+
+    ``penalty``: the positive definite matrix M of the term theta' M theta / 2 (None: the identity).
+    """
 
     counts: Array
     log_weights: Array
-    features: Array
+    features: Array | sparse.csr_array
     indptr: IntArray
+    penalty: sparse.csc_array | None = None

@@ -187,9 +187,9 @@ def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[A
 
 
 def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
-    """The tilt of ``ratio.tilt``: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + |theta|^2 / 2.
+    """The tilt: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + theta' M theta / 2.
 
-    Rows of one length share one log-sum-exp atom.
+    M is the identity (``ratio.tilt``), or the penalty of ``ratio.local_tilt``. Rows of one length share one log-sum-exp atom.
     """
     import cvxpy as cp
 
@@ -206,7 +206,8 @@ def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
         exponents = program.features[entries] @ theta + program.log_weights[entries]
         table = cp.reshape(exponents, (rows.size, int(length)), order="C")
         cost = cost + totals[rows] @ cp.log_sum_exp(table, axis=1)
-    return cp.Problem(cp.Minimize(cost), [cp.sum_squares(theta) <= height]), theta
+    size = cp.sum_squares(theta) if program.penalty is None else cp.quad_form(theta, cp.psd_wrap(program.penalty))
+    return cp.Problem(cp.Minimize(cost), [size <= height]), theta
 
 
 def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.neighbours import factor
 from oee_tabular.ratio.segments import segment_sums, spread
 
 
@@ -46,6 +47,15 @@ class TransitionRatio:
             f"{int(self.visited.sum())} of {self.visited.size} (s, a) visited, gap {self.gap:.1e}, "
             f"row-sum error {self.row_sum_error:.1e})"
         )
+
+    def _repr_html_(self) -> str:
+        data = self.values.data
+        rows = [
+            ("method", self.method), ("values", f"{len(data)}, from {data.min():.4g} to {data.max():.4g}"),
+            ("(s, a) visited", f"{int(self.visited.sum())} of {self.visited.size}"), ("largest gap (nats)", f"{self.gap:.1e}"),
+            ("row-sum error", f"{self.row_sum_error:.1e}"),
+        ]  # fmt: skip
+        return _printing.facts("TransitionRatio: P_target / P_simulator, without unit", rows)
 
     def on(self, simulator: FiniteMDP) -> Array:
         """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
@@ -111,7 +121,7 @@ class Influence:
     frequencies : n_x / n_sa; row_counts : n_sa; weights : P in each row; kernel : zeta P
     stiffness : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
     share : of the data in a row, n_sa / (n_sa + strength); prior : the prior's row
-    scores, information : of the tilt, where the prior is one (``Tilt``)
+    scores, information : of the tilt, where the prior is one (``Tilt``, dense; ``LocalTilt``, sparse)
     """
 
     frequencies: Array
@@ -122,8 +132,8 @@ class Influence:
     share: Array
     prior: Array
     indptr: IntArray
-    scores: Array | None = None
-    information: Array | None = None
+    scores: Array | sparse.csr_array | None = None
+    information: Array | sparse.csc_array | None = None
 
     def standard_error(self, gradient: Array) -> float:
         """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
@@ -133,7 +143,11 @@ class Influence:
         each = share * psi / counts
         if self.scores is not None and self.information is not None:
             pull = ((1.0 - share) * self.prior * psi) @ self.scores  # d value / d theta
-            each = each + self.scores @ np.linalg.lstsq(self.information, pull)[0]
+            if sparse.issparse(self.information):
+                moved = factor(sparse.csc_array(self.information)).solve(pull)
+            else:
+                moved = np.linalg.lstsq(self.information, pull)[0]
+            each = each + self.scores @ moved
         return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
 
     def one_step(self, gradient: Array) -> OneStep:

@@ -43,6 +43,7 @@ class Tilt:
     gap : bound on f(theta) - min f, divided by the number of moves (nats)
     rank : how many directions of the features differ within rows
     scores : (entries, d), phi less its mean under the tilt, standardised; information : (d, d), Hessian of f
+    features : (entries, d), phi centred in the simulator's rows and divided by scale (d,); coefficients : theta scale
     """
 
     ratio: Array
@@ -51,6 +52,9 @@ class Tilt:
     rank: int
     scores: Array
     information: Array
+    features: Array
+    scale: Array
+    coefficients: Array
 
 
 def feature_array(features: Any, simulator: FiniteMDP) -> Array:
@@ -151,7 +155,7 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, sol
             decrement = float(-gradient @ step)
             if decrement <= 1e-22 * max(1.0, abs(value)):
                 break
-            size = max(1.0, abs(value))
+            size = max(1.0, abs(value), float(n_row.sum()))
             blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
             length = 1.0
             while length > 1e-12:
@@ -171,7 +175,7 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, sol
     scores, gradient, information = slopes(theta, model)
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
     ratio = model / weights
-    return Tilt(ratio, theta / scale, gap, rank, scores, information)
+    return Tilt(ratio, theta / scale, gap, rank, scores, information, phi, scale, theta)
 
 
 def _solve_positive(matrix: Array, b: Array) -> Array:

@@ -37,7 +37,7 @@ from oee_tabular.ratio.support import aligned_counts, refuse_unsupported, requir
 
 # the options that a method has for itself
 _OWN = {
-    "conditional": {"prior", "strength", "features"},
+    "conditional": {"prior", "strength", "features", "smoothness"},
     "linear": {"features"},
     "kernel": {"kernel", "coordinates", "bandwidth", "n_centers"},
     "ratio_of_ratios": {"simulator_data", "behavior_policy"},
@@ -55,6 +55,7 @@ def transition_ratio(
     prior: str | None = None,
     strength: float | str | None = None,
     features: Any = None,
+    smoothness: float | str | None = None,
     kernel: str | Kernel | None = None,
     coordinates: Any = None,
     bandwidth: float | None = None,
@@ -79,7 +80,8 @@ def transition_ratio(
     method : "conditional" | "linear" | "kernel" | "ratio_of_ratios" | "joint"
     prior : "tilt" (default) | "simulator" | "none"; conditional only
         The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt
-        zeta proportional to exp(theta . phi), fitted to all rows together.
+        zeta proportional to exp(theta . phi), fitted to all rows together; theta varies over the states where the log
+        gives evidence that it does.
     strength : "evidence" (default) | "loo", or a nonnegative number; conditional only
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
@@ -87,6 +89,9 @@ def transition_ratio(
     features : phi for the tilt and for "linear": None (tilt: log P, one parameter), an array aligned with
         ``simulator.transitions.data``, one of
         shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
+    smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
+        How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
+        infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
     kernel, coordinates, bandwidth, n_centers : "gaussian" (moves of one action are alike as the coordinates of s, (S,) or
         (S, c), and the displacements to s' are; ``bandwidth`` 1 in standard deviations), or a function of (m, 1 + 2c) and
         (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array; beyond ``n_centers`` (200) moves the
@@ -126,6 +131,7 @@ def transition_ratio(
         "prior": prior,
         "strength": strength,
         "features": features,
+        "smoothness": smoothness,
         "kernel": kernel,
         "coordinates": coordinates,
         "bandwidth": bandwidth,
@@ -138,8 +144,9 @@ def transition_ratio(
     for name, value in options.items():
         if value is not None and name not in _OWN[method]:
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
-    if features is not None and prior not in (None, "tilt"):
-        raise ValueError(f"features must be left out with prior {prior!r}, which does not use them")
+    for name in ("features", "smoothness"):
+        if options[name] is not None and prior not in (None, "tilt"):
+            raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
         prior = "tilt" if prior is None else prior
@@ -150,6 +157,7 @@ def transition_ratio(
             prior=prior,
             strength="evidence" if strength is None else strength,
             features=features,
+            smoothness="evidence" if smoothness is None else smoothness,
             box=check_box(lower, upper, normalized=True),
             ridge=0.0 if ridge is None else ridge,
             toward=toward,

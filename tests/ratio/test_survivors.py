@@ -49,7 +49,7 @@ def fit(counts=COUNTS, **options):
 # ---- what a fit says ---------------------------------------------------------------------------------------------
 
 CHOSEN = {"strength", "strength_by", "strength_score", "strength_curve", "strength_kinds", "meaning"}
-TILTED = {"theta", "tilt_gap", "feature_rank"}
+TILTED = {"theta", "tilt_gap", "feature_rank", "smoothness"}
 ROWS = {"prior", "lower", "upper", "enclosure"}
 BETAS = {"lower", "upper"}
 DETAILS = {

@@ -1,0 +1,92 @@
+"""The graph of a simulator's states, and its smoothness penalty on few nodes.
+
+Two states are neighbours as far as the simulator moves between them: w(s, s') is the mean over actions of P(s' | s, a),
+averaged over both directions. A function u of the states is smooth where
+
+    u' Q u = sum_{s < s'} w(s, s') (u_s - u_s')^2 + rest sum_s u_s^2
+
+is small (a Gaussian Markov random field [1]; ``rest``, 1e-4, makes it proper). Many states are joined into groups along heavy
+edges, u being equal within a group, until there are few enough.
+
+Reference: [1] H. Rue and L. Held, Gaussian Markov Random Fields, 2005.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg as sparse_linalg
+
+from oee_tabular._checks import IntArray
+from oee_tabular.kernels.matching import match
+from oee_tabular.mdp import FiniteMDP
+
+REST = 1e-4
+LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Groups of states and the penalty on functions of the groups.
+
+    Attributes
+    ----------
+    group : (S,), the group of each state
+    penalty : csc of shape (K, K), positive definite: Q on functions that are constant in each group
+    log_determinant : of ``penalty``
+    """
+
+    group: IntArray
+    penalty: sparse.csc_array
+    log_determinant: float
+
+
+def factor(matrix: sparse.csc_array) -> sparse_linalg.SuperLU:
+    """Of a symmetric positive definite matrix, by minimum degree, without pivoting."""
+    return sparse_linalg.splu(
+        sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+
+
+def log_determinant(factored: sparse_linalg.SuperLU) -> float:
+    """ln |A| of a positive definite A."""
+    return float(np.log(np.abs(factored.U.diagonal())).sum())
+
+
+def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
+    """The graph on at most ``LARGEST / width`` groups, fewer where the factor of the penalty would fill up (expanders).
+
+    Cost: O(nnz log S).
+    """
+    weights = _weights(simulator)
+    group: IntArray = np.arange(simulator.n_states)
+    most = max(1, LARGEST // width)
+    while True:
+        sizes = np.bincount(group).astype(np.float64)
+        if len(sizes) <= most:
+            penalty = sparse.csc_array(
+                sparse.diags_array(weights.sum(axis=1) - weights.diagonal() + REST * sizes)
+                - weights
+                + sparse.diags_array(weights.diagonal())
+            )
+            factored = factor(penalty)
+            if len(sizes) <= 2 or factored.L.nnz <= FILL:
+                return Neighbours(group, penalty, log_determinant(factored))
+        joined = match(weights.indptr, weights.indices, weights.data, sizes)
+        onto = sparse.csr_array((np.ones(len(joined)), (np.arange(len(joined)), joined)))
+        weights = sparse.csr_array(onto.T @ weights @ onto)
+        weights.sort_indices()
+        group = joined[group]
+
+
+def _weights(simulator: FiniteMDP) -> sparse.csr_array:
+    """w(s, s') as a symmetric (S, S) matrix."""
+    matrix, n_actions = simulator.transitions, simulator.n_actions
+    states = np.repeat(np.arange(simulator.n_states), np.diff(matrix.indptr[::n_actions]))
+    shape = (simulator.n_states, simulator.n_states)
+    one_way = sparse.csr_array((matrix.data / n_actions, (states, matrix.indices)), shape)
+    both: sparse.csr_array = sparse.csr_array(0.5 * (one_way + one_way.T))
+    both.sort_indices()
+    return both
