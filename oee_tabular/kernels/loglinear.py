@@ -1,4 +1,7 @@
-"""Newton's method for the log-linear class: argmin log mean exp(phi theta) - aim . theta + penalty/2 |theta|^2."""
+"""Compiled loops of the log-linear class: argmin log mean exp(theta phi) - aim . theta + penalty/2 |theta|^2.
+
+Features are (k, n): a row a feature. Nothing is validated here; no fastmath.
+"""
 
 from __future__ import annotations
 
@@ -8,101 +11,146 @@ import numpy as np
 from numba import njit
 
 
-def column_statistics(x: Any) -> Any:
-    """Mean, standard deviation and largest size of each column of (n, d) numbers."""
+def row_statistics(x: Any) -> Any:
+    """Mean and standard deviation of each row of (k, n) numbers; a deviation that is only rounding is 0."""
+    k, n = x.shape
+    center, spread = np.zeros(k), np.zeros(k)
+    for j in range(k):
+        total, square = 0.0, 0.0
+        for i in range(n):
+            total += x[j, i] - x[j, 0]
+        center[j] = x[j, 0] + total / n
+        for i in range(n):
+            square += (x[j, i] - center[j]) ** 2
+        spread[j] = np.sqrt(square / n)
+        if spread[j] <= 1e-12 * abs(center[j]):
+            spread[j] = 0.0
+    return center, spread
+
+
+row_statistics = njit(cache=True, error_model="numpy")(row_statistics)
+
+
+def words(x: Any, center: Any, scale: Any, quadratic: bool) -> Any:
+    """The features of (n, d) points: the rows z = (x - center) / scale, and where asked for z_i z_j for all i <= j."""
     n, d = x.shape
-    center, spread, size = np.zeros(d), np.zeros(d), np.zeros(d)
-    for i in range(n):
-        for j in range(d):
-            center[j] += x[i, j]
-            size[j] = max(size[j], abs(x[i, j]))
-    center /= n
-    for i in range(n):
-        for j in range(d):
-            spread[j] += (x[i, j] - center[j]) ** 2
-    return center, np.sqrt(spread / n), size
+    rows = np.empty((d + (d * (d + 1) // 2 if quadratic else 0), n))
+    for j in range(d):
+        for i in range(n):
+            rows[j, i] = (x[i, j] - center[j]) / scale[j]
+    row = d
+    for j in range(d if quadratic else 0):
+        for other in range(j, d):
+            for i in range(n):
+                rows[row, i] = rows[j, i] * rows[other, i]
+            row += 1
+    return rows
 
 
-column_statistics = njit(cache=True, error_model="numpy")(column_statistics)
+words = njit(cache=True, error_model="numpy")(words)
 
 
-def risk_at(theta: Any, phi: Any, aim: Any, penalty: Any, weights: Any) -> Any:
-    """The risk; ``weights`` gets exp(phi theta) scaled to sum to 1. Returns (risk, log mean exp)."""
-    n, d = phi.shape
-    top = -np.inf
-    for i in range(n):
-        value = 0.0
-        for j in range(d):
-            value += phi[i, j] * theta[j]
-        weights[i] = value
-        top = max(top, value)
+def standardise(x: Any, center: Any, scale: Any) -> Any:
+    """(x - center) / scale in place; returns the rows' means after it."""
+    k, n = x.shape
+    means = np.zeros(k)
+    for j in range(k):
+        total = 0.0
+        for i in range(n):
+            x[j, i] = (x[j, i] - center[j]) / scale[j]
+        for i in range(n):
+            total += x[j, i]
+        means[j] = total / n
+    return means
+
+
+standardise = njit(cache=True, error_model="numpy")(standardise)
+
+
+def log_tilt(x: Any, center: Any, slope: Any, log_mean: Any) -> Any:
+    """slope . (x - center) - log_mean for each column of x."""
+    k, n = x.shape
+    values = np.full(n, -log_mean)
+    for j in range(k):
+        for i in range(n):
+            values[i] += slope[j] * (x[j, i] - center[j])
+    return values
+
+
+log_tilt = njit(cache=True, error_model="numpy")(log_tilt)
+
+
+def weigh(phi: Any, theta: Any, weights: Any) -> Any:
+    """``weights`` gets exp(theta phi) scaled to sum to 1. Returns log mean exp(theta phi)."""
+    k, n = phi.shape
+    weights[:] = 0.0
+    for j in range(k):
+        for i in range(n):
+            weights[i] += theta[j] * phi[j, i]
+    top = weights.max()
     total = 0.0
     for i in range(n):
         weights[i] = np.exp(weights[i] - top)
         total += weights[i]
     for i in range(n):
         weights[i] /= total
-    log_mean = top + np.log(total / n)
-    risk = log_mean
-    for j in range(d):
-        risk += (0.5 * penalty * theta[j] - aim[j]) * theta[j]
-    return risk, log_mean
+    return top + np.log(total / n)
 
 
-risk_at = njit(cache=True, error_model="numpy")(risk_at)
+weigh = njit(cache=True, error_model="numpy")(weigh)
+
+
+def weighted_mean(phi: Any, weights: Any) -> Any:
+    """The mean of each row of phi."""
+    k, n = phi.shape
+    mean = np.empty(k)
+    for j in range(k):
+        total = 0.0
+        for i in range(n):
+            total += weights[i] * phi[j, i]
+        mean[j] = total
+    return mean
+
+
+weighted_mean = njit(cache=True, error_model="numpy")(weighted_mean)
 
 
 def newton(phi: Any, aim: Any, penalty: Any) -> Any:
-    """(theta, |gradient|^2 / (2 penalty), log mean exp(phi theta))."""
-    n, d = phi.shape
-    theta, trial = np.zeros(d), np.zeros(d)
-    weights = np.empty(n)
-    value, log_mean = risk_at(theta, phi, aim, penalty, weights)
-    mean, hessian = np.zeros(d), np.zeros((d, d))
-    for _ in range(200):
-        for j in range(d):
-            mean[j] = 0.0
-            for k in range(d):
-                hessian[j, k] = penalty if j == k else 0.0
-        for i in range(n):
-            for j in range(d):
-                mean[j] += weights[i] * phi[i, j]
-        for i in range(n):
-            for j in range(d):
-                off = weights[i] * (phi[i, j] - mean[j])
-                for k in range(j + 1):
-                    hessian[j, k] += off * (phi[i, k] - mean[k])
-        for j in range(d):
-            for k in range(j):
-                hessian[k, j] = hessian[j, k]
+    """(theta, |gradient|^2 / (2 penalty), log mean exp(theta phi), the weights exp(theta phi) / sum)."""
+    k, n = phi.shape
+    theta, weights, trial_weights = np.zeros(k), np.full(n, 1.0 / n), np.empty(n)
+    off = np.empty((k, n))
+    value, log_mean, gap = 0.0, 0.0, np.inf
+    for iteration in range(201):
+        mean = weighted_mean(phi, weights)
         gradient = mean - aim + penalty * theta
+        gap = (gradient**2).sum() / (2.0 * penalty)
+        if gap < 1e-22 or iteration == 200:
+            break
+        for j in range(k):
+            for i in range(n):
+                off[j, i] = weights[i] * (phi[j, i] - mean[j])
+        hessian = np.dot(off, phi.T)
+        for j in range(k):
+            hessian[j, j] += penalty
         step = -np.linalg.solve(hessian, gradient)
-        decrement = 0.0
-        for j in range(d):
-            decrement -= gradient[j] * step[j]
+        decrement = -(gradient * step).sum()
         if decrement < 1e-22:
             break
         blur = 1e-13 if decrement < 1e-9 else 0.0  # what rounding may add to a fall that it hides
         length = 1.0
-        new = np.inf
         while length > 1e-12:
-            trial[:] = theta + length * step
-            new, new_mean = risk_at(trial, phi, aim, penalty, weights)
-            if new <= value - 1e-4 * length * decrement + blur:
+            trial = theta + length * step
+            trial_mean = weigh(phi, trial, trial_weights)
+            risk = trial_mean + ((0.5 * penalty * trial - aim) * trial).sum()
+            if risk <= value - 1e-4 * length * decrement + blur:
                 break
             length *= 0.5
         if length <= 1e-12:
-            value, log_mean = risk_at(theta, phi, aim, penalty, weights)
             break
-        theta[:] = trial
-        value, log_mean = new, new_mean
-    slope = 0.0
-    for j in range(d):
-        level = penalty * theta[j] - aim[j]
-        for i in range(n):
-            level += weights[i] * phi[i, j]
-        slope += level * level
-    return theta, slope / (2.0 * penalty), log_mean
+        theta, value, log_mean = trial, risk, trial_mean
+        weights, trial_weights = trial_weights, weights
+    return theta, gap, log_mean, weights
 
 
 newton = njit(cache=True, error_model="numpy")(newton)

@@ -4,7 +4,8 @@ from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.features import gaussian
 from oee_tabular.ratio.result import TransitionRatio
-from oee_tabular.ratio.samples import SampleRatio, density_ratio_samples
+from oee_tabular.ratio.sample_result import SampleRatio
+from oee_tabular.ratio.samples import density_ratio_samples
 from oee_tabular.ratio.support import refuse_unsupported
 from oee_tabular.ratio.tilt import action_displacement
 from oee_tabular.ratio.transition import transition_ratio, true_ratio

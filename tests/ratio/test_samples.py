@@ -3,7 +3,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import optimize, stats
 
-from oee_tabular.ratio import density_ratio_samples, samples
+from oee_tabular.ratio import density_ratio_samples, sample_kernel
 from oee_tabular.ratio.features import gaussian
 
 GRID = np.linspace(-3, 3, 400)
@@ -75,15 +75,15 @@ def test_the_words_are_functions_of_standardised_points():
     assert_allclose(quadratic_fit.q_ratio, density_ratio_samples(p, q, features=products).q_ratio, rtol=1e-9)
 
 
-@pytest.mark.parametrize("options", [{"features": "linear"}, {"features": "quadratic"}, {}])
+@pytest.mark.parametrize("options", [{"features": "linear"}, {"features": "quadratic"}, {"kernel": "gaussian"}])
 def test_shift_and_scale_change_nothing(options):
-    p, q = gaussians(300)
+    p, q = gaussians(600)
     expected = density_ratio_samples(p, q, **options)
     for shift, scale in ((1e6, 1.0), (-3.0, 1e-8), (0.0, 1e8)):
         fit = density_ratio_samples(shift + scale * p, shift + scale * q, **options)
         assert_allclose(fit.q_ratio, expected.q_ratio, rtol=1e-6, atol=1e-8)
         assert_allclose(fit.at(shift + scale * p), fit.p_ratio, rtol=1e-8)
-        if options:
+        if "features" in options:
             assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
 
 
@@ -135,7 +135,7 @@ def test_the_kernel_class_finds_the_shape():
     errors = []
     for seed in range(20):
         p, q = gaussians(seed=seed)
-        fit = density_ratio_samples(p, q)
+        fit = density_ratio_samples(p, q, kernel="gaussian")
         assert fit.gap < 1e-12
         assert fit.method == "kernel"
         assert (fit.q_ratio >= 0).all()
@@ -144,11 +144,94 @@ def test_the_kernel_class_finds_the_shape():
     assert np.mean(errors) < 0.0804  # densratio's uLSIF on these samples (tests/benchmarks/sample_ratios.py)
 
 
+def refitted(draw, n_fits=60, n=1000):
+    """The default fit on samples of each of n_fits seeds."""
+    return [density_ratio_samples(*draw(np.random.default_rng(seed), n)) for seed in range(n_fits)]
+
+
+def test_the_score_test_has_its_level_where_the_class_is_right():
+    """The quadratic class has these ratios: of Gaussians, in one and two dimensions, and of exponentials (an x alone)."""
+    draws = (
+        lambda rng, n: (rng.normal(0.5, 0.8, n), rng.normal(0, 1, n)),
+        lambda rng, n: (rng.normal(0.2, 0.9, (n, 2)), rng.normal(0, 1, (n + 200, 2))),
+        lambda rng, n: (rng.exponential(0.7, n), rng.exponential(1.0, n)),
+    )
+    for draw in draws:
+        fits = refitted(draw)
+        p_values = [fit.details["p_value"] for fit in fits]
+        assert stats.kstest(p_values, "uniform").pvalue > 1e-3
+        assert {fit.method for fit in fits if fit.details["p_value"] > 0.2} == {"log-linear"}
+        assert {fit.method for fit in fits if fit.details["p_value"] <= 0.2} == {"kernel"}
+
+
+def test_the_score_test_refuses_what_the_class_has_not():
+    draws = (
+        lambda rng, n: (rng.normal(rng.choice([-1, 1], n), 0.5), rng.normal(0, 1, n)),  # two modes
+        lambda rng, n: (rng.standard_t(3, n), rng.normal(0, 1.2, n)),  # heavy tails
+        lambda rng, n: (rng.uniform(0, 0.7, n), rng.uniform(0, 1, n)),  # a jump
+    )
+    for draw in draws:
+        fits = refitted(draw, 20)
+        assert sum(fit.method == "kernel" for fit in fits) >= 18
+
+
+def test_the_default_is_one_of_the_two_classes():
+    p, q = gaussians(seed=1)
+    x = np.linspace(-2, 2, 9)
+    default, named = density_ratio_samples(p, q), density_ratio_samples(p, q, features="quadratic")
+    assert default.method == "log-linear"
+    assert_allclose(default.at(x), named.at(x), rtol=1e-14)
+    p = np.concatenate([p - 2, p + 2])
+    default, named = density_ratio_samples(p, q), density_ratio_samples(p, q, kernel="gaussian")
+    assert default.method == "kernel"
+    assert default.details["p_value"] < 1e-9
+    assert_allclose(default.at(x), named.at(x), rtol=1e-14)
+    few = density_ratio_samples(*gaussians(511))  # 8 times the square of 2 features and 6 bumps are 512
+    assert few.method == "kernel"
+    assert "p_value" not in few.details
+    assert "p_value" in density_ratio_samples(*gaussians(512)).details
+
+
+def test_the_default_errs_less_than_the_peers():
+    errors = []
+    for seed in range(20):
+        p, q = gaussians(seed=seed)
+        fit = density_ratio_samples(p, q)
+        errors.append(np.mean(np.abs(fit.q_ratio - stats.norm(0.5, 0.8).pdf(q) / stats.norm(0, 1).pdf(q))))
+    assert np.mean(errors) < 0.063  # adapt's KLIEP on these samples (tests/benchmarks/sample_ratios.py)
+
+
+def test_the_default_does_not_explode_outside_the_samples():
+    rng = np.random.default_rng(4)
+    p, q = rng.normal(0, 1.3, 1000), rng.normal(0, 1, 1000)
+    fit = density_ratio_samples(p, q)
+    assert fit.method == "log-linear"
+    assert_allclose(fit.at([8.0]), max(fit.p_ratio.max(), fit.q_ratio.max()))
+    assert density_ratio_samples(p, q, features="quadratic").at([8.0]) > 1e3 * fit.at([8.0])
+    assert_allclose(fit.at(p), fit.p_ratio)
+
+
+@pytest.mark.parametrize("case", ["constant", "two values", "far", "overflow"])
+def test_samples_that_the_quadratic_class_cannot_have_get_the_kernel(case):
+    """Without a warning: no class was asked for."""
+    p, q = gaussians()
+    if case == "constant":
+        p, q = np.column_stack([p, p]), np.column_stack([q, np.zeros(1000)])
+    elif case == "two values":
+        p, q = p > 0.3, q > 0.3
+    elif case == "far":
+        p = p + 1e4
+    else:
+        p = p * 1e100
+    fit = density_ratio_samples(p, q)
+    assert (fit.method, fit.details["p_value"]) == ("kernel", 0.0)
+
+
 def test_leave_one_out_leaves_one_out():
     rng = np.random.default_rng(1)
     at_p, at_q = rng.random((12, 4)), rng.random((15, 4))
     ridges = np.array([0.01, 0.5, 3.0])
-    fits = samples._leave_one_out(at_p, at_q, ridges)
+    fits = sample_kernel._leave_one_out(at_p, at_q, ridges)
     for k, ridge in enumerate(ridges):
 
         def weights(p, q, ridge=ridge):
