@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular._sparse import canonical
 
@@ -123,6 +123,10 @@ class Transitions:
 
     def __repr__(self) -> str:
         return f"Transitions({self.describe()})"
+
+    def _repr_html_(self) -> str:
+        rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value is not None]
+        return _printing.facts("Transitions: a log", rows)
 
     @property
     def episode_starts(self) -> IntArray | None:

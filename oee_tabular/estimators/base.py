@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError
@@ -40,6 +41,23 @@ class Estimate:
         if self.standard_error is not None:
             text += f" ± {self.standard_error:.2g} (standard error)"
         return text + ("" if self.status == "ok" else f", {self.status}") + ")"
+
+    def __str__(self) -> str:
+        text = f"{self.value:.6g}"
+        if self.standard_error is not None:
+            text += f" ± {self.standard_error:.2g} (standard error)"
+        if self.interval is not None:
+            text += f", interval [{self.interval[0]:.4g}, {self.interval[1]:.4g}]"
+        return f"{text}; {_printing.SUM}" + ("" if self.status == "ok" else f"; {self.status}")
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [("value", f"{self.value:.6g}")]
+        if self.standard_error is not None:
+            rows.append(("standard error", f"{self.standard_error:.2g}"))
+        if self.interval is not None:
+            rows.append(("interval", f"[{self.interval[0]:.4g}, {self.interval[1]:.4g}]"))
+        rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
+        return _printing.facts(f"Estimate: {_printing.SUM}", [*rows, ("status", self.status)])
 
 
 class Estimator(Protocol):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
@@ -35,7 +35,7 @@ class RewardConflict:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Problem:
     """What is known: a simulator, a log of the target, and how a value is to be counted.
 
@@ -97,6 +97,22 @@ class Problem:
         if self.rewards == "log" and self.log.reward is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
         refuse_unsupported(self.counts, self.simulator)
+
+    def __repr__(self) -> str:
+        span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
+        return (
+            f"Problem({self.simulator!r}, {self.log!r}, value: sum of discount^t * reward over {span}, "
+            f"rewards of the {self.rewards})"
+        )
+
+    def _repr_html_(self) -> str:
+        span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
+        rows = [
+            ("simulator", repr(self.simulator)), ("log", self.log.describe()), ("rewards", f"the {self.rewards}'s"),
+            ("value", f"sum of discount^t * reward over {span}, not normalised"),
+            ("rewards of log and simulator", "agree" if self.reward_conflict is None else str(self.reward_conflict)),
+        ]  # fmt: skip
+        return _printing.facts("Problem: the value of a policy in the target", rows)
 
     @cached_property
     def counts(self) -> sparse.csr_array:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, row_of_entry
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
@@ -38,6 +39,13 @@ class Moments:
     def standard_deviation(self) -> float:
         """sqrt(variance)."""
         return float(np.sqrt(self.variance))
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("mean", f"{self.mean:.6g}"), ("variance (squared units)", f"{self.variance:.6g}"),
+            ("standard deviation", f"{self.standard_deviation:.6g}"), ("bias", f"{self.bias:.4g}"),
+        ]  # fmt: skip
+        return _printing.facts(f"Moments of one episode: {_printing.SUM}", rows)
 
 
 @dataclass(frozen=True, eq=False)

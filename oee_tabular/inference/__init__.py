@@ -9,6 +9,7 @@ from oee_tabular.inference.bounds import (
     unnormalised_bound,
     unnormalised_sides,
 )
+from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
 from oee_tabular.inference.design_plan import Outlook, Plan
 from oee_tabular.inference.experimental_design import plan_data_collection
@@ -37,6 +38,7 @@ __all__ = [
     "Interval",
     "Outlook",
     "Plan",
+    "RowChanges",
     "Selection",
     "Sides",
     "SimulationLemma",
@@ -55,6 +57,7 @@ __all__ = [
     "ratio_error_bound",
     "ratio_error_sides",
     "renyi_divergence",
+    "row_changes",
     "selection_measures",
     "simulation_lemma",
     "squared_error_sides",

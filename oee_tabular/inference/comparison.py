@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
@@ -54,7 +54,31 @@ class Comparison:
                 f"{name:<{width}}  {self.values[i]:>10.5g}  {self.standard_errors[i]:>10.2g}  "
                 f"{100 * self.probability_best[i]:>6.1f}%  {text}"
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
+
+    def _repr_html_(self) -> str:
+        best = [
+            f"{self.differences[i, 0]:.4g} [{self.lower[i, 0]:.4g}, {self.upper[i, 0]:.4g}]" if i else ""
+            for i in range(len(self.names))
+        ]
+        rows = [
+            (
+                name,
+                f"{self.values[i]:.5g}",
+                f"{self.standard_errors[i]:.2g}",
+                f"{100 * self.probability_best[i]:.1f}%",
+                best[i],
+            )
+            for i, name in enumerate(self.names)
+        ]
+        header = [
+            "policy",
+            "value",
+            "std. error",
+            "P(best)",
+            f"difference from the best, {100 * self.confidence:.4g}% interval",
+        ]
+        return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
 
 
 def compare_policies(

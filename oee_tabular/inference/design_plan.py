@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.inference.design_programs import evaluate
 
@@ -139,7 +139,7 @@ class Plan:
             if self.sampling == "free"
             else f"by a behaviour policy, restart probability {self.restart:.3g}"
         )
-        lines = [f"Plan for {self.n} transitions, {how}; variances at {self.model}"]
+        lines = [f"Plan for {self.n} transitions, {how}; variances at {self.model}; values: {_printing.SUM}"]
         size = max(6, *(len(o.name) for o in self.policies))
         level = f"{100 * self.confidence:.4g}% width"
         lines.append(
@@ -166,6 +166,21 @@ class Plan:
             f"{self.solver}: at most {100 * self.gap:.2g}% from the best plan" if self.status == "ok" else self.status
         )
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        def change(ends: tuple[float, float]) -> str:
+            return f"{ends[0]:.3g} → {ends[1]:.3g}"
+
+        level = f"{100 * self.confidence:.4g}% width"
+        rows = [
+            (o.name, change(o.standard_error), change(o.width), f"{o.inefficiency:.3f}", f"{o.free_inefficiency:.3f}")
+            for o in self.policies
+        ]
+        header = ["policy", "std. error, now → after", f"{level}, now → after", "inefficiency", "to free"]
+        return _printing.table(
+            header, rows, caption=f"Plan for {self.n} transitions; values: {_printing.SUM}",
+            below=str(self).split("\n")[2 + len(rows) :],
+        )  # fmt: skip
 
 
 def greedy_pairs(cost: Array, counts: Array, n_actions: int, number: int) -> tuple[tuple[int, int], ...]:

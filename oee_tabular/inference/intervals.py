@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows
@@ -47,6 +47,20 @@ class Interval:
 
     def __contains__(self, value: object) -> bool:
         return isinstance(value, int | float) and self.lower <= value <= self.upper
+
+    def __str__(self) -> str:
+        what = f"{100 * self.confidence:.4g}% {self.method} interval"
+        if self.status != "ok":
+            return f"no {what}: {self.status}"
+        return f"[{self.lower:.6g}, {self.upper:.6g}], {what}; {_printing.SUM}"
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("lower", f"{self.lower:.6g}"), ("upper", f"{self.upper:.6g}"), ("width", f"{self.width:.4g}"),
+            ("confidence", f"{100 * self.confidence:.4g}%"), ("method", self.method),
+        ]  # fmt: skip
+        rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
+        return _printing.facts(f"Interval for a value: {_printing.SUM}", [*rows, ("status", self.status)])
 
 
 def interval(

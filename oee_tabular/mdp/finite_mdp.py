@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks, _files
+from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, find, row_of_entry, row_sums
 
@@ -124,6 +124,16 @@ class FiniteMDP:
             f"FiniteMDP({self.n_states} states, {self.n_actions} actions, {self.transitions.nnz} transitions, "
             f"rewards {form}, discount {self.discount:g})"
         )
+
+    def _repr_html_(self) -> str:
+        form = "r(s, a)" if self.transition_rewards is None else "r(s, a, s')"
+        paid = self.rewards if self.reward_data is None else self.reward_data
+        rows = [
+            ("states", self.n_states), ("actions", self.n_actions), ("transitions", self.transitions.nnz),
+            ("rewards", f"{form}, {paid.min():.4g} to {paid.max():.4g}"), ("discount", f"{self.discount:g}"),
+            ("first states", int((self.initial > 0).sum())), ("states that are over", int(self.absorbing().sum())),
+        ]  # fmt: skip
+        return _printing.facts("FiniteMDP: rewards in units of the return", rows)
 
     @property
     def reward_data(self) -> Array | None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular.ratio import dual, programs
 from oee_tabular.ratio.box import Box, check_box, check_ridge
@@ -60,6 +60,20 @@ class RatioFit:
     trace: SgdTrace | None = None
     weights: Array | None = None
     details: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        low, high = (self.ratio.min(), self.ratio.max()) if len(self.ratio) else (np.nan, np.nan)
+        return (
+            f"ratio p / q of {len(self.ratio)} cells, without unit, from {low:.4g} to {high:.4g}; KL(p || q) about "
+            f"{self.divergence:.4g} nats; gap {self.gap:.1e} nats; {self.status}"
+        )
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("cells", len(self.ratio)), ("undetermined cells", self.n_undetermined), ("gap (nats)", f"{self.gap:.1e}"),
+            ("KL(p || q), dual estimate (nats)", f"{self.divergence:.6g}"), ("status", self.status),
+        ]  # fmt: skip
+        return _printing.facts("RatioFit: p / q, both scaled to sum to 1, without unit", rows)
 
 
 def density_ratio(

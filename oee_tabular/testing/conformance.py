@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular.testing import invariances, laws, manners
 from oee_tabular.testing.calls import Broken, Subject, name_of, one_thread
 from oee_tabular.testing.cases import case
@@ -107,6 +107,9 @@ class Verdicts(Mapping[str, Verdict]):
         return "\n".join(lines)
 
     __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return _printing.text(self, "Laws of estimators")
 
 
 def check_estimator(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
@@ -107,6 +107,9 @@ class Comparison:
         return "\n".join(lines)
 
     __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return _printing.text(self, f"Values: {_printing.SUM}; variances in its square")
 
 
 def compare_with_oracle(

@@ -1,25 +1,22 @@
-"""From a problem and policies to a table, warnings in plain language, a picture and a JSON file."""
+"""What an evaluation found: as rows, as text, as JSON, as files and as a page."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular import __version__, _checks, _files, advice
-from oee_tabular.estimators import Estimate, Estimator, Problem
-from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.exact import policy_value
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.sureness import Sureness, as_records, how_sure
+from oee_tabular import __version__, _files, _printing
+from oee_tabular._checks import Array
+from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.report.files import check_output, check_page
+from oee_tabular.sureness import Sureness, as_records
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,6 +45,7 @@ class Report:
     normalized : whether table, picture and JSON multiply values by (1 - discount)
     discount, horizon, seed, facts : how it was computed
     sureness : likelihood (and guaranteed) intervals of each policy, and the sentences that end the report
+    problem, policies : what was evaluated, for the pictures of ``to_html``
     """
 
     results: tuple[Result, ...]
@@ -61,6 +59,8 @@ class Report:
     seed: Any
     facts: Mapping[str, Any]
     sureness: Sureness = field(default_factory=lambda: Sureness({}, ()))
+    problem: Problem | None = field(default=None, repr=False, compare=False)
+    policies: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def unit(self) -> str:
@@ -194,154 +194,64 @@ class Report:
         _files.write_all(target, contents)
         return [target / name for name in contents]
 
+    def to_html(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        title: str | None = None,
+        grid: tuple[int, int] | None = None,
+    ) -> str:
+        """The report as one self-contained page, for people who did not run it; written to ``path`` if one is given.
 
-def check_output(folder: str | os.PathLike[str]) -> None:
-    """``folder`` can be made and written; a ValueError before any work is done otherwise."""
-    path = Path(folder)
-    nearest = path
-    while not nearest.exists() and nearest != nearest.parent:
-        nearest = nearest.parent
-    if not nearest.is_dir():
-        raise ValueError(f"output must be a folder that can be written; {str(nearest)!r} is a file")
-    try:
-        with tempfile.TemporaryFile(dir=nearest):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"output must be a folder that can be written; {str(nearest)!r} is not writable ({error.strerror})"
-        ) from None
+        Parameters
+        ----------
+        path : .html or .htm file; its folder is made, the file appears whole or not at all
+        title : of the page
+        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: found from the moves that the
+            simulator makes (``plots.detect_grid``). Other tasks get a picture of the states where a policy spends its time
 
+        Returns
+        -------
+        The page's text. The same input and seed give the same text.
 
-def evaluate(
-    problem: Problem,
-    policies: Any,
-    *,
-    estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None = None,
-    confidence: float = 0.95,
-    seed: Any = None,
-    normalized: bool = False,
-    target: FiniteMDP | None = None,
-    facts: Mapping[str, Any] | None = None,
-    guaranteed: bool = False,
-) -> Report:
-    """Evaluate policies in the target by several estimators.
+        Raises
+        ------
+        ValueError
+            A path that cannot be written, a grid that has not as many cells as there are states.
 
-    Parameters
-    ----------
-    problem : Problem
-    policies : (S, A) array, a list of them, or a mapping name -> array
-    estimators : names, estimators, or a mapping name -> estimator; None: the simulator, off-environment evaluation, the
-        model-based baseline, and importance sampling where the log allows it
-    confidence : level of the intervals, value plus or minus the normal quantile times the standard error
-    seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
-    normalized : whether the report multiplies by (1 - discount)
-    target : the true target, where it is known (teaching, research): adds its exact values and the errors
-    guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
-    facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
+        >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
+        >>> page = oee.evaluate(oee.Problem(simulator, log), oee.tasks.gridworld_expert(3), seed=0).to_html()
+        >>> page[:15], "Where simulator and target differ most" in page
+        ('<!doctype html>', True)
+        """
+        from oee_tabular.report.page import render
 
-    Raises
-    ------
-    ValueError
-        Bad arguments, and what the estimators that were asked for raise.
-    """
-    from tqdm.auto import tqdm
+        file = None if path is None else check_page(path)
+        text = render(self, title=title, grid=grid)
+        if file is not None:
+            _files.write_all(file.parent, {file.name: text.encode()})
+        return text
 
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")
-    if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
-        raise ValueError(
-            f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "
-            f"it has {target.n_states} and {target.n_actions}"
+    def _repr_html_(self) -> str:
+        level = f"{self.confidence:.0%} interval"
+        return _printing.table(
+            ["policy", "estimator", "value", "std. error", level, "coverage", "note"],
+            [
+                [cells[0], cells[1], cells[2], cells[3], cells[4], cells[6 + bool(self.truth)], cells[-1]]
+                for cells in (self._cells(row) for row in self.records())
+            ],
+            caption=f"Value: {self.unit} ({'normalised' if self.normalized else 'not normalised'})",
+            text_columns=2,
+            below=[
+                *(f"{name}: exact value in the target {value * self.scale:.6g}" for name, value in self.truth.items()),
+                *(f"[{k}] {warning}" for k, warning in enumerate(self.warnings, start=1)),
+                *self.sureness.sentences,
+            ],
         )
-    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    if normalized and problem.simulator.discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
-    named_policies = {
-        name: check_policy(policy, problem.simulator, name=f"policy {name!r}")
-        for name, policy in _named(policies).items()
-    }
-    chosen, left_out = _chosen(problem, estimators, target)
-    truth = {}
-    if target is not None:
-        truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
-    quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
-    results: list[Result] = []
-    findings: list[advice.Finding] = []
-    cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
-    for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
-        stream = np.random.SeedSequence(seed, spawn_key=(i, j))
-        estimate = chosen[estimator](problem, named_policies[policy], seed=stream)
-        error = estimate.standard_error
-        if estimate.interval is None and error is not None and math.isfinite(estimate.value):
-            interval = (estimate.value - quantile * error, estimate.value + quantile * error)
-            estimate = replace(estimate, interval=interval)
-        results.append(Result(policy, estimator, estimate))
-        findings += advice.about_estimate(policy, estimator, estimate)
-    about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
-    general = [text for text, _ in about]
-    on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
-    told = advice.sentences(findings)
-    notes = {
-        (result.policy, result.estimator): (() if "n_episodes" in result.estimate.diagnostics else on_models)
-        + tuple(
-            k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (result.policy, result.estimator) in pairs
-        )
-        for result in results
-    }
-    known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
-    known |= facts or {}
-    return Report(
-        tuple(results),
-        truth,
-        (*general, *(sentence for sentence, _ in told)),
-        notes,
-        level,
-        normalized,
-        problem.simulator.discount,
-        problem.horizon,
-        seed,
-        known,
-        how_sure(
-            problem, named_policies, level, guaranteed=guaranteed,
-            scale=1.0 - problem.simulator.discount if normalized else 1.0,
-        ),
-    )  # fmt: skip
-
-
-def _named(policies: Any) -> dict[str, Any]:
-    if isinstance(policies, Mapping):
-        found = {str(name): policy for name, policy in policies.items()}
-    elif isinstance(policies, list | tuple) and (not policies or np.ndim(policies[0]) >= 2):
-        found = {f"policy {k}": policy for k, policy in enumerate(policies)}
-    else:
-        found = {"policy": policies}
-    if not found:
-        raise ValueError("policies must hold at least one; it is empty")
-    return found
-
-
-def _chosen(
-    problem: Problem, estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None, target: FiniteMDP | None
-) -> tuple[dict[str, Estimator], list[str]]:
-    if estimators is None:
-        names, left_out = default_names(problem)
-        return named_estimators(names, target), left_out
-    if isinstance(estimators, Mapping):
-        return dict(estimators), []
-    found: dict[str, Estimator] = {}
-    for item in [estimators] if isinstance(estimators, str) else estimators:
-        if isinstance(item, str):
-            found |= named_estimators([item], target)
-        elif callable(item):
-            label = type(item).__name__
-            while label in found:
-                label += "'"
-            found[label] = item
-        else:
-            raise ValueError(f"estimators must be names or callables; got {item!r}")
-    if not found:
-        raise ValueError("estimators must name at least one; it is empty")
-    return found, []
 
 
 def _number(value: float | None, form: str) -> str:

@@ -1,0 +1,30 @@
+"""Pictures: functions that take arrays and draw on an ``ax``, which they return.
+
+Colours are Okabe and Ito's, which colour-blind readers can tell apart; markers and lines differ as well. Axes are labelled,
+with units. ``figure_png`` and ``figure_svg`` make a file's content of what a function draws.
+"""
+
+from oee_tabular.plots.curves import plot_curves, plot_errors, plot_variance_growth
+from oee_tabular.plots.grids import detect_grid, plot_coverage, plot_grid, plot_occupancy, plot_ratio
+from oee_tabular.plots.states import plot_states
+from oee_tabular.plots.style import COLORS, LINES, MARKERS, figure_png, figure_svg
+from oee_tabular.plots.values import plot_intervals, plot_values
+
+__all__ = [
+    "COLORS",
+    "LINES",
+    "MARKERS",
+    "detect_grid",
+    "figure_png",
+    "figure_svg",
+    "plot_coverage",
+    "plot_curves",
+    "plot_errors",
+    "plot_grid",
+    "plot_intervals",
+    "plot_occupancy",
+    "plot_ratio",
+    "plot_states",
+    "plot_values",
+    "plot_variance_growth",
+]

@@ -1,0 +1,159 @@
+"""Curves: value against a parameter, error against n, variance against the horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.plots.style import ink, literally, series, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def plot_curves(
+    x: Any,
+    curves: Mapping[str, Any],
+    ax: Axes,
+    *,
+    bands: Mapping[str, tuple[Any, Any]] | None = None,
+    truth: Any = None,
+    xlabel: str = "parameter",
+    ylabel: str = "value (discounted sum of rewards)",
+) -> Axes:
+    """Curves against a parameter, each with its band; the truth in ink.
+
+    Parameters
+    ----------
+    x : (k,) the parameter (delta, a slip, n)
+    curves : name -> (k,); nan where there is no value
+    bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
+    truth : None, a number, or (k,)
+    xlabel, ylabel : with units
+
+    Returns
+    -------
+    ax
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> ax = plot_curves([0.1, 0.9], {"oee": [-1.6, -0.4]}, Figure().subplots(), truth=[-1.5, -0.4], xlabel="delta")
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['oee', 'true value']
+    """
+    where, found = _curves(x, curves, "x")
+    for k, (name, y) in enumerate(found.items()):
+        style = series(k)
+        ax.plot(where, y, ms=5, lw=1.6, label=shown(name), **style)
+        if bands is not None and name in bands:
+            low, high = (_like(end, where, f"bands[{name!r}]") for end in bands[name])
+            ax.fill_between(where, low, high, color=style["color"], alpha=0.18, lw=0)
+    unknown = [name for name in bands or {} if name not in found]
+    if unknown:
+        raise ValueError(f"bands must be of names in curves; {unknown[0]!r} is not")
+    if truth is not None:
+        line = np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
+        ax.plot(where, line, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value")
+    return _finish(ax, xlabel, ylabel)
+
+
+def plot_errors(
+    n: Any,
+    errors: Mapping[str, Any],
+    ax: Axes,
+    *,
+    bands: Mapping[str, tuple[Any, Any]] | None = None,
+    slope: float | None = -0.5,
+    xlabel: str = "transitions of the target, n",
+    ylabel: str = "mean L1 error",
+) -> Axes:
+    """Errors against n on logarithmic axes, with a line of ``slope`` (None: none) from the first curve's first point.
+
+    n : (k,) positive; errors : name -> (k,) nonnegative (a 0 is left out); bands as in ``plot_curves``. Returns ``ax``.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> plot_errors([100, 10_000], {"oee": [0.2, 0.02]}, Figure().subplots()).get_xscale()
+    'log'
+    """
+    where, found = _curves(n, errors, "n")
+    if not (where > 0).all():
+        k = int(np.argmin(where > 0))
+        raise ValueError(f"n[{k}] must be positive; it is {where[k]:g}")
+    for name, y in found.items():
+        if (y < 0).any():
+            k = int(np.argmax(y < 0))
+            raise ValueError(f"errors[{name!r}][{k}] must be nonnegative; it is {y[k]:g}")
+    plot_curves(where, {name: np.where(y > 0, y, np.nan) for name, y in found.items()}, ax, bands=bands)
+    first = next(iter(found.values()))
+    start = np.flatnonzero(first > 0)
+    if slope is not None and start.size and len(where) > 1:
+        k = int(start[0])
+        line = first[k] * (where / where[k]) ** slope
+        ax.plot(where, line, color=ink(), lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    return _finish(ax, xlabel, ylabel)
+
+
+def plot_variance_growth(
+    variances: Mapping[str, Any],
+    ax: Axes,
+    *,
+    horizons: Any = None,
+    xlabel: str = "horizon T (number of rewards)",
+    ylabel: str = "variance (squared units of the return)",
+) -> Axes:
+    """Variances against the horizon, the variance on a logarithmic axis.
+
+    variances : name -> (k,) nonnegative; horizons : (k,), None: 1..k. Returns ``ax``.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> plot_variance_growth({"product": [1.0, 4.0, 16.0]}, Figure().subplots()).get_yscale()
+    'log'
+    """
+    if not variances:
+        raise ValueError("variances must hold at least one curve; it is empty")
+    length = len(next(iter(variances.values())))
+    where, found = _curves(np.arange(1, length + 1) if horizons is None else horizons, variances, "horizons")
+    for name, y in found.items():
+        if (y < 0).any():
+            k = int(np.argmax(y < 0))
+            raise ValueError(f"variances[{name!r}][{k}] must be nonnegative; it is {y[k]:g}")
+    for k, (name, y) in enumerate(found.items()):
+        style = series(k)
+        every = max(1, len(where) // 8)  # markers tell the curves apart, they are not the data
+        ax.plot(where, np.where(y > 0, y, np.nan), ms=5, lw=1.6, markevery=every, label=shown(name), **style)
+    ax.set_yscale("log")
+    return _finish(ax, xlabel, ylabel)
+
+
+def _curves(x: Any, curves: Mapping[str, Any], name: str) -> tuple[Array, dict[str, Array]]:
+    where = _checks.float_array(x, name, ndim=1)
+    _checks.require_finite(where, name)
+    if not curves:
+        raise ValueError("curves must hold at least one; it is empty")
+    return where, {str(label): _like(y, where, f"curve {label!r}") for label, y in curves.items()}
+
+
+def _like(values: Any, where: Array, name: str) -> Array:
+    array = _checks.float_array(values, name, ndim=1)
+    if len(array) != len(where):
+        raise ValueError(f"{name} must have {len(where)} values, one a point; it has {len(array)}")
+    return array
+
+
+def _finish(ax: Axes, xlabel: str, ylabel: str) -> Axes:
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.grid(visible=True)
+    literally(ax.legend(fontsize="small").get_texts())
+    return ax

@@ -1,0 +1,206 @@
+"""What the page says, in words and numbers ready to be set: no HTML here."""
+
+from __future__ import annotations
+
+import math
+import platform
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular import __version__
+from oee_tabular.inference import Interval
+
+if TYPE_CHECKING:
+    from oee_tabular.report.results import Report
+
+LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
+
+MEANINGS: Mapping[str, str] = {
+    "simulator": "The policy's exact value in the simulator as it is: what one would believe without a log.",
+    "oee": "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log supports, and "
+    "the policy is evaluated exactly in the corrected simulator.",
+    "oee-product": "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
+    "oee-product-sn": "Products of ratios, divided by their sum.",
+    "oee-trajectory": "One product of ratios for each whole simulated episode.",
+    "ratio-of-ratios": "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
+    "model-based": "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves.",
+    "is": "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
+    "wis": "Importance sampling with weights that are divided by their sum.",
+    "pdis": "Importance sampling, reward by reward (per decision); needs no simulator.",
+    "wpdis": "Importance sampling reward by reward, with weights that are divided by their sum.",
+    "dr": "Doubly robust: a model's value, corrected by the log.",
+    "dr-beta": "Doubly robust, with the ratio of occupancies as weights.",
+    "dr-rollouts": "Doubly robust on simulated episodes.",
+    "dr-episodes": "Doubly robust on the log's episodes.",
+    "wdr": "Doubly robust on the log's episodes, with weights that are divided by their sum.",
+    "magic": "A blend of model and importance sampling, chosen for the smallest error.",
+    "marginalized": "The log's rewards, weighted by how much more often the policy is in each place.",
+    "dualdice": "The same weights, from a saddle-point problem.",
+    "oracle": "The value with the true ratio, which only someone who knows the target has.",
+    "oracle-product": "Products of the true ratio along simulated episodes: what the noise alone does.",
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval."""
+
+    policy: str
+    value: float
+    estimator: str
+    lower: float | None
+    upper: float | None
+    simulator: float | None
+    truth: float | None
+    coverage: float | None
+    sentence: str
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number to read: a real minus sign, an en dash for none."""
+    if value is None:
+        return "–"
+    if math.isnan(value):
+        return "no value"
+    return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
+
+
+def between(lower: float | None, upper: float | None) -> str:
+    """An interval to read."""
+    return "–" if lower is None or upper is None else f"{number(lower)} to {number(upper)}"
+
+
+def answers(report: Report) -> list[Answer]:
+    """One answer a policy: off-environment evaluation's value and the likelihood interval, where there are such."""
+    rows = report.records()
+    sentences = report.sureness.sentences[1:]
+    found = []
+    for k, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
+        own = [row for row in rows if row["policy"] == policy]
+        best = _headline(own)
+        simulator = next((row["value"] for row in own if row["estimator"] == "simulator"), None)
+        sure = report.sureness.intervals.get(policy, {}).get("likelihood")
+        lower, upper = best["lower"], best["upper"]
+        if sure is not None and sure.status == "ok":
+            lower, upper = sure.lower * report.scale, sure.upper * report.scale
+        said = sentences[k] if len(sentences) == len(report.sureness.intervals) and k < len(sentences) else ""
+        said = said.removeprefix(f"{policy}: ")
+        found.append(
+            Answer(
+                policy, best["value"], best["estimator"], lower, upper, simulator, best["true_value"],
+                best.get("coverage"), re.sub(r"(?<![\w.])-(?=\d)", "−", said[:1].upper() + said[1:]),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _headline(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    finite = [row for row in rows if math.isfinite(row["value"])]
+    for choice in (
+        [row for row in finite if row["estimator"] == "oee"],
+        [row for row in finite if row["estimator"] != "simulator"],
+        finite,
+    ):
+        if choice:
+            return choice[0]
+    return rows[0]
+
+
+def headline(found: list[Answer], confidence: float) -> tuple[str, str]:
+    """The answer in one sentence, and what to read beside it."""
+    level = f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
+    valued = [a for a in found if math.isfinite(a.value)]
+    if not valued:
+        return "No estimator could give the value of a policy in the target.", "The notes below say why."
+    best = max(valued, key=lambda answer: answer.value)
+    where = (
+        f"about {number(best.value)}" if best.lower is None
+        else f"about {number(best.value)}, and with {level} confidence between {number(best.lower)} and {number(best.upper)}"
+    )  # fmt: skip
+    beside = ""
+    if best.simulator is not None and best.estimator != "simulator":
+        beside = f"The simulator alone says {number(best.simulator)}."
+    if best.truth is not None:
+        beside += f" The exact value in the target, which is known here, is {number(best.truth)}."
+    if len(found) == 1:
+        return f"In the target, the policy “{best.policy}” is worth {where}.", beside.strip()
+    rivals = [
+        a.policy for a in valued
+        if a is not best and (a.upper is None or best.lower is None or a.upper > best.lower)
+    ]  # fmt: skip
+    text = f"Of {len(found)} policies, “{best.policy}” is worth most in the target: {where}."
+    if rivals:
+        names = ", ".join(f"“{name}”" for name in rivals[:3]) + (" and others" if len(rivals) > 3 else "")
+        beside += f" The intervals of “{best.policy}” and {names} overlap: the log does not settle which is best."
+    else:
+        beside += f" The interval of “{best.policy}” lies above those of the others."
+    return text, beside.strip()
+
+
+def interval_words(found: Interval, scale: float) -> str:
+    """An Interval in a table cell."""
+    return between(found.lower * scale, found.upper * scale) if found.status == "ok" else "none"
+
+
+def method_facts(report: Report) -> list[tuple[str, str]]:
+    """How it was computed."""
+    facts = report.facts
+    names = list(dict.fromkeys(result.estimator for result in report.results))
+    found = [("A value is", f"{report.unit} ({'normalised' if report.normalized else 'not normalised'})")]
+    found.append(("Simulator", str(facts["simulator"])))
+    if "simulator_name" in facts:
+        found.append(("Simulator from", str(facts["simulator_name"])))
+    found.append(("Log of the target", str(facts["log"])))
+    if "log_name" in facts:
+        found.append(("Log from", str(facts["log_name"])))
+    found += [
+        ("Rewards paid by models", "the log's mean where it has any" if facts.get("rewards") == "log" else "the simulator's"),
+        ("Horizon", "infinite" if report.horizon is None else f"{report.horizon} rewards"),
+        ("Discount", f"{report.discount:g}"),
+        ("Estimators", ", ".join(names)),
+        ("Seed", seed_words(report.seed).removeprefix("seed ")),
+    ]  # fmt: skip
+    known = {"simulator", "simulator_name", "log", "log_name", "rewards"}
+    found += [(str(key).replace("_", " "), str(value)) for key, value in facts.items() if key not in known and value]
+    return found
+
+
+def seed_words(seed: object) -> str:
+    """A seed that can be given again, or what stood in its place."""
+    return f"seed {seed}" if isinstance(seed, int) else "no seed given" if seed is None else "seeded by an object"
+
+
+def versions() -> list[tuple[str, str]]:
+    """oee_tabular's, Python's and the libraries' versions."""
+    found = [("oee_tabular", __version__), ("Python", platform.python_version())]
+    for name in LIBRARIES:
+        try:
+            found.append((name, metadata.version(name)))
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def glossary(report: Report) -> list[tuple[str, str]]:
+    """What the words of the tables mean, for a reader who did not run it."""
+    used = dict.fromkeys(result.estimator for result in report.results)
+    found = [(name, MEANINGS[name]) for name in used if name in MEANINGS]
+    if any("robust" in methods for methods in report.sureness.intervals.values()):
+        found.append(
+            ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
+        )
+    return [
+        *found,
+        ("likelihood interval", "All values that a model in keeping with the log can have; where the log has nothing, "
+         "every move that the simulator allows is possible. The interval to rely on."),
+        ("other intervals", "Value plus or minus a multiple of the standard error: what the log's noise does to the number, "
+         "and nothing about what the log has never seen."),
+        ("std. error", "Standard error, in the unit of the value."),
+        ("eff. n", "Effective sample size: how many equally informative moves (or episodes) the value rests on."),
+        ("coverage", "Share of the policy's discounted time in state-action pairs that the log has seen."),
+        ("max weight", "The largest ratio, target over simulator or policy over behaviour."),
+        ("row-sum error", "How far rows of corrected probabilities are from summing to 1."),
+    ]  # fmt: skip

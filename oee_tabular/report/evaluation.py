@@ -1,0 +1,153 @@
+"""``evaluate``: policies by estimators, each with a seed of its own, and what a reader must know about the numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks, advice
+from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators.names import default_names, named_estimators
+from oee_tabular.exact import policy_value
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.report.results import Report, Result
+from oee_tabular.sureness import how_sure
+
+
+def evaluate(
+    problem: Problem,
+    policies: Any,
+    *,
+    estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None = None,
+    confidence: float = 0.95,
+    seed: Any = None,
+    normalized: bool = False,
+    target: FiniteMDP | None = None,
+    facts: Mapping[str, Any] | None = None,
+    guaranteed: bool = False,
+) -> Report:
+    """Evaluate policies in the target by several estimators.
+
+    Parameters
+    ----------
+    problem : Problem
+    policies : (S, A) array, a list of them, or a mapping name -> array
+    estimators : names, estimators, or a mapping name -> estimator; None: the simulator, off-environment evaluation, the
+        model-based baseline, and importance sampling where the log allows it
+    confidence : level of the intervals, value plus or minus the normal quantile times the standard error
+    seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
+    normalized : whether the report multiplies by (1 - discount)
+    target : the true target, where it is known (teaching, research): adds its exact values and the errors
+    guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
+    facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
+
+    Raises
+    ------
+    ValueError
+        Bad arguments, and what the estimators that were asked for raise.
+    """
+    from tqdm.auto import tqdm
+
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")
+    if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
+        raise ValueError(
+            f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "
+            f"it has {target.n_states} and {target.n_actions}"
+        )
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    if normalized and problem.simulator.discount == 1.0:
+        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+    named_policies = {
+        name: check_policy(policy, problem.simulator, name=f"policy {name!r}")
+        for name, policy in _named(policies).items()
+    }
+    chosen, left_out = _chosen(problem, estimators, target)
+    truth = {}
+    if target is not None:
+        truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
+    quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
+    results: list[Result] = []
+    findings: list[advice.Finding] = []
+    cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
+    for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
+        stream = np.random.SeedSequence(seed, spawn_key=(i, j))
+        estimate = chosen[estimator](problem, named_policies[policy], seed=stream)
+        error = estimate.standard_error
+        if estimate.interval is None and error is not None and math.isfinite(estimate.value):
+            interval = (estimate.value - quantile * error, estimate.value + quantile * error)
+            estimate = replace(estimate, interval=interval)
+        results.append(Result(policy, estimator, estimate))
+        findings += advice.about_estimate(policy, estimator, estimate)
+    about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
+    general = [text for text, _ in about]
+    on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
+    told = advice.sentences(findings)
+    notes = {
+        (result.policy, result.estimator): (() if "n_episodes" in result.estimate.diagnostics else on_models)
+        + tuple(
+            k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (result.policy, result.estimator) in pairs
+        )
+        for result in results
+    }
+    known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    known |= facts or {}
+    return Report(
+        tuple(results),
+        truth,
+        (*general, *(sentence for sentence, _ in told)),
+        notes,
+        level,
+        normalized,
+        problem.simulator.discount,
+        problem.horizon,
+        seed,
+        known,
+        how_sure(
+            problem, named_policies, level, guaranteed=guaranteed,
+            scale=1.0 - problem.simulator.discount if normalized else 1.0,
+        ),
+        problem,
+        named_policies,
+    )  # fmt: skip
+
+
+def _named(policies: Any) -> dict[str, Any]:
+    if isinstance(policies, Mapping):
+        found = {str(name): policy for name, policy in policies.items()}
+    elif isinstance(policies, list | tuple) and (not policies or np.ndim(policies[0]) >= 2):
+        found = {f"policy {k}": policy for k, policy in enumerate(policies)}
+    else:
+        found = {"policy": policies}
+    if not found:
+        raise ValueError("policies must hold at least one; it is empty")
+    return found
+
+
+def _chosen(
+    problem: Problem, estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None, target: FiniteMDP | None
+) -> tuple[dict[str, Estimator], list[str]]:
+    if estimators is None:
+        names, left_out = default_names(problem)
+        return named_estimators(names, target), left_out
+    if isinstance(estimators, Mapping):
+        return dict(estimators), []
+    found: dict[str, Estimator] = {}
+    for item in [estimators] if isinstance(estimators, str) else estimators:
+        if isinstance(item, str):
+            found |= named_estimators([item], target)
+        elif callable(item):
+            label = type(item).__name__
+            while label in found:
+                label += "'"
+            found[label] = item
+        else:
+            raise ValueError(f"estimators must be names or callables; got {item!r}")
+    if not found:
+        raise ValueError("estimators must name at least one; it is empty")
+    return found, []

@@ -1,0 +1,115 @@
+"""The page's pictures, as inline SVG with a title and a description each."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular import plots
+from oee_tabular.plots.values import credible_span
+from oee_tabular.report.contents import Answer, number
+from oee_tabular.report.portrait import NOTABLE, Portrait, Visits
+
+if TYPE_CHECKING:
+    from oee_tabular.report.results import Report
+
+WIDTH = 4.6  # inches: text that is readable on a phone as well
+
+
+def forest(report: Report, answer: Answer, name: str) -> str:
+    """Values and intervals of one policy, by estimator."""
+    rows = [row for row in report.records() if row["policy"] == answer.policy]
+    sure = {
+        f"{'guaranteed' if method == 'robust' else method} interval": found
+        for method, found in report.sureness.intervals.get(answer.policy, {}).items()
+        if found.status == "ok"
+    }
+    labels = [*sure, *(row["estimator"] for row in rows)]
+    values = [*(math.nan for _ in sure), *(row["value"] for row in rows)]
+    lower, upper = (
+        [*(getattr(found, end) * report.scale for found in sure.values()),
+         *(math.nan if row[end] is None else row[end] for row in rows)]
+        for end in ("lower", "upper")
+    )  # fmt: skip
+    span = credible_span(rows, margin=0.15)
+    inside = [*lower[: len(sure)], *upper[: len(sure)]]
+    low, high = min([span[0], *inside]), max([span[1], *inside])
+    margin = 0.04 * (high - low)
+    factor = "(1 − discount) × " if report.normalized else ""
+    told = "; ".join(f"{row['estimator']} {number(row['value'])}" for row in rows)
+    truth = "" if answer.truth is None else f" The dashed line is the exact value, {number(answer.truth)}."
+    return plots.figure_svg(
+        lambda ax: plots.plot_intervals(
+            labels, values, lower, upper, ax, truth=answer.truth, limits=(low - margin, high + margin),
+            xlabel=f"value: {factor}discounted sum of rewards",
+        ),
+        name=name, size=(WIDTH, 0.85 + 0.31 * len(labels)),
+        title=f"Values of {answer.policy} in the target, with intervals",
+        description=f"One line for each estimator. {told}.{truth}",
+    )  # fmt: skip
+
+
+def recorded(portrait: Portrait, name: str) -> str:
+    """What the log has seen, on the grid."""
+    assert portrait.grid is not None
+    shape, moves = portrait.grid, portrait.counts.sum(axis=1)
+    return plots.figure_svg(
+        lambda ax: plots.plot_coverage(portrait.counts, shape, ax, over=portrait.over),
+        name=name, size=_size(shape), title="Moves recorded in each state",
+        description=f"A grid of {shape[0]} rows and {shape[1]} columns. The log has moves from "
+        f"{portrait.alive - portrait.never} of the {portrait.alive} states that can be left; the most, {int(moves.max())}, are "
+        f"from {portrait.where(int(moves.argmax()))}.",
+    )  # fmt: skip
+
+
+def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
+    """Where a policy goes, on the grid or as a ranking of states."""
+    time = visits.states
+    first = ", ".join(
+        f"{portrait.where(int(s))} {100 * time[s]:.1f}%" for s in np.argsort(-time, kind="stable")[:5] if time[s] > 0
+    )
+    description = (
+        f"Most of its time before an episode is over: {first}. {100 * visits.coverage:.1f}% of it is in state-action pairs "
+        "that the log has seen."
+    )
+    title = f"Where {policy} spends its time"
+    if portrait.grid is not None:
+        shape = portrait.grid
+        return plots.figure_svg(
+            lambda ax: plots.plot_occupancy(time, shape, ax, unseen=visits.unseen > NOTABLE, over=portrait.over),
+            name=name, size=_size(shape), title=title, description=description,
+        )  # fmt: skip
+    seen = 1.0 - np.divide(visits.unseen, time, out=np.zeros_like(time), where=time > 0)
+    bars = min(20, max(1, int((time > 0).sum())))
+    return plots.figure_svg(
+        lambda ax: plots.plot_states(time, portrait.counts.sum(axis=1), ax, seen=np.clip(seen, 0.0, 1.0)),
+        name=name, size=(WIDTH, 1.1 + 0.25 * bars), title=title, description=description,
+    )  # fmt: skip
+
+
+def changed(portrait: Portrait, name: str) -> str:
+    """On the grid, by how much the target differs for certain: the largest of each state's actions."""
+    assert portrait.grid is not None
+    shape, least = portrait.grid, portrait.changes.certain.max(axis=1)
+    shown = np.where(portrait.over | (portrait.counts.sum(axis=1) == 0), np.nan, 100.0 * least)
+    words: list[Any] = [
+        "end" if over else "" if not x > 0 else f"{x:.0f}" for x, over in zip(shown, portrait.over, strict=True)
+    ]
+    most = int(np.argmax(least))
+    return plots.figure_svg(
+        lambda ax: plots.plot_grid(
+            shown, shape, ax, text=words, label="moves that end elsewhere, at least (%)"
+        ),
+        name=name, size=_size(shape), title="Where the target differs from the simulator for certain",
+        description="For each state the largest certain change of its actions. The largest is at least "
+        f"{100 * least[most]:.0f}% of moves, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs differ "
+        "for certain.",
+    )  # fmt: skip
+
+
+def _size(shape: tuple[int, int]) -> tuple[float, float]:
+    """A figure as wide as the others, with a map of square cells and its colour bar."""
+    tall = (WIDTH - 1.3) * shape[0] / shape[1]
+    return (WIDTH, min(max(tall, 0.9) + 0.6, 7.0))

@@ -1,0 +1,35 @@
+"""Whether what a report writes can be written, asked before the work is done."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+
+def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
+    """``folder`` can be made and written; a ValueError before any work is done otherwise."""
+    path = Path(folder)
+    nearest = path
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        raise ValueError(f"{name} must be a folder that can be written; {str(nearest)!r} is a file")
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{name} must be a folder that can be written; {str(nearest)!r} is not writable ({error.strerror})"
+        ) from None
+
+
+def check_page(path: str | os.PathLike[str]) -> Path:
+    """``path`` as a Path of a page that can be written, in a folder that exists or can be made; a ValueError otherwise."""
+    file = Path(path)
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"report must be a file that ends in .html or .htm; got {str(file)!r}")
+    if file.is_dir():
+        raise ValueError(f"report must be a file; {str(file)!r} is a folder")
+    check_output(file.parent, "report's folder")
+    return file

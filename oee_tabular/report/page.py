@@ -1,0 +1,152 @@
+"""The page: contents and pictures set by the template. One file, no network, the same input the same bytes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular.report import contents, figures
+from oee_tabular.report.portrait import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
+
+if TYPE_CHECKING:
+    from oee_tabular.report.results import Report
+
+DIAGNOSTICS = (
+    ("standard_error", "std. error", ".2g"),
+    ("error", "error", "+.2g"),
+    ("effective_sample_size", "eff. n", ".0f"),
+    ("coverage", "coverage", ".1%"),
+    ("largest_weight", "max weight", ".3g"),
+    ("row_sum_error", "row-sum error", ".1g"),
+)
+
+
+def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
+    """The page of a report."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    portrait = None
+    if report.problem is not None:
+        portrait = portray(report.problem, report.policies, report.confidence, grid)
+    elif grid is not None:
+        raise ValueError("grid must be None for a report without its problem: there is nothing to draw")
+    found = contents.answers(report)
+    sentence, beside = contents.headline(found, report.confidence)
+    environment = Environment(
+        loader=PackageLoader("oee_tabular.report"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": contents.number, "between": contents.between, "legible": legible}
+    page = environment.get_template("report.html.j2").render(
+        title=title or _title(found),
+        style=Markup(environment.get_template("report.css").render()),
+        report=report,
+        level=f"{100 * report.confidence:.4g}%",
+        sentence=sentence,
+        beside=beside,
+        answers=[
+            {
+                "about": answer,
+                "picture": Markup(figures.forest(report, answer, f"forest{k}")),
+                "rows": _result_rows(report, answer.policy),
+            }
+            for k, answer in enumerate(found)
+        ],
+        distance=report.sureness.sentences[0] if report.sureness.sentences else "",
+        coverage=None if portrait is None else _coverage(portrait, report, Markup),
+        changes=None if portrait is None else _changes(portrait, Markup),
+        diagnostics=_diagnostics(report),
+        diagnostics_header=[name for key, name, _ in DIAGNOSTICS if key != "error" or report.truth],
+        methods=contents.method_facts(report),
+        versions=contents.versions(),
+        seed=contents.seed_words(report.seed),
+        glossary=contents.glossary(report),
+    )
+    return legible(page) + "\n"
+
+
+def legible(text: object) -> str:
+    """Without the control characters that a name from a file may hold, which no page can show."""
+    return "".join(c if c in "\n\t" or c.isprintable() or c.isspace() else "\ufffd" for c in str(text))
+
+
+def _title(found: list[contents.Answer]) -> str:
+    names = [answer.policy for answer in found]
+    if len(names) == 1:
+        return f"Evaluation of {names[0]}"
+    return f"Evaluation of {len(names)} policies"
+
+
+def _result_rows(report: Report, policy: str) -> list[dict[str, Any]]:
+    """Intervals that stand alone, then one row an estimator."""
+    sure: list[dict[str, Any]] = [
+        {
+            "name": f"{'guaranteed' if method == 'robust' else method} interval",
+            "value": "",
+            "interval": contents.interval_words(found, report.scale),
+            "notes": (),
+            "strong": True,
+        }
+        for method, found in report.sureness.intervals.get(policy, {}).items()
+    ]
+    return sure + [
+        {
+            "name": row["estimator"],
+            "value": contents.number(row["value"]),
+            "interval": contents.between(row["lower"], row["upper"]),
+            "notes": row["notes"],
+            "strong": False,
+        }
+        for row in report.records()
+        if row["policy"] == policy
+    ]
+
+
+def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]:
+    rows = [
+        {
+            "policy": name,
+            "coverage": visits.coverage,
+            "picture": markup(figures.visited(portrait, name, visits, f"visits{k}")),
+        }
+        for k, (name, visits) in enumerate(portrait.visits.items())
+    ]
+    return {
+        "recorded": None if portrait.grid is None else markup(figures.recorded(portrait, "recorded")),
+        "policies": rows,
+        "left_out": max(0, len(report.policies) - MOST_POLICIES) if portrait.visits else 0,
+        "never": portrait.never,
+        "alive": portrait.alive,
+        "moves": int(portrait.counts.sum()),
+        "pairs": int((portrait.counts[~portrait.over] == 0).sum()),
+        "all_pairs": portrait.alive * portrait.counts.shape[1],
+        "notable": NOTABLE,
+    }
+
+
+def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
+    rows, certain = changed_rows(portrait)
+    picture = None
+    if certain and portrait.grid is not None:
+        picture = markup(figures.changed(portrait, "changes"))
+    return {
+        "rows": rows,
+        "certain": certain,
+        "number": portrait.changes.n_certain,
+        "tested": portrait.changes.tested,
+        "picture": picture,
+    }
+
+
+def _diagnostics(report: Report) -> list[dict[str, Any]]:
+    table = []
+    for row in report.records():
+        cells = []
+        for key, _, form in DIAGNOSTICS:
+            if key == "error" and not report.truth:
+                continue
+            value = row.get(key)
+            tiny = key == "row_sum_error" and value is not None and value < 1e-9
+            cells.append("" if value is None else "0" if tiny else format(value, form).replace("-", "−"))
+        table.append({"policy": row["policy"], "estimator": row["estimator"], "cells": cells, "status": row["status"]})
+    return table

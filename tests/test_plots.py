@@ -1,0 +1,254 @@
+"""Pictures: what they show, what they are labelled with, and how they answer bad input."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+import oee_tabular as oee
+from oee_tabular import plots
+
+
+@pytest.fixture
+def ax():
+    return Figure(layout="constrained").subplots()
+
+
+def words(ax):
+    return [text.get_text() for text in ax.texts]
+
+
+def drawn(ax):
+    """Rendered without a warning (they are errors)."""
+    ax.figure.canvas.draw()
+    return ax
+
+
+def test_curves_have_bands_truth_and_labels(ax):
+    x = np.linspace(0, 1, 5)
+    found = plots.plot_curves(
+        x, {"oee": x, "model": x**2}, ax, bands={"oee": (x - 0.1, x + 0.1)}, truth=0.5, xlabel="delta", ylabel="J"
+    )
+    assert found is ax
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("delta", "J")
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["oee", "model", "true value"]
+    first, second = ax.get_lines()[:2]
+    assert first.get_marker() != second.get_marker()
+    assert first.get_linestyle() != second.get_linestyle()
+    assert first.get_color() != second.get_color()
+    assert len(ax.collections) == 1
+    drawn(ax)
+
+
+def test_errors_are_logarithmic_with_a_slope(ax):
+    n = np.array([100.0, 1000.0, 10_000.0])
+    plots.plot_errors(n, {"oee": 3 / np.sqrt(n), "none left": [1.0, 0.0, 0.0]}, ax)
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+    slope = next(line for line in ax.get_lines() if line.get_label() == "slope -0.5")
+    np.testing.assert_allclose(slope.get_ydata(), 3 / np.sqrt(n))
+    assert ax.get_ylabel() == "mean L1 error"
+    drawn(ax)
+    other = Figure().subplots()
+    plots.plot_errors([10.0], {"a": [1.0]}, other, slope=None)
+    assert len(other.get_lines()) == 1
+
+
+def test_variance_growth_is_against_the_horizon(ax):
+    plots.plot_variance_growth({"product": 2.0 ** np.arange(30), "exact": np.ones(30)}, ax)
+    np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), np.arange(1, 31))
+    assert ax.get_yscale() == "log"
+    assert "horizon" in ax.get_xlabel()
+    assert "squared" in ax.get_ylabel()
+    drawn(ax)
+
+
+def test_intervals_are_a_forest(ax):
+    plots.plot_intervals(
+        ["first", "wild", "lost", "sure"], [1.0, 9e9, np.nan, np.nan], [0.5, 8e9, np.nan, 0.2], [1.5, 1e10, np.nan, 1.8],
+        ax, truth=1.1, limits=(0.0, 2.0),
+    )  # fmt: skip
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["sure", "lost", "wild", "first"]
+    assert words(ax) == ["9e+09", "no value"]
+    assert ax.get_xlim() == (0.0, 2.0)
+    assert any(np.array_equal(line.get_xdata(), [0.5, 1.5]) for line in ax.get_lines())
+    assert any(np.array_equal(line.get_xdata(), [0.2, 1.8]) for line in ax.get_lines())
+    assert "discounted sum" in ax.get_xlabel()
+    drawn(ax)
+
+
+def test_intervals_choose_their_limits():
+    for values, low, high in (([1.0], [0.0], [2.0]), ([3.0], [np.nan], [np.nan]), ([np.nan], [np.nan], [np.nan])):
+        ax = plots.plot_intervals(["a"], values, low, high, Figure().subplots())
+        left, right = ax.get_xlim()
+        assert left < right
+        assert not np.isfinite(values[0]) or left < values[0] < right
+
+
+def test_a_grid_is_drawn_as_it_is_numbered(ax):
+    plots.plot_grid(np.arange(6.0), (2, 3), ax, label="J (reward)", text=list("abcdef"), crossed=[0, 0, 0, 0, 1, 0])
+    mesh = ax.collections[0]
+    np.testing.assert_array_equal(mesh.get_array(), [[0, 1, 2], [3, 4, 5]])
+    assert ax.get_ylim() == (2, 0)  # row 0 on top
+    assert words(ax) == list("abcdef")
+    assert ax.get_lines()[0].get_xydata().tolist() == [[1.5, 1.5]]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("column", "row")
+    assert ax.figure.axes[1].get_ylabel() == "J (reward)"
+    drawn(ax)
+
+
+def test_large_grids_are_images_and_carry_no_words(ax):
+    plots.plot_grid(np.arange(2500.0), (50, 50), ax, label="x", text=["w"] * 2500)
+    assert ax.images
+    assert not ax.texts
+    text = plots.figure_svg(
+        lambda ax: plots.plot_grid(np.arange(2500.0), (50, 50), ax, label="x"), name="m", title="t", description="d"
+    )
+    assert "data:image/png;base64" in text
+    assert text.count("<path") < 200
+
+
+def test_ratios_are_centred_on_one(ax):
+    plots.plot_ratio([0.5, 1.0, 4.0, np.nan], (2, 2), ax)
+    norm = ax.collections[0].norm
+    assert isinstance(norm, LogNorm)
+    assert norm.vmin * norm.vmax == pytest.approx(1.0)
+    assert words(ax) == ["0.5", "1", "4"]
+    drawn(ax)
+    even = plots.plot_ratio(np.ones(4), (2, 2), Figure().subplots())
+    assert even.collections[0].norm.vmax == 2.0
+    nothing = plots.plot_ratio([0.0, np.nan, np.nan, np.nan], (2, 2), Figure().subplots())
+    assert nothing.collections[0].norm.vmax == 2.0
+
+
+def test_coverage_crosses_out_what_was_never_recorded(ax):
+    plots.plot_coverage([[1, 999], [0, 0], [3, 0], [0, 0]], (2, 2), ax, over=[False, False, False, True])
+    assert words(ax) == ["1k", "3", "end"]
+    assert ax.get_lines()[0].get_xydata().tolist() == [[1.5, 0.5]]
+    assert [t.get_text() for t in ax.figure.axes[1].get_yticklabels()] == ["1", "10", "100", "1000"]
+    drawn(ax)
+
+
+def test_occupancy_is_in_percent(ax):
+    plots.plot_occupancy([0.5, 0.4996, 0.0004, 0.0], (2, 2), ax, unseen=[0, 1, 0, 0], over=[0, 0, 0, 1])
+    assert words(ax) == ["50", "50", "end"]
+    assert "%" in ax.figure.axes[1].get_ylabel()
+    drawn(ax)
+    drawn(plots.plot_occupancy(np.zeros(4), (2, 2), Figure().subplots()))
+
+
+def test_states_are_ranked(ax):
+    plots.plot_states([0.1, 0.6, 0.0, 0.3], [5, 0, 0, 12345], ax, seen=[1.0, 0.0, 0.0, 0.5])
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["state 1", "state 3", "state 0"]
+    assert words(ax) == ["none recorded", "12\u202f345", "5"]
+    widths = [bar.get_width() for bar in ax.patches]
+    np.testing.assert_allclose(widths, [0, 15, 10, 60, 15, 0], atol=1e-9)
+    drawn(ax)
+    one = plots.plot_states([0.1, 0.6], [1, 1], Figure().subplots(), top=1, names=["$a", "b$"])
+    assert [label.get_text() for label in one.get_yticklabels()] == ["b$"]
+    drawn(plots.plot_states(np.zeros(3), np.zeros(3), Figure().subplots()))
+
+
+@pytest.mark.parametrize("name", ["$x$ and $y", "\\frac{", "a\x00b", "<b>&", "x" * 200])
+def test_names_are_only_text(name):
+    def draw(ax):
+        plots.plot_intervals([name], [1.0], [0.0], [2.0], ax)
+        return ax
+
+    text = plots.figure_svg(draw, name="p", title=name, description=name)
+    assert "<b>" not in text
+    ax = Figure().subplots()
+    plots.plot_curves([0, 1], {name: [0, 1]}, ax)
+    drawn(ax)
+
+
+def test_an_svg_fits_into_a_page():
+    def draw(ax):
+        return plots.plot_intervals(["a", "b"], [1.0, 2.0], [0.5, 1.5], [1.5, 2.5], ax)
+
+    one = plots.figure_svg(draw, name="one", title="A <title>", description="what & where")
+    assert one == plots.figure_svg(draw, name="one", title="A <title>", description="what & where")
+    assert one.startswith("<svg")
+    assert one.endswith("</svg>")
+    assert 'role="img" aria-labelledby="one-title one-desc"' in one
+    assert "A &lt;title&gt;" in one
+    assert "width=" not in one[: one.index(">")]
+    assert "var(--ink, #1b1f23)" in one
+    assert "var(--series-0, #0072b2)" in one
+    for gone in ("<?xml", "DOCTYPE", "metadata", "<style", "<!--"):
+        assert gone not in one
+    two = plots.figure_svg(draw, name="two", title="t", description="d")
+    ids = [part.split('"')[0] for part in one.split(' id="')[1:]] + [
+        part.split('"')[0] for part in two.split(' id="')[1:]
+    ]
+    assert len(ids) == len(set(ids))
+
+
+def test_png_bytes_are_reproducible():
+    def draw(ax):
+        plots.plot_grid(np.arange(4.0), (2, 2), ax, label="x")
+
+    assert plots.figure_png(draw) == plots.figure_png(draw)
+
+
+@pytest.mark.parametrize(
+    ("make", "shape"),
+    [
+        (lambda: oee.tasks.gridworld(2, 0.1), (2, 2)),
+        (lambda: oee.tasks.gridworld(7, 0.0), (7, 7)),
+        (lambda: oee.tasks.toy_text("FrozenLake-v1", map_name="8x8"), (8, 8)),
+        (lambda: oee.tasks.toy_text("CliffWalking-v1"), (4, 12)),
+        (lambda: oee.tasks.toy_text("Taxi-v4"), None),
+        (lambda: oee.FiniteMDP(np.eye(3)[:, None], np.zeros(3), [1, 0, 0], 0.9), None),
+        (lambda: walk([1, 2, 3, 4, 5, 5]), None),  # a line
+        (
+            lambda: walk([3, 2, 5, 4, 5, 5]),
+            None,
+        ),  # a step around the edge: 2 to 3 would be one of width 3, 1 to 2 is not
+    ],
+)
+def test_grids_are_found_from_the_moves(make, shape):
+    assert plots.detect_grid(make()) == shape
+
+
+def walk(following):
+    n = len(following)
+    transitions = np.zeros((n, 1, n))
+    transitions[np.arange(n), 0, following] = 1.0
+    if following[0] == 3:
+        transitions[2, 0] = [0, 0, 0, 1.0, 0, 0]  # row 0, column 2 to row 1, column 0
+    return oee.FiniteMDP(transitions, np.zeros(n), np.eye(n)[0], 0.9)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda ax: plots.plot_curves([0, 1], {}, ax), "curves must hold at least one"),
+        (lambda ax: plots.plot_curves([0, 1], {"a": [1]}, ax), "curve 'a' must have 2 values, one a point; it has 1"),
+        (lambda ax: plots.plot_curves([0, np.nan], {"a": [1, 2]}, ax), r"x\[1\] must be finite; it is nan"),
+        (
+            lambda ax: plots.plot_curves([0], {"a": [1]}, ax, bands={"b": ([0], [1])}),
+            "bands must be of names in curves; 'b' is not",
+        ),
+        (lambda ax: plots.plot_errors([0, 1], {"a": [1, 2]}, ax), r"n\[0\] must be positive; it is 0"),
+        (lambda ax: plots.plot_errors([1, 2], {"a": [1, -2]}, ax), r"errors\['a'\]\[1\] must be nonnegative; it is -2"),
+        (lambda ax: plots.plot_variance_growth({}, ax), "variances must hold at least one"),
+        (lambda ax: plots.plot_variance_growth({"a": [-1.0]}, ax), r"variances\['a'\]\[0\] must be nonnegative"),
+        (
+            lambda ax: plots.plot_intervals(["a"], [1], [0, 1], [2], ax),
+            "names, values, lower and upper must have one length; they have 1, 1, 2 and 1",
+        ),
+        (lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax, limits=(1, 1)), r"limits must be \(low, high\)"),
+        (lambda ax: plots.plot_grid([1, 2, 3], (2, 2), ax, label="x"), "values must have 4 entries.*it has 3"),
+        (lambda ax: plots.plot_grid([1], 1, ax, label="x"), r"shape must be \(rows, columns\); got 1"),
+        (lambda ax: plots.plot_grid([1], (1, 0), ax, label="x"), r"shape\[1\] must be a positive integer; it is 0"),
+        (lambda ax: plots.plot_grid([1], (1, 1), ax, label="x", crossed=[0, 1]), "crossed must have 1 entries"),
+        (lambda ax: plots.plot_ratio([1, -1], (1, 2), ax), r"values\[1\] must be nonnegative; it is -1"),
+        (lambda ax: plots.plot_coverage([1, -1], (1, 2), ax), r"counts\[1\] must be nonnegative; it is -1"),
+        (lambda ax: plots.plot_coverage([1, 1], (1, 2), ax, over=[True]), "over must have 2 entries"),
+        (lambda ax: plots.plot_states([1.0], [1, 2], ax), "recorded must have 1 entries, one a state; it has 2"),
+        (lambda ax: plots.plot_states([1.0], [1], ax, top=0), "top must be a positive integer; it is 0"),
+    ],
+)
+def test_bad_input_is_named(call, text, ax):
+    with pytest.raises(ValueError, match=text):
+        call(ax)

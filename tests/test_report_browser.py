@@ -1,0 +1,162 @@
+"""The page in a real Chromium: no errors, no requests, every width, both schemes, the keyboard, and axe's findings."""
+
+import shutil
+
+import pytest
+
+import oee_tabular as oee
+from oee_tabular.experiments import embedded_default
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+WIDTHS, SCHEMES = (400, 1400), ("light", "dark")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if path is None:
+        pytest.skip("no Chromium for the tests of the HTML report; install it (Debian: apt-get install chromium)")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        pytest.skip("no Playwright for the tests of the HTML report; install it: pip install 'oee-tabular[browser]'")
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """The reports on FrozenLake and on the embedded default (a few of its estimators), as files."""
+    folder = tmp_path_factory.mktemp("pages")
+    simulator, target = (
+        oee.tasks.toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate) for rate in (1 / 3, 0.6)
+    )
+    behavior = oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.49)
+    log = oee.sample_episodes(target, behavior, 300, 100, seed=2)
+    mine = {"mine": oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.7)}
+    oee.evaluate(oee.Problem(simulator, log), mine, seed=0).to_html(folder / "lake.html")
+    default = embedded_default(seed=0)
+    names = ["simulator", "oee", "ratio-of-ratios", "model-based", "pdis"]
+    found = oee.evaluate(
+        default.problem, default.policies, estimators=names, target=default.target, seed=0, normalized=True
+    )
+    found.to_html(folder / "default.html")
+    taxi = oee.tasks.toy_text("Taxi-v4")
+    log = oee.sample_episodes(taxi, oee.uniform_policy(taxi), 5, 50, seed=0)
+    names = {"<b>x</b> $ " + "long" * 40: oee.uniform_policy(taxi)}
+    oee.evaluate(oee.Problem(taxi, log), names, estimators="oee", seed=0).to_html(folder / "generic.html")
+    return {path.stem: path.as_uri() for path in folder.iterdir()}
+
+
+def opened(browser, address, width, scheme, **options):
+    context = browser.new_context(
+        viewport={"width": width, "height": 900}, color_scheme=scheme, reduced_motion="reduce", **options
+    )
+    page = context.new_page()
+    heard, asked = [], []
+    page.on("console", lambda message: heard.append(message.text))
+    page.on("pageerror", lambda error: heard.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(address)
+    return page, heard, asked
+
+
+@pytest.mark.parametrize("name", ["lake", "default", "generic"])
+def test_it_loads_alone_and_fits(browser, pages, name):
+    for width in WIDTHS:
+        for scheme in SCHEMES:
+            page, heard, asked = opened(browser, pages[name], width, scheme)
+            assert heard == []
+            assert asked == [pages[name]]
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            outside = page.evaluate(
+                """() => [...document.querySelectorAll('main p, main dd, h1, h2, h3, svg.plot, li')]
+                    .filter(e => e.getClientRects().length)
+                    .filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
+            )
+            assert outside == []
+            assert page.locator("svg.plot").count() >= 2
+            smallest = page.evaluate(
+                "Math.min(...[...document.querySelectorAll('svg.plot')].map(e => e.getBoundingClientRect().width))"
+            )
+            assert smallest > 250
+            page.context.close()
+
+
+@pytest.mark.parametrize("name", ["lake", "default", "generic"])
+def test_axe_finds_nothing_serious(browser, pages, name):
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="no axe; install it: pip install 'oee-tabular[browser]'"
+    ).Axe()
+    for width, scheme in zip(WIDTHS, SCHEMES, strict=True):  # layout and colours do not depend on each other
+        page, _, _ = opened(browser, pages[name], width, scheme, bypass_csp=True)
+        page.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
+        result = axe.run(page).response
+        assert [(found["id"], found["nodes"][0]["html"][:200]) for found in result["violations"]] == []
+        assert len(result["passes"]) > 20  # it has looked
+        page.context.close()
+
+
+def test_axe_would_find_a_picture_without_a_name(browser):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
+    page = browser.new_page()
+    page.set_content('<main><svg role="img" width="9" height="9"></svg></main>')
+    assert "svg-img-alt" in [found["id"] for found in axe.run(page).response["violations"]]
+    page.close()
+
+
+def test_ink_and_ground_follow_the_scheme(browser, pages):
+    colors = {}
+    for scheme in SCHEMES:
+        page, _, _ = opened(browser, pages["lake"], 400, scheme)
+        colors[scheme] = page.evaluate(
+            """() => [getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color,
+                getComputedStyle([...document.querySelectorAll('svg.plot text')].find(e => e.textContent === 'oee')).fill]"""
+        )
+        page.context.close()
+    assert colors["light"][0] != colors["dark"][0]
+    for scheme in SCHEMES:
+        assert colors[scheme][1] == colors[scheme][2]  # letters in pictures are the page's
+
+
+def test_everything_is_reached_by_keyboard(browser, pages):
+    page, _, _ = opened(browser, pages["lake"], 400, "light")
+    wanted = page.evaluate("document.querySelectorAll('a[href], summary, [tabindex=\"0\"]').length")
+    seen = []
+    for _ in range(wanted):
+        page.keyboard.press("Tab")
+        seen.append(
+            page.evaluate(
+                """() => { const e = document.activeElement, s = getComputedStyle(e), r = e.getBoundingClientRect();
+                return [e.outerHTML.slice(0, 60), s.outlineStyle !== 'none' && parseFloat(s.outlineWidth) >= 2,
+                        r.right > 0 && r.left < innerWidth]; }"""
+            )
+        )
+    assert len({html for html, _, _ in seen}) > 10
+    assert "skip" in seen[0][0]
+    assert all(outlined and visible for _, outlined, visible in seen)
+    assert page.evaluate("document.activeElement.tagName") == "SUMMARY"
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.parentElement.open")
+    table = page.locator("#changes .scroll")
+    table.focus()
+    page.keyboard.press("ArrowRight")
+    for _ in range(100):  # Playwright's own waiting needs eval, which the page forbids
+        if moved := table.evaluate("e => e.scrollLeft"):
+            break
+        page.wait_for_timeout(30)
+    assert moved > 0
+    page.context.close()
+
+
+def test_a_link_to_a_note_leads_there(browser, pages):
+    page, _, _ = opened(browser, pages["default"], 400, "dark")
+    link = page.locator("a.note").first
+    link.focus()
+    page.keyboard.press("Enter")
+    target = page.locator(link.get_attribute("href"))
+    box = target.bounding_box()
+    assert 0 <= box["y"] < 900
+    page.context.close()

@@ -1,0 +1,313 @@
+"""The page of a report, without a browser: what it says, that it needs nothing from outside, and that it is written whole."""
+
+import json
+import math
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import oee_tabular as oee
+from oee_tabular import _files
+from oee_tabular.cli import main
+from oee_tabular.estimators import Estimate, OffEnvironment, Problem
+from oee_tabular.report import Report
+from oee_tabular.report.contents import answers, between, headline, number
+
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, texts, and whether every tag is closed in its place."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.words = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def lake(n=3000, seed=0):
+    simulator, target = (
+        oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", success_rate=rate) for rate in (1 / 3, 0.7)
+    )
+    behavior = oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.5)
+    log = oee.sample_episodes(target, behavior, n // 10, 60, seed=seed)
+    return Problem(simulator, log), target
+
+
+@pytest.fixture(scope="module")
+def report():
+    problem, target = lake()
+    policies = {"bold": oee.optimal_policy(target), "careful": oee.uniform_policy(target)}
+    return oee.evaluate(problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"})
+
+
+@pytest.fixture(scope="module")
+def page(report):
+    return report.to_html()
+
+
+def test_it_holds_together_and_needs_nothing_from_outside(page):
+    parsed = Page(page)
+    assert parsed.open == []
+    assert not {"script", "img", "iframe", "object", "base", "form"} & {tag for tag, _ in parsed.tags}
+    outside = [word for word in re.findall(r"https?://[^\s\"'<]*", page) if not word.startswith("http://www.w3.org/")]
+    assert outside == []
+    assert all(link["href"] == "data:," for link in parsed.all("link"))
+    assert "url(http" not in page
+    assert "@import" not in page
+    ids = [attributes["id"] for _, attributes in parsed.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    for _, attributes in parsed.tags:
+        for key in ("href", "xlink:href"):
+            if attributes.get(key, "").startswith("#"):
+                assert attributes[key][1:] in ids
+        for key in ("aria-labelledby", "aria-describedby"):
+            for name in attributes.get(key, "").split():
+                assert name in ids
+    for used in re.findall(r"url\(#([^)]*)\)", page):
+        assert used in ids
+
+
+def test_every_picture_has_a_title_and_a_description(page):
+    pictures = re.findall(r"<svg.*?</svg>", page, re.S)
+    assert len(pictures) == 6  # two forests, recorded, two policies, changes
+    for picture in pictures:
+        assert 'role="img"' in picture
+        title, words = (re.search(rf"<{tag} id=[^>]*>(.*?)</{tag}>", picture).group(1) for tag in ("title", "desc"))
+        assert len(title) > 10
+        assert len(words) > 40
+
+
+def test_it_says_the_answer_and_how_it_was_found(report, page):
+    text = Page(page).text
+    value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
+    sure = report.sureness.intervals["bold"]["likelihood"]
+    assert "Of 2 policies, “bold” is worth most in the target" in text
+    assert f"with 95% confidence between {number(sure.lower)} and {number(sure.upper)}" in text
+    assert number(value) in text
+    assert "sum of discount^t * reward over t >= 0, discount 0.99, not normalised" in text
+    assert "lake log.npz" in text
+    assert f"oee_tabular {oee.__version__}, seed 3" in text
+    for warning in report.warnings:
+        assert " ".join(warning.split()) in text
+    for word in ("numpy", "Python", "likelihood interval", "Importance sampling, reward by reward", "FiniteMDP("):
+        assert word in text
+    assert "col. 0" in text  # the lake is drawn as a grid
+    assert "ends elsewhere than the simulator says" in text
+
+
+def test_the_same_input_gives_the_same_bytes(report, page):
+    assert report.to_html() == page
+    problem, target = lake()
+    policies = {"bold": oee.optimal_policy(target), "careful": oee.uniform_policy(target)}
+    again = oee.evaluate(problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"})
+    assert again.to_html() == page
+    assert re.search(r"20\d\d-\d\d-\d\d", page) is None
+
+
+NAMES = [
+    "<script>alert(1)</script>",
+    "a & b \"quoted\" 'single'",
+    "$x$ $",
+    "{{ 7 * 7 }}",
+    "nul\x00 esc\x1b[0m",
+    "n" * 300,
+]
+
+
+def test_names_are_escaped():
+    problem, target = lake(200)
+    policies = {name: oee.uniform_policy(target) for name in NAMES}
+    facts = {"simulator_name": "</style><b>sim", "log_name": "\x07log", "note": "<i>"}
+    found = oee.evaluate(problem, policies, estimators={"<img src=x>": OffEnvironment()}, seed=0, facts=facts)
+    text = found.to_html(title="</title><script>")
+    parsed = Page(text)
+    assert not {"script", "img", "b", "i"} & {tag for tag, _ in parsed.tags}
+    for name in (*NAMES[:4], "nul\ufffd esc\ufffd[0m", "n" * 300, "<img src=x>", "</style><b>sim"):
+        assert " ".join(name.split()) in parsed.text
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f]", text)
+    assert "49" not in [word.strip() for word in parsed.words]
+
+
+def test_a_task_without_a_grid_gets_the_generic_picture():
+    simulator = oee.tasks.toy_text("Taxi-v4")
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 5, 50, seed=0)
+    found = oee.evaluate(Problem(simulator, log), oee.uniform_policy(simulator), estimators="oee")
+    text = Page(found.to_html()).text
+    assert "the states where the policy spends most of its discounted time" in text
+    assert "What is recorded" not in text
+    assert "never recorded" in text
+    drawn = Page(found.to_html(grid=(21, 24))).text
+    assert "What is recorded" in drawn
+    assert "A grid of 21 rows and 24 columns" in drawn
+
+
+def test_at_discount_one_there_are_no_occupancies():
+    transitions = np.array([[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]])
+    simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
+    found = oee.evaluate(Problem(simulator, oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])), np.ones((3, 1)))
+    text = Page(found.to_html()).text
+    assert "At discount 1 without a horizon a policy's time cannot be shared out" in text
+    assert "no value" in text
+
+
+def test_guaranteed_intervals_and_normalised_values_are_named():
+    problem = Problem(oee.tasks.gridworld(3, 0.3), oee.Transitions([0, 0], [0, 1], [3, 0]), horizon=10)
+    found = oee.evaluate(problem, np.full((9, 4), 0.25), estimators="oee", guaranteed=True, normalized=True)
+    text = Page(found.to_html()).text
+    assert "guaranteed interval" in text
+    assert "(1 − discount) × discounted sum of rewards" in text
+    assert "discount 0.99, normalised" in text
+    assert "certain in no single pair" in text
+
+
+def test_many_policies_have_six_maps():
+    problem = Problem(oee.tasks.gridworld(2, 0.3), oee.Transitions([0], [0], [2]))
+    found = oee.evaluate(problem, [np.full((4, 4), 0.25)] * 7, estimators="oee")
+    text = found.to_html()
+    assert "Pictures of 1 more policy are left out." in text
+    assert [f'id="visits{k}-title"' in text for k in range(7)] == [True] * 6 + [False]
+
+
+def test_a_report_without_its_problem_has_a_page(report):
+    bare = Report(
+        **{name: getattr(report, name) for name in Report.__dataclass_fields__ if name not in ("problem", "policies")}
+    )
+    assert bare == report
+    text = bare.to_html()
+    assert 'id="coverage"' not in text
+    assert Page(text).open == []
+    with pytest.raises(ValueError, match="grid must be None for a report without its problem"):
+        bare.to_html(grid=(4, 4))
+
+
+def constant(value, error=None):
+    def estimator(problem, policy, *, seed=None):
+        return Estimate(value, error, status="ok" if math.isfinite(value) else "the sensor was off")
+
+    return estimator
+
+
+def test_the_sentence_for_one_policy_for_none_and_without_intervals():
+    problem = Problem(oee.tasks.gridworld(2, 0.3, discount=1.0), oee.Transitions([0], [0], [2]))
+    uniform = np.full((4, 4), 0.25)
+    one = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0)}, confidence=0.9)
+    assert headline(answers(one), 0.9) == ("In the target, the policy “mine” is worth about 2.000.", "")
+    sure = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0, 1.0)}, confidence=0.999)
+    assert "with 99.9% confidence between −1.291 and 5.291" in headline(answers(sure), 0.999)[0]
+    none = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(math.nan)})
+    assert headline(answers(none), 0.95)[0] == "No estimator could give the value of a policy in the target."
+    assert "the sensor was off" in none.to_html()
+    two = oee.evaluate(problem, {"a": uniform, "b": uniform}, estimators={"own": constant(2.0, 1.0)})
+    assert "The intervals of “a” and “b” overlap" in headline(answers(two), 0.95)[1]
+
+
+def test_numbers_are_set_for_reading():
+    assert [number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)] == [
+        "−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value",
+    ]  # fmt: skip
+    assert between(-1.0, 2.0) == "−1.000 to 2.000"
+    assert between(None, 1.0) == "–"
+
+
+def test_it_is_written_whole_into_a_folder_that_is_made(report, page, tmp_path, monkeypatch):
+    path = tmp_path / "new" / "deeper" / "answer.html"
+    assert report.to_html(path) == page
+    assert path.read_bytes() == page.encode()
+    assert [entry.name for entry in path.parent.iterdir()] == ["answer.html"]
+    path.write_text("what stood there")
+
+    def fail(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_files.Path, "write_bytes", fail)
+    with pytest.raises(OSError, match="No space"):
+        report.to_html(path)
+    assert path.read_text() == "what stood there"
+    assert [entry.name for entry in path.parent.iterdir()] == ["answer.html"]
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("answer.txt", r"report must be a file that ends in .html or .htm; got '.*answer.txt'"),
+        ("folder.html", r"report must be a file; '.*folder.html' is a folder"),
+        ("file/answer.html", r"report's folder must be a folder that can be written; '.*file' is a file"),
+    ],
+)
+def test_paths_that_cannot_be_written_are_refused_before_the_work(path, text, report, tmp_path, capsys):
+    (tmp_path / "folder.html").mkdir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=text):
+        report.to_html(tmp_path / path)
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate", "--report", str(tmp_path / path)])
+    assert ended.value.code == 2
+    assert re.search(text, capsys.readouterr().err)
+
+
+def test_a_folder_without_permission_is_named(report, tmp_path, monkeypatch):
+    from oee_tabular.report import files
+
+    def refuse(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(files.tempfile, "TemporaryFile", refuse)
+    with pytest.raises(ValueError, match=r"report's folder must be .*is not writable \(Permission denied\)"):
+        report.to_html(tmp_path / "answer.html")
+
+
+@pytest.mark.parametrize(
+    ("grid", "text"),
+    [
+        ((3, 5), r"grid must have as many cells as the simulator has states, 16; \(3, 5\) has 15"),
+        (4, r"grid must be \(rows, columns\); got 4"),
+        ((4, 0), r"grid\[1\] must be a positive integer; it is 0"),
+    ],
+)
+def test_bad_grids_are_named(grid, text, report):
+    with pytest.raises(ValueError, match=text):
+        report.to_html(grid=grid)
+
+
+def test_the_command_writes_it(tmp_path):
+    """In a process of its own, with another hash seed: the same bytes as here."""
+    log, path = tmp_path / "log.npz", tmp_path / "made" / "r.html"
+    with pytest.raises(SystemExit):
+        main(["sample", "gridworld:3,slip=0.1", "--transitions", "200", "--horizon", "30", "--output", str(log)])
+    arguments = ["evaluate", "--simulator", "gridworld:3,slip=0.3", "--log", str(log), "--policy", "expert"]
+    script = f"from oee_tabular.cli import main; main({[*arguments, '--json', '--report', str(path)]!r})"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env={"PYTHONHASHSEED": "7"}
+    )
+    assert json.loads(done.stdout)["results"][0]["policy"] == "expert"
+    first = path.read_bytes()
+    with pytest.raises(SystemExit):
+        main([*arguments, "--report", str(path)])
+    assert path.read_bytes() == first
