@@ -75,13 +75,18 @@ def evaluate(
     ] = False,
     seed: Seed = 0,
     output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
+    page: Annotated[
+        Path | None, typer.Option("--report", help="FILE.html: one self-contained page, for people who did not run it.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
 ) -> None:
     """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
-    from oee_tabular.report import check_output
+    from oee_tabular.report import check_output, check_page
 
     if output is not None:
         check_output(output)
+    if page is not None:
+        check_page(page)
     options = {"horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise}
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
@@ -93,10 +98,12 @@ def evaluate(
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     typer.echo(report.to_json() if json else str(report))
-    if output is not None:
-        written = report.save(output)
-        if not json:
-            typer.echo(f"\nWritten: {', '.join(str(path) for path in written)}")
+    written = [] if output is None else report.save(output)
+    if page is not None:
+        report.to_html(page)
+        written.append(page)
+    if written and not json:
+        typer.echo(f"\nWritten: {', '.join(str(path) for path in written)}")
 
 
 @app.command()
@@ -230,6 +237,34 @@ def plan(
         with whole_file(output, (".npy",)) as handle:
             np.save(handle, found.behavior_policy, allow_pickle=False)
         typer.echo(f"{output}: policy to record with")
+
+
+@app.command()
+def reproduce(
+    experiments: Annotated[list[str] | None, typer.Argument(help="Ids or groups; --list shows them.")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Every experiment.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the experiments and stop.")] = False,
+    smoke: Annotated[bool, typer.Option("--smoke", help="A small subset of each sweep, into OUTPUT/smoke.")] = False,
+    seeds: Annotated[
+        int | None, typer.Option(help="Repetitions of each cell, instead of the experiment's own.")
+    ] = None,
+    seed: Seed = 0,
+    jobs: Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")] = -1,
+    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")] = None,
+    output: Annotated[
+        Path, typer.Option(help="Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.")
+    ] = Path("results"),
+    fresh: Annotated[bool, typer.Option("--fresh", help="Empty the experiments' folders first.")] = False,
+) -> None:
+    """The paper's figures, and more. An interrupted run goes on where it stopped."""
+    from oee_tabular.experiments.command import listing
+    from oee_tabular.experiments.command import reproduce as run
+
+    if show:
+        typer.echo(listing())
+        return
+    run(experiments or [], everything=everything, smoke=smoke, seeds=seeds, seed=seed, jobs=jobs, dask=dask, output=output,
+        fresh=fresh, say=typer.echo)  # fmt: skip
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Settings of the paper's experiments as data."""
+"""The paper's experiments and more as data: ids with settings, a runner, tables and figures (``oee reproduce``)."""
 
 from oee_tabular.experiments.embedded import Embedded, embedded_default
 

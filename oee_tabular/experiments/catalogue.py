@@ -1,0 +1,16 @@
+"""All experiments by id."""
+
+from oee_tabular.experiments.convergence import LAMBDA, MISSPECIFIED, NORMALISATION, RATE, RENYI
+from oee_tabular.experiments.figure_1a import FIGURE_1A
+from oee_tabular.experiments.figure_1bcd import ESTIMANDS, FIGURE_1BCD
+from oee_tabular.experiments.horizons import DATA_POLICY, HORIZON_EXPERIMENT
+from oee_tabular.experiments.registry import Registry
+from oee_tabular.experiments.sureness import COLLECTION, COVERAGE, COVERAGE_LAKE, EFFICIENCY
+from oee_tabular.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
+
+EXPERIMENTS = Registry(
+    [
+        FIGURE_1A, FIGURE_1BCD, ESTIMANDS, HORIZON_EXPERIMENT, DATA_POLICY, RATE, RENYI, MISSPECIFIED, NORMALISATION, LAMBDA,
+        FROZEN_LAKE, TAXI, CLIFF_WALKING, COVERAGE, COVERAGE_LAKE, EFFICIENCY, COLLECTION,
+    ]
+)  # fmt: skip

@@ -1,0 +1,75 @@
+"""``oee reproduce``: choose, run, write."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from oee_tabular.experiments import output as out
+from oee_tabular.experiments.catalogue import EXPERIMENTS
+from oee_tabular.experiments.run import require_modules, run_experiment
+from oee_tabular.experiments.store import Store
+
+
+def listing() -> str:
+    """Ids, cells of the full sweep, and titles, by group."""
+    lines, group = [], ""
+    for experiment in EXPERIMENTS:
+        if experiment.group != group:
+            group = experiment.group
+            lines.append(f"{group}:")
+        cells = len(experiment.settings().cells())
+        lines.append(f"  {experiment.id:<14} {cells:>5} cells  {experiment.title}")
+    return "\n".join(lines)
+
+
+def reproduce(
+    names: Sequence[str],
+    *,
+    everything: bool,
+    smoke: bool,
+    seeds: int | None,
+    seed: int,
+    jobs: int,
+    dask: str | None,
+    output: Path,
+    fresh: bool,
+    say: Callable[[str], None],
+) -> None:
+    """Run the experiments one after the other; the folder's index is written last.
+
+    An experiment whose extra is not installed is left out with a sentence where all were asked for, and an error where it
+    was named. Folders with other settings are refused before anything runs.
+    """
+    if seeds is not None and seeds < 1:
+        raise ValueError(f"--seeds must be at least 1; got {seeds}")
+    if seed < 0:
+        raise ValueError(f"--seed must be nonnegative; got {seed}")
+    chosen, left_out = [], []
+    for experiment in EXPERIMENTS.choose(names, everything=everything):
+        try:
+            require_modules(experiment)
+        except ImportError as error:
+            if not everything:
+                raise
+            left_out.append(str(error))
+        else:
+            chosen.append(experiment)
+    folder = output / "smoke" if smoke else output
+    settings = {e.id: e.settings(smoke=smoke, repetitions=seeds, seed=seed) for e in chosen}
+    if not fresh:
+        for experiment in chosen:
+            Store(folder / experiment.id, settings[experiment.id])
+    for experiment in chosen:
+        start = time.perf_counter()
+        sweep = run_experiment(
+            experiment, folder / experiment.id, settings[experiment.id], jobs=jobs, dask=dask, fresh=fresh,
+            progress=sys.stderr.isatty(),
+        )  # fmt: skip
+        out.write(experiment, Store(folder / experiment.id, settings[experiment.id]))
+        say(f"{out.describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+    say(f"Index: {out.index(folder, EXPERIMENTS)}")
+    for sentence in left_out:
+        say(f"Left out: {sentence}")

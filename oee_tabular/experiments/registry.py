@@ -1,0 +1,166 @@
+"""Experiments as data: an id, settings, a function from one cell of the settings to rows, a figure.
+
+The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns the rows of one cell; all its
+random numbers come from ``stream``, which knows the cell and the seed alone, so that a cell's rows are the same bits in any
+process, in any order, in the full sweep and in its smoke subset. Whatever is drawn or summarised afterwards reads the tidy
+table only.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import itertools
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Scalar = float | int | str | bool
+Cell = Mapping[str, Scalar]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words, repetition))``.
+
+    The words are a digest of the experiment's id and of the names given to ``generator`` (the cell's own settings by
+    default), so that cells which name the same settings share their random numbers (the same log for two estimators).
+    """
+
+    experiment: str
+    seed: int
+    cell: Cell
+
+    def sequence(self, *names: str) -> np.random.SeedSequence:
+        """The seed sequence of the named settings of the cell; of all without names."""
+        kept = {k: v for k, v in self.cell.items() if k != "repetition" and (not names or k in names)}
+        text = json.dumps([self.experiment, kept], sort_keys=True)
+        words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype=">u4")
+        key = (*(int(word) for word in words), int(self.cell.get("repetition", 0)))
+        return np.random.SeedSequence(self.seed, spawn_key=key)
+
+    def generator(self, *names: str) -> np.random.Generator:
+        """A new generator of ``sequence(*names)``."""
+        return np.random.default_rng(self.sequence(*names))
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One figure or table.
+
+    Attributes
+    ----------
+    id, title : as in ``oee reproduce ID``; the title is that of the summary
+    axes : name -> values; repetitions : seeds of each cell of the axes
+    smoke : name -> values, a subset of each axis named; smoke_repetitions
+    run : (cell, stream) -> rows; the cell's own settings are added to each row
+    keys : columns that tell the points of the summary apart; measures : columns averaged over the repetitions, the first
+        being what the experiment is about
+    draw : (table, summary, figure) -> None
+    caption : what the figure shows, what its bands are, in which units
+    paper : summary -> the paper's number for each of its rows (nan: none published)
+    group : "gridworld" | "gymnasium" | "sureness" | "continuous"
+    requires : modules that the cells import and that an installation may lack
+    """
+
+    id: str
+    title: str
+    axes: Mapping[str, tuple[Scalar, ...]]
+    run: Callable[[Cell, Stream], list[Row]]
+    keys: tuple[str, ...]
+    measures: tuple[str, ...]
+    draw: Callable[[pd.DataFrame, pd.DataFrame, Figure], None]
+    caption: str
+    repetitions: int = 10
+    smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)
+    smoke_repetitions: int = 2
+    paper: Callable[[pd.DataFrame], Any] | None = None
+    group: str = "gridworld"
+    requires: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, values in self.smoke.items():
+            missing = [value for value in values if value not in self.axes.get(name, ())]
+            if missing:
+                raise ValueError(f"smoke[{name!r}] must be a subset of the axis; it has {missing}")
+
+    def settings(self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0) -> Settings:
+        """The full sweep, or its smoke subset."""
+        axes = {name: tuple(self.smoke.get(name, values) if smoke else values) for name, values in self.axes.items()}
+        count = self.smoke_repetitions if smoke else self.repetitions
+        if repetitions is not None:
+            count = min(repetitions, count) if smoke else repetitions
+        return Settings(self.id, axes, count, seed)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a results folder was made from."""
+
+    experiment: str
+    axes: Mapping[str, tuple[Scalar, ...]]
+    repetitions: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        if self.repetitions < 1:
+            raise ValueError(f"repetitions must be at least 1; got {self.repetitions}")
+
+    def cells(self) -> list[Cell]:
+        """Every cell, in the order of the table."""
+        names = [*self.axes, "repetition"]
+        values = [*self.axes.values(), tuple(range(self.repetitions))]
+        return [dict(zip(names, point, strict=True)) for point in itertools.product(*values)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a JSON file."""
+        return {
+            "experiment": self.experiment,
+            "axes": {name: list(values) for name, values in self.axes.items()},
+            "repetitions": self.repetitions,
+            "seed": self.seed,
+        }
+
+
+class Registry:
+    """The experiments by id."""
+
+    def __init__(self, experiments: Iterable[Experiment] = ()):
+        self._experiments: dict[str, Experiment] = {}
+        for experiment in experiments:
+            if experiment.id in self._experiments:
+                raise ValueError(f"experiment ids must differ; {experiment.id!r} is there twice")
+            self._experiments[experiment.id] = experiment
+
+    def __iter__(self) -> Any:
+        return iter(self._experiments.values())
+
+    def __getitem__(self, name: str) -> Experiment:
+        if name not in self._experiments:
+            near = difflib.get_close_matches(name, self._experiments, n=3, cutoff=0.4)
+            hint = f"; nearest: {', '.join(near)}" if near else ""
+            raise ValueError(f"experiment must be one of {', '.join(self._experiments)}; got {name!r}{hint}")
+        return self._experiments[name]
+
+    def choose(self, names: Iterable[str], *, everything: bool = False) -> list[Experiment]:
+        """The experiments of these ids, or of these groups, each once."""
+        wanted = []
+        for name in names:
+            members = [experiment.id for experiment in self if experiment.group == name]
+            wanted += members or [name]
+        wanted = list(dict.fromkeys(wanted))
+        if everything and wanted:
+            raise ValueError(f"--all must be given without ids; got {', '.join(wanted)}")
+        if not everything and not wanted:
+            raise ValueError(
+                f"one experiment or more must be given, or --all; there are {', '.join(self._experiments)}"
+            )
+        return list(self) if everything else [self[name] for name in wanted]

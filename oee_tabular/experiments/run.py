@@ -1,0 +1,193 @@
+"""Sweeps: the cells of an experiment through joblib, on this machine or on a dask cluster.
+
+Every cell runs with one BLAS thread and one numba thread wherever it runs, and draws its numbers from its own stream: serial,
+processes and cluster give the same bits. Finished cells are written by this process as they come in; an interrupted
+sweep goes on from there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+
+from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
+from oee_tabular.experiments.store import Store, code_version
+
+ATTEMPTS = 3  # of a cell whose worker died
+CONNECT = 8.0  # seconds to wait for a dask scheduler
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a run did: the folder, cells computed now, taken from the cache, and left out as made by other code."""
+
+    folder: Path
+    computed: int
+    cached: int
+    stale: int
+
+
+def run_cell(run: Callable[[Cell, Stream], list[Row]], settings: Settings, cell: Cell, code: str) -> list[Row]:
+    """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    refuse_other_code(code_version(), code)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        with threadpool_limits(limits=1):
+            return [_plain(row) for row in run(cell, Stream(settings.experiment, settings.seed, cell))]
+    finally:
+        numba.set_num_threads(threads)
+
+
+def _plain(row: Row) -> Row:
+    return {name: value.item() if isinstance(value, np.generic) else value for name, value in row.items()}
+
+
+def refuse_other_code(here: str, asked: str) -> None:
+    """RuntimeError where a worker's package is not the one that started the sweep."""
+    if here != asked:
+        raise RuntimeError(
+            f"a worker must have this version of oee_tabular, {asked}; it has {here} (install the same there)"
+        )
+
+
+def _task(arguments: tuple[Any, ...]) -> tuple[int, list[Row]]:
+    number, *rest = arguments
+    return number, run_cell(*rest)
+
+
+def require_modules(experiment: Experiment) -> None:
+    """ImportError that names the extra where an experiment's modules are missing."""
+    import importlib.util
+
+    missing = [name for name in experiment.requires if importlib.util.find_spec(name) is None]
+    if missing:
+        extra = ", ".join(missing)
+        raise ImportError(
+            f"{experiment.id} needs {extra}, which is not installed: pip install 'oee-tabular[{missing[0]}]'"
+        )
+
+
+def run_experiment(
+    experiment: Experiment,
+    folder: Path,
+    settings: Settings,
+    *,
+    jobs: int = 1,
+    dask: str | None = None,
+    fresh: bool = False,
+    progress: bool = False,
+) -> Sweep:
+    """Compute the cells that are not in the folder yet.
+
+    Parameters
+    ----------
+    jobs : processes on this machine; -1: one a core
+    dask : address of a dask scheduler; the cells go there instead
+    fresh : empty the folder first
+
+    Raises
+    ------
+    ValueError
+        Results of other settings in the folder; jobs = 0.
+    OSError
+        No scheduler at the address (within ten seconds, before anything is written).
+    RuntimeError
+        A worker with another version of the package; a cell whose worker died three times.
+    """
+    if jobs == 0 or jobs < -1:
+        raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs}")
+    require_modules(experiment)
+    with _backend(jobs, dask) as parallel:
+        store = Store(folder, settings, fresh=fresh)
+        store.open()
+        todo = store.missing()
+        total = len(settings.cells())
+        bar = _bar(experiment.id, total, total - len(todo), progress)
+        try:
+            _compute(experiment, settings, store, todo, parallel, bar)
+        finally:
+            bar.close()
+    return Sweep(folder, len(todo), total - len(todo), store.stale)
+
+
+def _compute(
+    experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], parallel: Callable[[], Any], bar: Any
+) -> None:
+    left = dict(enumerate(todo))
+    for attempt in range(ATTEMPTS):
+        tasks = (joblib.delayed(_task)((k, experiment.run, settings, cell, store.code)) for k, cell in left.items())
+        try:
+            for number, rows in parallel()(list(tasks)):
+                store.add(left.pop(number), rows)
+                bar.update()
+            return
+        except Exception as error:
+            if not _died(error) or attempt == ATTEMPTS - 1:
+                raise
+    raise AssertionError("unreachable")
+
+
+def _died(error: Exception) -> bool:
+    """Whether a worker was killed, rather than the cell's own code failing."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    return isinstance(error, BrokenProcessPool) or type(error).__name__ in ("TerminatedWorkerError", "KilledWorker")
+
+
+@contextlib.contextmanager
+def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[], Any]]:
+    """What makes a ``joblib.Parallel`` that yields results as they come."""
+
+    def parallel() -> Any:
+        return joblib.Parallel(n_jobs=-1 if dask else jobs, return_as="generator_unordered", batch_size=1)
+
+    if dask is None:
+        with joblib.parallel_config("loky", inner_max_num_threads=1) if jobs != 1 else contextlib.nullcontext():
+            yield parallel
+        return
+    with _client(dask) as client:
+        _check_workers(client)
+        with joblib.parallel_config("dask", pure=False):
+            yield parallel
+
+
+@contextlib.contextmanager
+def _client(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ImportError("--dask needs dask.distributed: pip install 'oee-tabular[dask]'") from error
+    try:
+        connect: Any = Client
+        client = connect(address, timeout=CONNECT, set_as_default=True)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
+    with client:
+        yield client
+
+
+def _check_workers(client: Any) -> None:
+    """Every worker that is there now has this code; those that come later are checked by their first cell."""
+    versions = client.run(code_version, on_error="return")
+    if not versions:
+        raise RuntimeError("the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1")
+    for address, found in versions.items():
+        if isinstance(found, BaseException):
+            raise RuntimeError(f"the worker at {address} cannot import oee_tabular: {found}")
+        refuse_other_code(found, code_version())
+
+
+def _bar(name: str, total: int, done: int, progress: bool) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, initial=done, desc=name, unit="cell", disable=not progress)

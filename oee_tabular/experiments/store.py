@@ -1,0 +1,125 @@
+"""A results folder: settings.json, cells.jsonl (the cache), table.csv, summary.csv, summary.md, figure.svg, figure.png.
+
+A finished cell is one line of cells.jsonl, written and flushed when it is finished: its key (a digest of the cell, the seed and
+the code) and its rows. A line that a killed process left half written is dropped. What was made by other code is
+computed again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from oee_tabular import _files
+from oee_tabular.experiments.registry import Cell, Row, Settings
+
+PACKAGE = Path(__file__).parents[1]
+
+
+@functools.cache
+def code_version() -> str:
+    """The package's version and a digest of its sources: what a result depends on, besides the settings."""
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode())
+        digest.update(path.read_bytes())
+    return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
+
+
+def cell_key(settings: Settings, cell: Cell, code: str) -> str:
+    """The name of a cell's result."""
+    text = json.dumps([settings.experiment, settings.seed, dict(cell), code], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+class Store:
+    """The results folder of one experiment.
+
+    Raises
+    ------
+    ValueError
+        The folder holds results of other settings (the difference is named), unless ``fresh``, which empties it first.
+    """
+
+    def __init__(self, folder: Path, settings: Settings, *, fresh: bool = False, code: str | None = None):
+        self.folder, self.settings = folder, settings
+        self.code = code_version() if code is None else code
+        self._file = folder / "settings.json"
+        self._cells = folder / "cells.jsonl"
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"{folder} must be a folder; it is a file")
+        if fresh and folder.exists():
+            if any(folder.iterdir()) and not self._file.is_file():
+                raise ValueError(f"{folder} must be a results folder to be emptied; it has no settings.json")
+            shutil.rmtree(folder)
+        if self._file.is_file():
+            self._compare(json.loads(self._file.read_text()))
+        self._done, self.stale = self._read()
+
+    def _compare(self, found: dict[str, Any]) -> None:
+        wanted = self.settings.as_dict()
+        if found == wanted:
+            return
+        parts = []
+        for name in ("experiment", "repetitions", "seed"):
+            if found.get(name) != wanted[name]:
+                parts.append(f"{name} {found.get(name)} there, {wanted[name]} asked")
+        for name in sorted({*found.get("axes", {}), *wanted["axes"]}):
+            there, asked = found.get("axes", {}).get(name), wanted["axes"].get(name)
+            if there != asked:
+                parts.append(f"{name} {there} there, {asked} asked")
+        raise ValueError(
+            f"{self.folder} holds results of other settings: {'; '.join(parts)} (--fresh empties it; --output names "
+            "another folder)"
+        )
+
+    def _read(self) -> tuple[dict[str, list[Row]], int]:
+        """What is finished, and how many cells of other code there are."""
+        done, stale = {}, 0
+        if self._cells.is_file():
+            for line in self._cells.read_text().splitlines():
+                try:
+                    entry = json.loads(line)
+                except json.JSONDecodeError:
+                    continue  # half written
+                if entry["code"] == self.code:
+                    done[entry["key"]] = entry["rows"]
+                else:
+                    stale += 1
+        return done, stale
+
+    def open(self) -> None:
+        """Make the folder and say what it will hold; a cache with lines of other code, or half a line, is written anew."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        lines = "".join(self._line(key, rows) for key, rows in self._done.items())
+        settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
+        _files.write_all(self.folder, {self._file.name: settings.encode(), self._cells.name: lines.encode()})
+
+    def _line(self, key: str, rows: list[Row]) -> str:
+        return json.dumps({"key": key, "code": self.code, "rows": rows}) + "\n"
+
+    def missing(self) -> list[Cell]:
+        """The cells that are still to be computed."""
+        return [cell for cell in self.settings.cells() if cell_key(self.settings, cell, self.code) not in self._done]
+
+    def add(self, cell: Cell, rows: list[Row]) -> None:
+        """Keep a finished cell, on disk before this returns."""
+        key = cell_key(self.settings, cell, self.code)
+        line = self._line(key, rows)
+        with self._cells.open("a") as handle:
+            handle.write(line)
+            handle.flush()
+        self._done[key] = json.loads(line)["rows"]
+
+    def rows(self) -> list[Row]:
+        """All rows, in the order of the cells, each with its cell's settings first."""
+        found = []
+        for cell in self.settings.cells():
+            for row in self._done[cell_key(self.settings, cell, self.code)]:
+                found.append({**cell, **row})
+        return found

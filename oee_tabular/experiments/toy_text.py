@@ -1,0 +1,196 @@
+"""Gymnasium's toy text: FrozenLake, Taxi in the rain and with faults, CliffWalking; five policies, valued and ranked."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular.estimators import (
+    DoublyRobust,
+    Estimator,
+    ImportanceSampling,
+    ModelBased,
+    OffEnvironment,
+    Problem,
+    Simulator,
+)
+from oee_tabular.exact import optimal_policy, policy_value
+from oee_tabular.experiments.common import panels, series_of
+from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
+from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.tasks import named_task, record_episodes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+SAMPLES = (1000, 3162, 10_000, 31_623)
+ESTIMATORS: dict[str, Estimator] = {
+    "simulator": Simulator(),
+    "OEE, exact": OffEnvironment(),
+    "model-based": ModelBased(),
+    "WIS, per decision": ImportanceSampling(self_normalized=True),
+    "doubly robust": DoublyRobust(),
+}
+CASES: dict[str, dict[str, Any]] = {
+    "slippery FrozenLake": {
+        "simulator": "FrozenLake-v1:map_name=8x8,success_rate=1/3",
+        "target": "FrozenLake-v1:map_name=8x8,success_rate=0.6",
+        "discount": 0.99,
+    },
+    "rain": {
+        "simulator": "Taxi-v4:is_rainy=true,rainy_probability=0.8",
+        "target": "Taxi-v4:is_rainy=true,rainy_probability=0.6",
+        "discount": 0.95,
+    },
+    "random-action faults": {
+        "simulator": "Taxi-v4",
+        "target": "Taxi-v4",
+        "discount": 0.95,
+        "noise": 0.05,
+        "faults": 0.2,
+    },
+    "slippery cliff": {
+        "simulator": "CliffWalking-v1",
+        "target": "CliffWalking-v1:is_slippery=true",
+        "discount": 0.95,
+        "noise": 0.1,
+        "rewards": "log",
+    },
+}
+
+
+@functools.lru_cache(maxsize=4)
+def environments(case: str) -> tuple[FiniteMDP, FiniteMDP, Any]:
+    """Simulator (with the noise that gives it support), target, and what steps the target."""
+    settings = CASES[case]
+    simulator = named_task(settings["simulator"], discount=settings["discount"]).mdp
+    target = named_task(settings["target"], discount=settings["discount"])
+    if "noise" in settings:
+        simulator = simulator.with_action_noise(settings["noise"])
+    truth = target.mdp.with_action_noise(settings["faults"]) if "faults" in settings else target.mdp
+    return simulator, truth, target.environment
+
+
+@functools.lru_cache(maxsize=4)
+def policies(case: str) -> dict[str, Array]:
+    """Five policies of which the simulator may mistake the order: each mixed with the uniform one."""
+    simulator, target, _ = environments(case)
+    uniform = uniform_policy(simulator)
+    return {
+        "simulator's optimum, 90%": mix(optimal_policy(simulator), uniform, 0.9),
+        "simulator's optimum, 60%": mix(optimal_policy(simulator), uniform, 0.6),
+        "cautious (optimum under 30% noise), 90%": mix(optimal_policy(simulator.with_action_noise(0.3)), uniform, 0.9),
+        "target's optimum, 90%": mix(optimal_policy(target), uniform, 0.9),
+        "target's optimum, 60%": mix(optimal_policy(target), uniform, 0.6),
+    }
+
+
+def recorded(case: str, behavior: Array, n: int, generator: np.random.Generator) -> Any:
+    """n transitions by stepping Gymnasium's environment; faults replace the action by a random one before it is executed."""
+    _, _, make = environments(case)
+    environment = make()
+    faults = CASES[case].get("faults", 0.0)
+    if faults:
+        environment = _faulty(environment, faults, generator)
+    log = record_episodes(environment, behavior, n_transitions=n, seed=generator)
+    environment.close()
+    return log
+
+
+def _faulty(environment: Any, probability: float, generator: np.random.Generator) -> Any:
+    import gymnasium
+
+    class Faults(gymnasium.ActionWrapper[Any, Any, Any]):
+        """With ``probability`` a uniformly random action is executed; the log keeps the one that was chosen."""
+
+        def action(self, action: Any) -> Any:
+            if generator.random() < probability:
+                return int(generator.integers(self.env.action_space.n))  # type: ignore[attr-defined]
+            return action
+
+    return Faults(environment)
+
+
+def cell(settings: Cell, stream: Stream) -> list[Row]:
+    """One log; every policy and estimator, and how well each ranks the policies."""
+    from scipy import stats
+
+    case, n = str(settings["case"]), int(settings["n"])
+    simulator, target, _ = environments(case)
+    behavior = mix(optimal_policy(simulator), uniform_policy(simulator), 0.5)
+    log = recorded(case, behavior, n, stream.generator())
+    problem = Problem(simulator, log, behavior_policy=behavior, rewards=CASES[case].get("rewards", "simulator"))
+    asked = policies(case)
+    truths = np.array([policy_value(target, policy) for policy in asked.values()])
+    rows = []
+    for name, estimate in ESTIMATORS.items():
+        values = np.array([estimate(problem, policy, seed=0).value for policy in asked.values()])
+        tau = float(stats.kendalltau(values, truths).statistic)
+        regret = float(truths.max() - truths[int(np.argmax(values))])
+        for policy, value, truth in zip(asked, values, truths, strict=True):
+            rows.append({"estimator": name, "policy": policy, "value": value, "truth": truth, "error": abs(value - truth),
+                         "kendall_tau": tau, "regret": regret})  # fmt: skip
+    return rows
+
+
+def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """Errors, and the rank correlation, against n; a row for each case."""
+    from oee_tabular.plots import plot_curves, plot_errors
+
+    cases = list(table.case.unique())
+    names = [text for case in cases for text in (f"{case}: error", f"{case}: ranking")]
+    axes = panels(figure, names, columns=2, size=(5.4, 3.9))
+    for k, case in enumerate(cases):
+        part = table[table.case == case]
+        n = sorted(part.n.unique())
+        plot_errors(n, series_of(part, "estimator", "n", "error", n), axes[2 * k], slope=None,
+                    ylabel="mean |error| (discounted sum of rewards)")  # fmt: skip
+        plot_curves(n, series_of(part, "estimator", "n", "kendall_tau", n), axes[2 * k + 1],
+                    xlabel="transitions of the target, n", ylabel="Kendall's tau with the true order")  # fmt: skip
+        axes[2 * k + 1].set_xscale("log")
+        axes[2 * k + 1].set_ylim(-1.05, 1.05)
+
+
+def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> Experiment:
+    return Experiment(
+        id=name,
+        title=title,
+        axes={"case": cases, "n": SAMPLES},
+        smoke={"case": cases[:1], "n": SAMPLES[:1]},
+        run=cell,
+        keys=("case", "n", "policy", "estimator"),
+        measures=("error", "kendall_tau", "regret"),
+        draw=draw,
+        group="gymnasium",
+        caption=caption
+        + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "
+        "uniform; the log is recorded by stepping the environment with 50% of the simulator's optimum. Means over policies "
+        "and seeds; tau is that of the five policies' order, regret in the table what choosing the best estimate loses. WIS "
+        "has the true behaviour probabilities.",
+    )
+
+
+FROZEN_LAKE = _experiment(
+    "frozen_lake",
+    "FrozenLake 8 x 8: the ice is less slippery than simulated",
+    ("slippery FrozenLake",),
+    "Success rate 1/3 simulated, 0.6 real; discount 0.99.",
+)
+TAXI = _experiment(
+    "taxi",
+    "Taxi: rain, and random-action faults",
+    ("rain", "random-action faults"),
+    "Rain: the taxi goes where it is sent with probability 0.8 simulated, 0.6 real. Faults: a random action is executed with "
+    "probability 0.2 in the real one; the simulator has none, and gets 5% for the support that a ratio needs. Discount 0.95.",
+)
+CLIFF_WALKING = _experiment(
+    "cliff_walking",
+    "CliffWalking: dry simulator, slippery cliff",
+    ("slippery cliff",),
+    "The simulator is deterministic; with_action_noise(0.1) gives it support. The same move pays -1 or -100 there, so "
+    "rewards are the log's. Discount 0.95.",
+)
