@@ -22,6 +22,12 @@ class Assumptions:
     below, above, unsupported : how many entries miss each
     smallest, largest : of p/q where q > 0
     renyi_infinity : D_inf(p || q) = log max p/q, infinite without support
+
+    Examples
+    --------
+    >>> found = check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2)
+    >>> found.inside, found.above, found.largest, found.supported
+    (False, 1, 1.5, True)
     """
 
     box_contains_one: bool
@@ -47,6 +53,13 @@ class Assumptions:
 def check_assumptions(p: Any, q: Any, *, lower: float, upper: float) -> Assumptions:
     """Whether the paper's assumptions hold of the distributions p, q (counts are scaled) and the box [lower, upper].
 
+    Parameters
+    ----------
+    p, q : (n,) nonnegative; counts or probabilities, each is scaled to sum to 1
+    lower, upper : the paper's nu >= 0 and mu, inf allowed
+
+    Examples
+    --------
     >>> print(check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2))
     nu < 1 < mu: holds; nu <= p/q <= mu: fails (0 entries below, 1 above), p/q from 0.5 to 1.5; support: holds; D_inf = 0.4055
     """

@@ -21,7 +21,7 @@ from oee_tabular.ratio.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
 from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
-from oee_tabular.ratio.tilt import Tilt, fit_tilt
+from oee_tabular.ratio.tilt import Tilt, fit_default_tilt, fit_tilt
 
 PRIORS = ("tilt", "simulator", "none")
 Ridge = float | str | Callable[[float], float]
@@ -87,7 +87,10 @@ def _tilt(
     """One tilt for all states, or one that varies over them, and its diagnostics."""
     if smoothness not in ("evidence", np.inf):
         smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
-    whole = fit_tilt(observed, simulator, features, solver=solver)
+    if features is None:
+        whole = fit_default_tilt(observed, simulator, solver=solver)
+    else:
+        whole = fit_tilt(observed, simulator, features, solver=solver)
     details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
     if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
         return whole, details

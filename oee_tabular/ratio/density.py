@@ -44,6 +44,12 @@ class RatioFit:
     weights : w of a linear or kernel class, g = Phi w; None for tables
     details : for a class: the features' rank, or the kernel's centres and the part of its Gram matrix that they leave
     status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1, features of many scales)
+
+    Examples
+    --------
+    >>> fit = density_ratio([3, 1], [2, 2], upper=1.2)
+    >>> fit.ratio.round(6).tolist(), fit.gap < 1e-12, fit.status
+    ([1.2, 0.8], True, 'optimal')
     """
 
     ratio: Array
@@ -141,6 +147,8 @@ def density_ratio(
     Cost: O(n) times a few Newton steps with "dual"; with features about fifteen steps of O(n d^2). Collinear features are
     solved, with a warning and their rank.
 
+    Examples
+    --------
     >>> fit = density_ratio([3, 1], [2, 2])
     >>> fit.ratio.tolist(), fit.gap
     ([1.5, 0.5], 0.0)

@@ -24,7 +24,17 @@ Kernel = Callable[[Array, Array], Any]
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
-    """exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array."""
+    """exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array.
+
+    Parameters
+    ----------
+    bandwidth : positive number, in units of the points
+
+    Examples
+    --------
+    >>> gaussian(1.0)(np.array([[0.0]]), np.array([[0.0], [2.0]])).round(4).tolist()
+    [[1.0, 0.1353]]
+    """
     width = _checks.number_in(bandwidth, "bandwidth", 0.0, np.inf, open_ends=True)
 
     def kernel(x: Array, c: Array) -> Array:

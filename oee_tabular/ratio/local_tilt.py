@@ -30,9 +30,9 @@ from oee_tabular.ratio import programs
 from oee_tabular.ratio.neighbours import Neighbours, factor, log_determinant, neighbours
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
+from oee_tabular.ratio.tilt import ENOUGH
 
 SMALLEST, LARGEST = -2.0, 6.0  # log10 of lambda
-ENOUGH = 2.0  # nats of evidence that departures must gain
 HOPELESS = 20.0  # nats below the best at which the search stops
 
 
@@ -110,7 +110,12 @@ class _Risk:
         return np.concatenate([flat, pull.sum(axis=0) + theta]), information
 
     def hessian(self, information: Array, smoothness: float) -> sparse.csc_array:
-        """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d)."""
+        """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d), and 1e-12 of the information on its diagonal.
+
+        Enormous counts would drown what the penalties alone determine: (u + c, theta - c), collinear features.
+        """
+        size = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(self.d)
+        information = information + size
         diagonal = sparse.csc_array((information.reshape(-1), (self._row, self._column)), self.prior.shape)
         edge = sparse.csc_array(information.reshape(self.nodes * self.d, self.d))
         corner = information.sum(axis=0) + np.eye(self.d)

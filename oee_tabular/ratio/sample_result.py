@@ -22,6 +22,15 @@ class SampleRatio:
     details : theta, of the features (of (x - center) / scale for the words, both given); or centers, the leave-one-out score
         and the share of each pair, bandwidth and ridge of the pair of least score, and the weights for each bandwidth used;
         p_value of the test of the quadratic class, where it was tried by default (0: not to be relied on at all)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import oee_tabular as oee
+    >>> rng = np.random.default_rng(0)
+    >>> fit = oee.density_ratio_samples(rng.normal(1, 1, 2000), rng.normal(0, 1, 2000), features="linear")
+    >>> fit.at([0.0, 1.0]).round(1).tolist(), np.exp([-0.5, 0.5]).round(1).tolist()  # fitted, true
+    ([0.6, 1.6], [0.6, 1.6])
     """
 
     p_ratio: Array

@@ -12,9 +12,30 @@ from oee_tabular.mdp.finite_mdp import name_move
 
 
 def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log") -> None:
-    """ValueError where ``moves`` (counts or probabilities, (S*A, S)) leave the simulator's support.
+    """ValueError where ``moves`` leave the simulator's support.
 
-    It names the first few moves and their number, and the ways out.
+    Parameters
+    ----------
+    moves : csr (S*A, S), counts or probabilities
+    simulator : FiniteMDP
+    what : how the error calls the moves
+
+    Raises
+    ------
+    ValueError
+        Names the heaviest few of the moves, how many there are, and the ways out.
+
+    Notes
+    -----
+    Cost: O(nnz log nnz).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
+    >>> refuse_unsupported(target.transitions, simulator, what="target")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ValueError: target must stay where the simulator has probability: it gives probability 0 to 24 different moves...
     """
     positive = moves.data > 0
     _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))

@@ -32,6 +32,9 @@ from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 
 
+ENOUGH = 2.0  # nats of evidence that a richer tilt must gain
+
+
 @dataclass(frozen=True, eq=False)
 class Tilt:
     """A fitted tilt.
@@ -43,6 +46,7 @@ class Tilt:
     gap : bound on f(theta) - min f, divided by the number of moves (nats)
     rank : how many directions of the features differ within rows
     scores : (entries, d), phi less its mean under the tilt, standardised; information : (d, d), Hessian of f
+    evidence : integral of exp(-f) over theta by Laplace's approximation, as a logarithm (nats); f = 0 at theta = 0
     features : (entries, d), phi centred in the simulator's rows and divided by scale (d,); coefficients : theta scale
     """
 
@@ -52,6 +56,7 @@ class Tilt:
     rank: int
     scores: Array
     information: Array
+    evidence: float
     features: Array
     scale: Array
     coefficients: Array
@@ -60,7 +65,7 @@ class Tilt:
 def feature_array(features: Any, simulator: FiniteMDP) -> Array:
     """phi as an (entries, d) array of finite numbers.
 
-    ``features``: None (log P, one parameter), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
+    ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
     aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
     """
     matrix = simulator.transitions
@@ -87,11 +92,18 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
 
     Parameters
     ----------
+    simulator : FiniteMDP
     coordinates : (S,) or (S, c): where each state is; the displacement is the difference of the two ends' coordinates
 
     Returns
     -------
     (entries, d) : one column per action and displacement; of each action the commonest displacement is the reference
+
+    Examples
+    --------
+    >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0.5, 0.5]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9)
+    >>> action_displacement(line, [0, 1, 2]).ravel().tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
+    [0.0, 1.0, 0.0, 1.0, 0.0]
     """
     places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2)).reshape(len(coordinates), -1)
     if places.shape[0] != simulator.n_states:
@@ -110,7 +122,21 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
     return np.asarray(kind[:, None] == kept, dtype=np.float64)
 
 
-def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, solver: str = "dual") -> Tilt:
+def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "dual") -> Tilt:
+    """phi = log P, and (log P)^2 beside it where that gains 2 nats of evidence: a second number for rows of three values.
+
+    With (log P)^2 the tilted row is P^(1 + theta_1 + theta_2 log P) / Z: most probable moves and least probable ones need
+    not change by one power.
+    """
+    one = fit_tilt(observed, simulator, solver=solver)
+    log_p = np.log(simulator.transitions.data)
+    two = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]), solver=solver, warn=False)
+    return two if two.evidence > one.evidence + ENOUGH else one
+
+
+def fit_tilt(
+    observed: Array, simulator: FiniteMDP, features: Any = None, *, solver: str = "dual", warn: bool = True
+) -> Tilt:
     """Fit theta to counts on the simulator's entries, by Newton's method ("dual") or by a cvxpy solver.
 
     Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
@@ -126,7 +152,7 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, sol
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 1e-12 * max(1.0, float(np.abs(phi).max(initial=0.0))), scale, np.inf)  # constant: no use
     phi = phi / scale
-    rank = _rank(gram / np.outer(scale, scale), len(scale), warn=features is not None)
+    rank = _rank(gram / np.outer(scale, scale), len(scale), warn=warn and features is not None)
 
     def tilted(theta: Array) -> tuple[Array, Array]:
         exponent = phi @ theta
@@ -175,7 +201,9 @@ def fit_tilt(observed: Array, simulator: FiniteMDP, features: Any = None, *, sol
     scores, gradient, information = slopes(theta, model)
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
     ratio = model / weights
-    return Tilt(ratio, theta / scale, gap, rank, scores, information, phi, scale, theta)
+    value = risk(theta, tilted(theta)[1])
+    evidence = -value - 0.5 * float(np.linalg.slogdet(information)[1])
+    return Tilt(ratio, theta / scale, gap, rank, scores, information, evidence, phi, scale, theta)
 
 
 def _solve_positive(matrix: Array, b: Array) -> Array:

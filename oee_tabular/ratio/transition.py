@@ -86,7 +86,7 @@ def transition_ratio(
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
         probabilities), or given. ``details`` has the choice, its curve and its meaning.
-    features : phi for the tilt and for "linear": None (tilt: log P, one parameter), an array aligned with
+    features : phi for the tilt and for "linear": None (tilt: log P, and (log P)^2 where the evidence asks for it), an array aligned with
         ``simulator.transitions.data``, one of
         shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
@@ -108,6 +108,7 @@ def transition_ratio(
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         ``seed``; "exact": the simulator's exact occupancy under that policy
     behavior_policy : (S, A), instead of the estimated one; ratio_of_ratios and joint
+    seed : of the simulator's data, where they are sampled
     solver : "dual", or a cvxpy solver
 
     Returns
@@ -123,6 +124,15 @@ def transition_ratio(
     Notes
     -----
     conditional -> the true zeta on every row visited, at rate n^-1/2; O(nnz) with "dual".
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
+    >>> fit = transition_ratio(log, simulator)
+    >>> bool(abs(fit.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05), fit.gap < 1e-9
+    (True, True)
     """
     _checks.one_of(method, "method", METHODS)
     if not isinstance(simulator, FiniteMDP):
@@ -225,7 +235,21 @@ def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) 
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     """zeta = P_target / P_simulator on the simulator's support.
 
-    Raises ValueError where the target moves outside that support, naming the moves.
+    Parameters
+    ----------
+    target, simulator : FiniteMDP, of the same states and actions
+
+    Raises
+    ------
+    ValueError
+        The target moves outside that support; names the moves.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> true_ratio(target, simulator).values.toarray().round(6).tolist()
+    [[0.8, 1.2], [0.8, 1.2]]
     """
     require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")

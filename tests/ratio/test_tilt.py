@@ -6,12 +6,12 @@ from helpers import random_mdp, rngs
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy import optimize, special
+from scipy import integrate, optimize, sparse, special
 
 import oee_tabular as oee
 from oee_tabular.ratio import action_displacement, prior
 from oee_tabular.ratio.segments import segment_sums, spread
-from oee_tabular.ratio.tilt import feature_array, fit_tilt
+from oee_tabular.ratio.tilt import feature_array, fit_default_tilt, fit_tilt
 
 
 def observed_from(rng, mdp, n):
@@ -277,3 +277,60 @@ def test_one_move_tells_nothing_about_the_prior():
     assert zeta.details["meaning"].startswith("too few moves to tell")
     assert zeta.details["strength"] == pytest.approx(1e8)
     assert_allclose(zeta.values.data, 1.0, atol=1e-6)
+
+
+# ---- the default's features --------------------------------------------------------------------------------------
+
+
+def faulty(n_states=12, faults=0.2, noise=0.05):
+    """Six actions of which some lead to the same state: rows of three values; a random action is executed at times."""
+    rng = np.random.default_rng(3)
+    kernel = np.zeros((n_states, 6, n_states))
+    for s in range(n_states):
+        arrivals = rng.choice(n_states, 6 if s % 2 else 5, replace=False)
+        for a in range(6):
+            kernel[s, a, arrivals[a % len(arrivals)]] = 1.0
+    dry = oee.FiniteMDP(kernel, np.zeros(n_states), np.full(n_states, 1 / n_states), 0.9)
+    return dry.with_action_noise(noise), dry.with_action_noise(faults)
+
+
+def test_rows_of_three_values_get_a_second_number():
+    simulator, target = faulty()
+    observed = observed_from(np.random.default_rng(0), target, 20_000)
+    found = fit_default_tilt(observed, simulator)
+    assert found.theta.shape == (2,)
+    assert found.evidence > fit_tilt(observed, simulator).evidence + 2.0
+    truth = oee.true_ratio(target, simulator).values.data
+    weights = simulator.transitions.data
+    errors = [weights @ np.abs(tilt.ratio - truth) for tilt in (found, fit_tilt(observed, simulator))]
+    assert errors[0] < 0.4 * errors[1]
+
+
+def test_a_target_of_one_power_keeps_one_number():
+    simulator = random_mdp(np.random.default_rng(1), n_states=6, n_actions=2, zeros=0.0)
+    indptr = simulator.transitions.indptr.astype(np.int64)
+    raw = simulator.transitions.data**1.5
+    target = simulator.with_transitions(
+        sparse.csr_array((raw / spread(segment_sums(raw, indptr), indptr), simulator.transitions.indices, indptr))
+    )
+    kept = [fit_default_tilt(observed_from(np.random.default_rng(seed), target, 2000), simulator) for seed in range(8)]
+    assert sum(tilt.theta.shape == (1,) for tilt in kept) >= 7
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the second feature is nobody's fault, even where it adds nothing
+        grid, slippery = grids()
+        assert fit_default_tilt(observed_from(np.random.default_rng(0), slippery, 500), grid).rank == 1
+
+
+def test_the_evidence_of_a_tilt_is_its_integral():
+    simulator = random_mdp(np.random.default_rng(1), n_states=4, n_actions=1, zeros=0.0)
+    observed = observed_from(np.random.default_rng(0), simulator, 300)
+    tilt = fit_tilt(observed, simulator)
+    indptr, phi = simulator.transitions.indptr.astype(np.int64), tilt.features[:, 0]
+
+    def risk(theta):
+        log_z = np.log(segment_sums(simulator.transitions.data * np.exp(theta * phi), indptr))
+        return segment_sums(observed, indptr) @ log_z - theta * observed @ phi + 0.5 * theta**2
+
+    line = tilt.coefficients[0] + np.linspace(-1, 1, 2001)
+    found = np.log(integrate.trapezoid(np.exp([-risk(t) for t in line]), line) / np.sqrt(2 * np.pi))
+    assert_allclose(tilt.evidence, found, atol=0.01)
