@@ -33,17 +33,65 @@ class ProfileEnd:
     change: float
 
 
-def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int = 60) -> ProfileEnd:
-    """The largest (sign 1) or smallest (-1) value in the profile set."""
+def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int = 200) -> ProfileEnd:
+    """The largest (sign 1) or smallest (-1) value in the profile set.
+
+    J is not concave in the rows, and where the frequencies never lead to a reward it is flat: the ascent is made from the
+    frequencies and from mixtures of them, as far as the set allows, with the simulator and with each row's best (worst)
+    next state in it; the farthest end is taken.
+    """
     limit = float(stats.chi2.ppf(confidence, 1)) / 2.0
-    p = evidence.phat.copy()
+    starts = [evidence.phat.copy(), *_other_starts(evidence, sign, limit)]
+    ends = [_ascend(evidence, p, sign, limit, most, wander=2 if k == 0 else 0) for k, p in enumerate(starts)]
+    return max(ends, key=lambda end: sign * end.value)
+
+
+def _other_starts(evidence: Evidence, sign: float, limit: float) -> list[Array]:
+    """Members of the set on the way from the frequencies to the simulator's rows, and to its best next states."""
+    matrix = evidence.model.transitions
+    rows, starts = evidence.rows, evidence.indptr[:-1]
+    simulator = matrix.data / np.add.reduceat(matrix.data, starts)[rows]
+    values = state_values(evidence.with_rows(simulator), evidence.policy, horizon=evidence.horizon)
+    pay = 0.0 if evidence.model.reward_data is None else evidence.model.reward_data
+    ahead = sign * (pay + evidence.model.discount * values[matrix.indices])
+    best = (ahead == np.maximum.reduceat(ahead, starts)[rows]).astype(np.float64)
+    best /= np.add.reduceat(best, starts)[rows]
+    seen = evidence.n[rows] > 0
+    return [_toward(evidence, np.where(seen, q, simulator), limit) for q in (simulator, best)]
+
+
+def _toward(evidence: Evidence, q: Array, limit: float) -> Array:
+    """(1 - d) phat + d q with the largest d in [0, 1] at which sum n KL(phat || .) <= limit; q itself in rows without data."""
+    phat, rows = evidence.phat, evidence.rows
+    seen = evidence.n[rows] > 0
+    held = seen & (phat > 0)
+    weight, base = (evidence.n[rows] * phat)[held], phat[held]
+
+    def member(d: float) -> Array:
+        return np.where(seen, (1.0 - d) * phat + d * q, q)
+
+    def divergence(d: float) -> float:
+        with np.errstate(divide="ignore"):
+            return float(weight @ np.log(base / member(d)[held]))
+
+    low, high = 0.0, 1.0
+    if divergence(1.0) <= limit:
+        return member(1.0)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if divergence(middle) <= limit else (low, middle)
+    return member(low)
+
+
+def _ascend(evidence: Evidence, p: Array, sign: float, limit: float, most: int, *, wander: int) -> ProfileEnd:
+    """Fixed points of ``_step`` from p; after ``wander`` steps the value never gets worse."""
     value = policy_value(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
     used, change, iteration, still = 0.0, np.inf, 0, 0
     for iteration in range(1, most + 1):
         trial, used = _step(evidence, sign * _direction(evidence, p), limit)
         new = policy_value(evidence.with_rows(trial), evidence.policy, horizon=evidence.horizon)
         length = 1.0
-        while sign * (new - value) < -1e-12 * max(1.0, abs(value)) and iteration > 2 and length > 1e-3:
+        while sign * (new - value) < -1e-12 * max(1.0, abs(value)) and iteration > wander and length > 1e-3:
             length *= 0.5  # between two members of the rows' convex sets
             trial = p + length * (trial - p)
             new = policy_value(evidence.with_rows(trial), evidence.policy, horizon=evidence.horizon)

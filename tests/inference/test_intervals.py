@@ -14,7 +14,7 @@ from scipy import stats
 from scipy.optimize import linprog
 
 import oee_tabular as oee
-from oee_tabular.inference import ambiguity, robust
+from oee_tabular.inference import ambiguity, likelihood, robust
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.reference import rectangular_program
 from oee_tabular.kernels import ambiguity as kernel
@@ -408,3 +408,37 @@ def test_other_bad_calls():
     evidence = ambiguity.gather(oee.Problem(GRID, PROBLEM.log, horizon=3), UNIFORM)
     with pytest.raises(ValueError, match="horizon must be None for the program over occupancies; it is 3"):
         rectangular_program(evidence, np.ones(36), 1.0)
+
+
+def test_two_steps_that_never_succeeded_are_both_raised():
+    """J = discount p q is flat at p = q = 0: the gradient sees nothing, the interval must. n (-log(1 - p)) = c / 2 each."""
+    kernel = np.zeros((4, 1, 4))
+    kernel[0, 0, [1, 3]] = kernel[1, 0, [2, 3]] = 0.5
+    kernel[2, 0, 2] = kernel[3, 0, 3] = 1.0
+    reward = np.zeros((4, 1, 4))
+    reward[1, 0, 2] = 1.0
+    simulator = oee.FiniteMDP(kernel, reward, [1.0, 0, 0, 0], 0.9)
+    log = oee.Transitions([0] * 20 + [1] * 20, [0] * 40, [3] * 40)
+    for horizon in (None, 5):
+        found = oee.interval(oee.Problem(simulator, log, horizon=horizon), np.ones((4, 1)))
+        p = 1 - np.exp(-stats.chi2.ppf(0.95, 1) / 2 / 2 / 20)
+        assert_allclose((found.lower, found.upper), (0.0, 0.9 * p * p), rtol=1e-6, atol=1e-15)
+
+
+@given(rngs)
+def test_no_member_of_the_profile_set_is_outside(rng):
+    """Sparse rewards and few moves; members on the way from the frequencies to random rows, each as far as the set goes."""
+    simulator = random_mdp(rng, n_states=5, n_actions=2)
+    reward = np.zeros(simulator.n_states)
+    reward[-1] = 1.0
+    simulator = oee.FiniteMDP(simulator.transitions, reward, simulator.initial, 0.8)
+    log = oee.sample_transitions(simulator, np.full((5, 2), 0.1), int(rng.integers(3, 30)), seed=int(rng.integers(99)))
+    policy = rng.dirichlet(np.ones(2), 5)
+    found = oee.interval(oee.Problem(simulator, log), policy)
+    evidence = ambiguity.gather(oee.Problem(simulator, log), policy)
+    limit = stats.chi2.ppf(0.95, 1) / 2
+    for _ in range(10):
+        weights = rng.exponential(size=len(evidence.phat)) ** 4
+        q = weights / np.add.reduceat(weights, evidence.indptr[:-1])[evidence.rows]
+        value = oee.policy_value(evidence.with_rows(likelihood._toward(evidence, q, limit)), policy)
+        assert found.lower - 1e-9 <= value <= found.upper + 1e-9
