@@ -40,6 +40,14 @@ class Magic(ExactLimit):
     Limit: that of weighted doubly robust. The standard error takes the model for known: where most of the weight is on it, that
     is too small. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
     for reinforcement learning, ICML 2016.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> estimate = Magic()(pair.problem(1000, seed=0), pair.policy, seed=0)
+    >>> round(estimate.value, 1), round(estimate.diagnostics["share_of_model"], 1)
+    (9.9, 1.0)
     """
 
     ratio: RatioOption = "conditional"

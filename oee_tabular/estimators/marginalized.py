@@ -45,6 +45,14 @@ class Marginalized(ExactLimit):
     -----
     Rows that the log never visited pay nothing: their share of the policy's time is in the diagnostics. Source: [1] P. Katdare,
     N. Jiang and K. Driggs-Campbell, Marginalized importance sampling for off-environment policy evaluation, CoRL 2023.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> estimate = Marginalized()(pair.problem(1000, seed=0), pair.policy)
+    >>> round(estimate.value, 2), round(estimate.diagnostics["largest_weight"], 2)
+    (9.96, 0.88)
     """
 
     ratio: RatioOption = "conditional"
@@ -120,6 +128,14 @@ class DualDice(ExactLimit):
     Without a horizon only. Identical to the model-based value with ``fallback="simulator"``: both are the maximum-likelihood
     model's. ``diagnostics`` has the largest |nu| and w. Source: [1] O. Nachum et al., DualDICE: behavior-agnostic estimation of
     discounted stationary distribution corrections, NeurIPS 2019.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged infinite")
+    >>> problem, same = pair.problem(1000, seed=0), ModelBased(fallback="simulator")
+    >>> abs(DualDice()(problem, pair.policy).value - same(problem, pair.policy).value) < 1e-9
+    True
     """
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:

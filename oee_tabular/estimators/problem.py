@@ -65,6 +65,15 @@ class Problem:
     ValueError
         States or actions outside the simulator's; moves that the simulator gives probability 0 (the first are named);
         a terminated move into a state where the simulator goes on; a log reward asked for and not there.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
+    >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
+    >>> problem = Problem(simulator, log, horizon=30)
+    >>> int(problem.counts.sum()) == len(log), problem.reward_conflict is None
+    (True, True)
     """
 
     simulator: FiniteMDP

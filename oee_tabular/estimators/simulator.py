@@ -22,6 +22,13 @@ class Simulator(ExactLimit):
     """J in the simulator as it stands, with its own rewards; the log is not used.
 
     Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> round(Simulator()(pair.problem(1000, seed=0), pair.policy).value, 2)
+    7.97
     """
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
@@ -47,7 +54,21 @@ class Oracle(ExactLimit):
     evaluation : "exact" | "monte_carlo" (the paper's oracle: only the error of averaging remains)
     weighting, self_normalized, n_rollouts : as in ``OffEnvironment``
 
-    Raises ValueError where the target moves outside the simulator's support.
+    Raises
+    ------
+    ValueError
+        When called: the target moves outside the simulator's support.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> problem = pair.problem(1000, seed=0)
+    >>> round(Oracle(pair.target)(problem, pair.policy).value, 2)
+    10.07
+    >>> sampled = Oracle(pair.target, evaluation="monte_carlo", n_rollouts=1000)(problem, pair.policy, seed=0)
+    >>> abs(sampled.value - pair.truth) < 4 * sampled.standard_error
+    True
     """
 
     target: FiniteMDP
