@@ -58,6 +58,14 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     Notes
     -----
     Compiled; O(log of the row length) per step; two passes, so that nothing is padded.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> target = oee.tasks.gridworld(3, slip=0.1)
+    >>> sample_episodes(target, oee.tasks.gridworld_expert(3), 10, horizon=20, seed=0)
+    Transitions(47 transitions in 10 episodes of 4 to 7 steps: 10 terminated, 0 truncated;
+                states 0..8, actions 0..2; rewards -0.8 to 0; behaviour probabilities)
     """
     from oee_tabular.kernels import rollout
 
@@ -83,6 +91,28 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
     A bag, without episodes or termination: absorbing states are drawn from like any other.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+    distribution : (S, A), sums to 1; (S0, A) of the environment's own states does too, where the MDP has twins
+    n : positive int
+    seed : as in ``sample_episodes``
+
+    Returns
+    -------
+    Transitions
+
+    Notes
+    -----
+    Compiled; O(log(S A)) per move.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> sample_transitions(coin, [[0.5], [0.5]], 1000, seed=0).counts(2, 1).toarray().tolist()
+    [[222.0, 263.0], [262.0, 253.0]]
     """
     from oee_tabular.kernels import rollout
 

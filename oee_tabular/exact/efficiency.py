@@ -42,6 +42,13 @@ def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, 
     Returns
     -------
     float, squared units of J; inf where the data never show an (s, a) whose next state matters
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> round(efficiency_bound(coin, [[1.0]] * 2, [[0.5], [0.5]]), 6)  # no standard error below sqrt(0.25 / n)
+    0.25
     """
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
     return _weighted_sum(_row_variance(target, gradient), share)
@@ -52,7 +59,21 @@ def leading_bias(target: FiniteMDP, policy: Any, data_distribution: Any) -> floa
 
     gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
     expected discounted number of visits to x from s' (the reward is left out where it does not depend on s').
-    Cost: O(S^3 + nnz S).
+
+    Parameters
+    ----------
+    target, policy, data_distribution : as in ``efficiency_bound``; discount below 1
+
+    Notes
+    -----
+    In units of J, not normalised; inf where the data never show an (s, a) that matters. Cost: O(S^3 + nnz S).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> target = oee.FiniteMDP([[[0.9, 0.1]], [[0.5, 0.5]]], [0.0, 1.0], [1.0, 0.0], 0.9)
+    >>> round(leading_bias(target, [[1.0]] * 2, [[0.5], [0.5]]), 2)  # n = 1000: 0.0017 too low on average
+    -1.67
     """
     _, share = _problem(target, policy, data_distribution, "data_distribution", None)
     pi = check_policy(policy, target)
@@ -84,11 +105,34 @@ def ratio_of_ratios_variance(
     """lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
 
     From n target transitions and n of the simulator's. The bound of ``efficiency_bound`` plus, q = simulator_distribution,
-    as they are: sum_x Var_P[zeta G] / q(x); rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2] / q(x); with separate samples for
-    the (s, a) and the (s, a, s') ratio (Algorithm 1, lines 1 and 3), moreover 2 Var_D[E_P' G / d_D] + 2 Var_q[E_P' G / q].
+    as they are: sum_x Var_P[zeta G] / q(x); rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2] / q(x); with separate
+    samples for the (s, a) and the (s, a, s') ratio (Algorithm 1, lines 1 and 3), moreover 2 Var_D[E_P' G / d_D]
+    + 2 Var_q[E_P' G / q].
 
-    Raises ValueError where the target moves outside the simulator's support; inf where a distribution misses an (s, a) that
-    matters.
+    Parameters
+    ----------
+    simulator : FiniteMDP
+    target, policy, data_distribution, horizon : as in ``efficiency_bound``
+    simulator_distribution : (S, A), sums to 1: how rows of the simulator are drawn
+    rows : "as_they_are" | "normalised": whether each row of zeta * P is divided by its sum
+    independent_samples : whether the two ratios are fitted to separate samples
+
+    Returns
+    -------
+    float, squared units of J; inf where a distribution misses an (s, a) that matters
+
+    Raises
+    ------
+    ValueError
+        The target moves outside the simulator's support.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> data = [[0.5], [0.5]]  # twice the bound: the simulator's sample adds as much noise as the log does
+    >>> round(ratio_of_ratios_variance(coin, coin, [[1.0]] * 2, data, data), 6)
+    0.5
     """
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
@@ -124,8 +168,32 @@ def trajectory_efficiency_bound(
     where the process is known to be Markov ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
     behaviour policy) and E[rho_0..t^2 1{x_t = x}] where it may depend on its whole history ("tree").
 
-    Raises ValueError where the behaviour policy never takes an action that the policy takes (in a state that it
-    reaches): no estimator is consistent.
+    Parameters
+    ----------
+    mdp : FiniteMDP, the target
+    behavior_policy, policy : (S, A)
+    horizon : positive int
+    model : "mdp" | "tree"
+
+    Returns
+    -------
+    float, squared units of J
+
+    Raises
+    ------
+    ValueError
+        The behaviour policy never takes an action that the policy takes (in a state that it reaches): no estimator is
+        consistent.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> steer = oee.FiniteMDP([[[0.9, 0.1], [0.1, 0.9]]] * 2, [0.0, 1.0], [1.0, 0.0], 1.0)
+    >>> even, right = [[0.5, 0.5]] * 2, [[0.0, 1.0]] * 2
+    >>> [round(trajectory_efficiency_bound(steer, even, right, horizon=3, model=m), 4) for m in ("mdp", "tree")]
+    [0.4752, 0.54]
+    >>> round(oee.policy_is_moments(steer, even, right, horizon=3).variance, 4)  # importance sampling's
+    14.04
     """
     require_mdp(mdp)
     steps = _checks.positive_integer(horizon, "horizon")

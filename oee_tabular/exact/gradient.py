@@ -24,10 +24,24 @@ def transition_gradient(
     sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
     stands there only where rewards depend on s'. Defined up to a constant in each row (rows sum to 1).
 
+    Parameters
+    ----------
+    model : FiniteMDP (or a ReweightedModel)
+    policy : (S, A), stationary
+    horizon : positive int or None
+    values_of : V is that model's (its rewards too), which may have entries of its own: the result is then aligned with
+        ``values_of.transitions.data``; None: ``model``
+
     Notes
     -----
-    ``policy`` is stationary, (S, A). With ``values_of`` V is that model's (its rewards too), which may have entries of its own:
-    the result is aligned with ``values_of.transitions.data``. Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> transition_gradient(coin, [[1.0]] * 2).round(6).tolist()  # 0.5 V(s'), V = (0.5, 1.5), in each row
+    [0.25, 0.75, 0.25, 0.75]
     """
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, model)

@@ -27,7 +27,20 @@ _ACCEPTABLE = 1e-10  # relative error bound above which the direct solver is tri
 
 @dataclass(frozen=True)
 class LinearSolution:
-    """x with |x - x*|_inf <= error_bound (|x - x*|_1 for a transposed system), and the method that found it."""
+    """A solution of ``solve_policy_system`` with a bound on its error.
+
+    Attributes
+    ----------
+    x : (S,)
+    error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding included
+    method : "dense LU", "BiCGSTAB" or "sparse LU"
+
+    Examples
+    --------
+    >>> found = solve_policy_system(sparse.csr_array([[0.5, 0.5], [0.0, 1.0]]), np.array([1.0, 0.0]), 0.5)
+    >>> found.x.round(4).tolist(), found.error_bound < 1e-12, found.method
+    ([1.3333, 0.0], True, 'dense LU')
+    """
 
     x: Array
     error_bound: float
@@ -41,10 +54,31 @@ class DivergentKernelError(ValueError):
 def solve_policy_system(
     kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False
 ) -> LinearSolution:
-    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative (S, S) kernel K.
+    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative kernel K.
 
-    Raises DivergentKernelError (a ValueError) where the spectral radius of discount * K is not below 1.
+    Parameters
+    ----------
+    kernel : csr (S, S), nonnegative; its rows may have any sum
+    b : (S,)
+    discount : float in [0, 1]
+    transpose : whether (I - discount K)^T x = b is solved: occupancies instead of values
+
+    Raises
+    ------
+    DivergentKernelError
+        A ValueError: the spectral radius of discount * K is not below 1.
+
+    Notes
+    -----
     Cost: dense O(S^3) up to 400 states, else a few dozen sparse sweeps.
+
+    Examples
+    --------
+    The share of discounted time in each state, from state 0:
+
+    >>> kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
+    >>> solve_policy_system(kernel, np.array([0.5, 0.0]), 0.5, transpose=True).x.round(4).tolist()
+    [0.6667, 0.3333]
     """
     norm_of_inverse = _inverse_norm(kernel, discount)
     matrix = _system(kernel, discount, transpose)

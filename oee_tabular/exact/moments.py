@@ -50,6 +50,8 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     horizon : positive int or None (discount below 1)
     sources : whether ``by_step`` (finite horizon) and ``by_state`` are filled in
 
+    Examples
+    --------
     >>> import numpy as np
     >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
@@ -77,7 +79,7 @@ def weighted_return_moments(
 
     Parameters
     ----------
-    simulator, policy : as in ``return_moments``
+    simulator, policy, horizon : as in ``return_moments``
     zeta : csr (S*A, S) or an object with such ``values``, on the simulator's support
     kind : "per_decision" | "trajectory" (finite horizon only: its weight has no limit)
     self_normalized : divide by the sum of the weights, per step for per_decision
@@ -92,6 +94,14 @@ def weighted_return_moments(
     Notes
     -----
     The mean per decision is J of the model zeta * P. Cost: O(T nnz), or two sparse solves.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> found = weighted_return_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2)
+    >>> round(found.mean, 6), round(found.variance, 4)  # unbiased: J in the target is 1.1
+    (1.1, 0.4251)
     """
     require_mdp(simulator, "simulator")
     _checks.one_of(kind, "kind", KINDS)
@@ -123,6 +133,12 @@ def policy_is_moments(
     Notes
     -----
     Where the behaviour policy never takes an action that the policy takes, the mean is that of what is left: it is not J.
+
+    Examples
+    --------
+    >>> bandit = FiniteMDP([[[1.0], [1.0]]], [[0.0, 1.0]], [1.0], 0.5)
+    >>> policy_is_moments(bandit, [[0.5, 0.5]], [[0.0, 1.0]], horizon=1)  # 0 or 2, evenly
+    Moments(mean=1.0, variance=1.0, bias=0.0)
     """
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
@@ -238,10 +254,20 @@ def doubly_robust_moments(
     horizon : T
     action_baseline : whether m and the reward are replaced by their mean over the policy's actions; with U the true
         values that leaves Var V_0(s_0) alone
+    sources : as in ``return_moments``
 
     Notes
     -----
     With U = 0 the per-decision estimator. Cost: O(T nnz).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> known = simulator, oee.true_ratio(target, simulator), [[1.0]] * 2
+    >>> robust, product = doubly_robust_moments(*known, horizon=3), weighted_return_moments(*known, horizon=3)
+    >>> round(robust.mean, 6), round(product.mean, 6), round(robust.variance, 4), round(product.variance, 4)
+    (0.95, 0.95, 0.25, 0.3823)
     """
     require_mdp(simulator, "simulator")
     steps = _checks.positive_integer(horizon, "horizon")
@@ -285,6 +311,20 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
     """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
     E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t -> ``weight_growth``.
+
+    Parameters
+    ----------
+    simulator, zeta : as in ``weighted_return_moments``
+    policy : (S, A) or (T, S, A)
+    horizon : T, a positive int
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> first, second = weight_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2, horizon=3)
+    >>> first.round(6).tolist(), second.round(4).tolist()  # 1.04^t
+    ([1.0, 1.0, 1.0, 1.0], [1.0, 1.04, 1.0816, 1.1249])
     """
     require_mdp(simulator, "simulator")
     steps = _checks.positive_integer(horizon, "horizon")
@@ -299,6 +339,18 @@ def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
 
     Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the moves that recur. Of a reducible chain the
     largest over all classes.
+
+    Parameters
+    ----------
+    simulator, zeta : as in ``weighted_return_moments``
+    policy : (S, A)
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> round(weight_growth(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2), 4)  # log 1.04
+    0.0392
     """
     require_mdp(simulator, "simulator")
     walk = walk_of(simulator, check_policy(policy, simulator), ratio=zeta)

@@ -45,6 +45,15 @@ def occupancy(
     Notes
     -----
     It sums to 1, and J = d . r * sum_t gamma^t. Cost: O(T * nnz), or one sparse solve.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> occupancy(coin, [[1.0]] * 2, of="state").round(6).tolist()
+    [0.5, 0.5]
+    >>> occupancy(coin, [[1.0]] * 2, of="transition").toarray().round(6).tolist()
+    [[0.25, 0.25], [0.25, 0.25]]
     """
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))

@@ -18,10 +18,24 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     only where another one is better by more than rounding, so it ends; of equally good actions the first is taken.
     With a horizon, backward induction.
 
+    Parameters
+    ----------
+    mdp : FiniteMDP
+    horizon : T, a positive int, or None
+
     Raises
     ------
     ValueError
         At discount 1 without a horizon, where a policy met on the way is not absorbed.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mdp = oee.FiniteMDP([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
+    >>> optimal_policy(mdp).argmax(axis=1).tolist()  # leave state 0, for 2 a step from then on
+    [1, 0]
+    >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()  # but not when there is no time left
+    [[1, 0], [0, 0], [0, 0]]
     """
     steps = _checks.optional_horizon(horizon)
     if steps is not None:

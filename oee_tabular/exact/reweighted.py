@@ -19,7 +19,17 @@ from oee_tabular.mdp.finite_mdp import name_move
 
 
 class Model(Protocol):
-    """What the functions of ``exact`` read: a FiniteMDP, or a ReweightedModel with rows of any sum."""
+    """What the functions of ``exact`` read: a FiniteMDP, or a ReweightedModel with rows of any sum.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
+    >>> models: list[Model] = [target, reweight(simulator, oee.true_ratio(target, simulator))]
+    >>> first, second = (oee.policy_value(model, oee.tasks.gridworld_expert(3)) for model in models)
+    >>> abs(first - second) < 1e-9
+    True
+    """
 
     @property
     def n_states(self) -> int:
@@ -56,7 +66,25 @@ class Model(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ReweightedModel:
-    """K_zeta with the simulator's rewards, initial distribution and discount; made by ``reweight``."""
+    """K_zeta with the simulator's rewards, initial distribution and discount; made by ``reweight``.
+
+    Attributes
+    ----------
+    n_states, n_actions : int
+    transitions : csr (S*A, S), zeta * P; nonnegative, rows of any sum
+    rewards : (S, A) of a step: sum_s' zeta P r(s, a, s'), or the simulator's r(s, a)
+    reward_data : r(s, a, s') aligned with ``transitions.data``, or None
+    initial, discount, terminal_state : the simulator's
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> ratio = 1.1 * (coin.transitions > 0)
+    >>> model = reweight(coin, ratio)
+    >>> model.transitions.sum(axis=1).round(6).tolist(), round(oee.policy_value(model, [[1.0]] * 2), 4)  # of coin: 1
+    ([1.1, 1.1], 1.1111)
+    """
 
     n_states: int
     n_actions: int
@@ -83,6 +111,18 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
         The simulator P.
     ratio : csr of shape (S*A, S), or any object with such a matrix as ``values``
         zeta on the support of P; nonnegative. An entry that is not stored is 0.
+
+    Raises
+    ------
+    ValueError
+        A ratio of another shape, negative or not finite on the support of P.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> reweight(simulator, oee.true_ratio(target, simulator)).transitions.toarray().round(6).tolist()
+    [[0.4, 0.6], [0.4, 0.6]]
     """
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != mdp.transitions.shape:

@@ -61,6 +61,11 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) ->
     policy : (S, A), or (T, S, A) with a horizon T
     horizon : positive int or None
 
+    Returns
+    -------
+    PolicyValues
+        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf, and ``method``.
+
     Raises
     ------
     ValueError
@@ -70,6 +75,14 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) ->
     Notes
     -----
     Cost: O(T * nnz), or one sparse solve.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> found = evaluate_policy(coin, [[1.0]] * 2)
+    >>> found.values.round(6).tolist(), round(found.value, 6), found.error_bound < 1e-12
+    ([0.5, 1.5], 1.0, True)
     """
     require_model(model)
     steps = _checks.optional_horizon(horizon)
@@ -141,9 +154,14 @@ def _normalise(model: Model, normalized: bool) -> float:
 def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normalized: bool = False) -> float:
     """J = E[sum_t gamma^t r_t] from the initial distribution, exactly (by dynamic programming).
 
-    Arguments and errors as in ``evaluate_policy``; ``normalized=True`` multiplies by (1 - discount) and is an error at
-    discount 1.
+    Parameters
+    ----------
+    mdp : FiniteMDP (or a ReweightedModel)
+    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+    normalized : whether J is multiplied by (1 - discount); an error at discount 1
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from oee_tabular.mdp import FiniteMDP
     >>> mdp = FiniteMDP(np.ones((1, 1, 1)), np.array([2.0]), np.array([1.0]), 0.5)
@@ -157,12 +175,38 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
-    """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,). Arguments and errors as in ``evaluate_policy``."""
+    """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP (or a ReweightedModel)
+    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> state_values(coin, [[1.0]] * 2).round(6).tolist(), state_values(coin, [[1.0]] * 2, horizon=2).tolist()
+    ([0.5, 1.5], [0.25, 1.25])
+    """
     return evaluate_policy(mdp, policy, horizon=horizon).values
 
 
 def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
-    """Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go."""
+    """Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP (or a ReweightedModel)
+    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mdp = oee.FiniteMDP([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
+    >>> action_values(mdp, [[1, 0], [1, 0]]).round(6).tolist()  # for ever 1, or 2 from the next step on
+    [[10.0, 18.0], [20.0, 20.0]]
+    """
     steps = _checks.optional_horizon(horizon)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))

@@ -27,6 +27,14 @@ class Moments:
     by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
     by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
         asked for
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> found = oee.return_moments(coin, [[1.0]] * 2, horizon=2, sources=True)
+    >>> found, found.by_step.tolist()  # the first state's chance, the first move's, the last's
+    (Moments(mean=0.75, variance=0.3125, bias=0.0), [0.25, 0.0625, 0.0])
     """
 
     mean: float

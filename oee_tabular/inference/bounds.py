@@ -45,6 +45,8 @@ def unnormalised_bound(
     -----
     Exponential in the horizon, and truly so: K = (1 + eta) P' and r = R attain it. It is inf where its numbers overflow.
 
+    Examples
+    --------
     >>> round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12), unnormalised_bound(0.5, 1.0, 0.9)
     (0.5625, inf)
     """
@@ -68,8 +70,18 @@ def unnormalised_sides(
 ) -> Sides:
     """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
 
-    Arguments and errors as in ``simulation_lemma``; left is inf where the infinite sum J(K) does not exist (right is then,
-    too). eta counts the target's moves to which K gives nothing. Cost: two evaluations.
+    left is inf where the infinite sum J(K) does not exist (right is then, too). eta counts the target's moves to which
+    K gives nothing. Cost: two evaluations.
+
+    Parameters
+    ----------
+    target, model, policy, horizon, ratio : as in ``simulation_lemma``, whose errors are these
+
+    Examples
+    --------
+    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> round(unnormalised_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
+    0.357
     """
     kernel = check_pair(target, model, ratio)
     left = _error(target, kernel, policy, horizon)
@@ -83,10 +95,16 @@ def normalised_bound(
 ) -> float:
     """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R g eta / (1 - g)^2.
 
-    Arguments as in ``unnormalised_bound``; (t + 1) eta takes the place of t eta for r(s, a, s'). inf at discount 1
-    without a horizon, unless eta or R is 0. An infinite sum is added up to discount^t = 1e-12 (at most 100 000 terms) and
-    bounded from there.
+    inf at discount 1 without a horizon, unless eta or R is 0. An infinite sum is added up to discount^t = 1e-12 (at
+    most 100 000 terms) and bounded from there.
 
+    Parameters
+    ----------
+    eta, reward_bound, discount, horizon : as in ``unnormalised_bound``
+    rewards_on_moves : True for r(s, a, s'): (t + 1) eta takes the place of t eta
+
+    Examples
+    --------
     >>> normalised_bound(0.5, 1.0, 0.5, horizon=3), normalised_bound(0.5, 1.0, 1.0, horizon=10)
     (0.5, 15.0)
     """
@@ -112,7 +130,18 @@ def _long(gamma: float) -> int:
 def normalised_sides(
     target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
 ) -> Sides:
-    """(B) on a pair. Arguments, errors and cost as in ``unnormalised_sides``; a K whose rows miss 1 is a ValueError."""
+    """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at the pair's own eta and R.
+
+    Parameters
+    ----------
+    target, model, policy, horizon, ratio : as in ``simulation_lemma``; a K whose rows miss 1 is a ValueError, too
+
+    Examples
+    --------
+    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> round(normalised_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
+    0.375
+    """
     kernel = check_pair(target, model, ratio)
     _require_rows(kernel)
     left = _error(target, kernel, policy, horizon)
@@ -125,7 +154,18 @@ def path_kl(target: FiniteMDP, model: Model, policy: Any, *, horizon: int, ratio
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
     By the chain rule [1] the divergence of the first t moves under K from those under P'. inf from the first move on that K
-    makes and the target does not. Arguments and errors as in ``normalised_sides``. Cost: O(T * nnz).
+    makes and the target does not. Cost: O(T * nnz).
+
+    Parameters
+    ----------
+    target, model, policy, ratio : as in ``normalised_sides``, whose errors are these
+    horizon : T, a positive int
+
+    Examples
+    --------
+    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()  # log(25 / 24) / 2 a move
+    [0.0, 0.0204, 0.0408, 0.0612]
     """
     kernel = check_pair(target, model, ratio)
     _require_rows(kernel)
@@ -174,6 +214,8 @@ def kl_path_bound(path_divergence: Any, reward_bound: float, discount: float) ->
     Proof: |E_K r_t - E_P' r_t| <= 2 R TV of those moves; Pinsker; the chain rule. No exponential in the horizon: with
     |zhat/zeta - 1| <= eps, KL_t <= t eps^2 (``corrected_value_error_bound``). It is tight to second order in eps.
 
+    Examples
+    --------
     >>> kl_path_bound([0.0, 0.5, 8.0], 1.0, 0.5)
     1.0
     """
@@ -190,8 +232,18 @@ def kl_path_sides(
 ) -> Sides:
     """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
 
-    Arguments and errors as in ``normalised_sides``. Without a horizon the sum runs to discount^t = 1e-12 (at most
-    100 000 steps), and what follows is bounded by Jensen's inequality, so right stays a bound. Cost: O(T * nnz).
+    Without a horizon the sum runs to discount^t = 1e-12 (at most 100 000 steps), and what follows is bounded by
+    Jensen's inequality, so right stays a bound. Cost: O(T * nnz).
+
+    Parameters
+    ----------
+    target, model, policy, horizon, ratio : as in ``normalised_sides``, whose errors are these
+
+    Examples
+    --------
+    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> round(kl_path_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
+    0.435
     """
     kernel = check_pair(target, model, ratio)
     _require_rows(kernel)

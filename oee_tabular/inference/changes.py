@@ -32,6 +32,13 @@ class RowChanges:
     next_state : (S, A) where the log's frequency moved most, -1 without moves
     simulated, observed : (S, A) its probability in the simulator and its frequency in the log; nan without moves
     confidence, tested : of all rows together; how many they are
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> found = row_changes(case("ragged").problem(1000, seed=0))
+    >>> found.n_certain, found.largest(1), round(float(found.certain[0, 0]), 2), round(float(found.estimated[0, 0]), 2)
+    (3, [(0, 0)], 0.12, 0.2)
     """
 
     certain: Array

@@ -33,6 +33,15 @@ class Comparison:
     lower, upper : (k, k) intervals for the differences, at ``confidence``
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
+    confidence : of ``lower`` and ``upper``, each by itself
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known
+    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> found.names, found.differences[0].round(2).tolist(), found.upper[1].round(2).tolist()
+    (('new', 'recorded'), [0.0, 3.11], [-2.99, 0.0])
     """
 
     names: tuple[str, ...]
@@ -108,6 +117,17 @@ def compare_policies(
     Notes
     -----
     Rows without data are the simulator's and taken for known (``interval`` says how many the policy reaches).
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known
+    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> print(found)
+    policy         value  std. error  P(best)  difference from the best
+    new           10.002        0.17   100.0%
+    recorded      6.8896        0.13     0.0%  -3.112 [-3.236, -2.988]
+    values: discounted sum of rewards, not normalised; intervals at 95%
     """
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
@@ -169,8 +189,17 @@ def _root(covariance: Array) -> Array:
 class Selection:
     """How well estimated values choose among policies whose true values are known.
 
-    ``rank_correlation`` Spearman's (1: the same order); ``regret`` what the best of the k policies ranked first falls short of
-    the best of all, divided by the range of true values if that is not 0; ``absolute_error`` the mean |estimate - truth|.
+    Attributes
+    ----------
+    rank_correlation : Spearman's; 1: the same order
+    regret : what the best of the k policies ranked first falls short of the best of all, divided by the range of true
+        values if that is not 0
+    absolute_error : the mean |estimate - truth|, units of J
+
+    Examples
+    --------
+    >>> round(selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0]).regret, 4)  # 2 chosen, 3 is best, of 0 to 3
+    0.3333
     """
 
     rank_correlation: float
@@ -181,6 +210,13 @@ class Selection:
 def selection_measures(estimates: Any, truths: Any, *, k: int = 1) -> Selection:
     """Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
 
+    Parameters
+    ----------
+    estimates, truths : of one length, at least 2; finite
+    k : positive int, at most their number: of how many ranked first the best is taken
+
+    Examples
+    --------
     >>> selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0])
     Selection(rank_correlation=0.5, regret=0.3333333333333333, absolute_error=1.0)
     """

@@ -24,6 +24,15 @@ class Outlook:
     inefficiency : variance_after over the least that a plan for this policy alone reaches, sampling as here (1 at best)
     free_inefficiency : the same, if every (s, a) could be recorded at will
     confidence : of ``width``
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> plan = oee.plan_data_collection(pair.problem(1000, seed=0), pair.policy, n=1000)
+    >>> now, after = plan.policies[0].standard_error
+    >>> round(now, 3), round(after, 3), round(plan.after(4000)["policy"].standard_error[1], 3)
+    (0.165, 0.14, 0.11)
     """
 
     name: str
@@ -65,6 +74,16 @@ class Plan:
     optimistic : (S, A) where c_x is the largest plausible variance, the model having none
     restart : probability of starting again after a move; None for free sampling
     model, solver, status : what variances were evaluated at, what solved the program, "ok" or what is wrong
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> plan = oee.plan_data_collection(pair.problem(1000, seed=0), pair.policy, n=1000)
+    >>> plan.allocation.tolist(), plan.status
+    ([[619, 0], [0, 254], [32, 95], [0, 0]], 'ok')
+    >>> [round(width, 2) for width in plan.expected_width]
+    [0.65, 0.55]
     """
 
     sampling: str

@@ -31,6 +31,16 @@ class Interval:
     diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
         that the policy reaches, and what the method adds
     status : "ok", or the contradiction between the log and the assumed box
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known
+    >>> found = interval(pair.problem(1000, seed=0), pair.policy)
+    >>> round(found.lower, 2), round(found.upper, 2), pair.truth in found
+    (9.68, 10.33, True)
+    >>> print(found)
+    [9.6802, 10.3297], 95% likelihood interval; discounted sum of rewards, not normalised
     """
 
     lower: float
@@ -107,6 +117,14 @@ def interval(
     Notes
     -----
     Cost: likelihood and robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known
+    >>> problem = pair.problem(1000, seed=0)
+    >>> [round(interval(problem, pair.policy, method=method).width, 2) for method in ("likelihood", "delta", "robust")]
+    [0.65, 0.65, 5.06]
     """
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a Problem; got {type(problem).__name__}")

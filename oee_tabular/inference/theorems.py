@@ -38,6 +38,8 @@ def renyi_divergence(p: Any, q: Any, order: float) -> float:
     It grows with a. inf where p > 0 = q somewhere and a >= 1, and for a < 1 where p and q have nothing in common. exp(D_2)
     = E_q (p/q)^2 = 1 + chi^2. Source: van Erven and Harremoes, IEEE Trans. Information Theory 60(7), 2014.
 
+    Examples
+    --------
     >>> [round(renyi_divergence([3, 1], [1, 1], a), 6) for a in (0.5, 1, 2, float("inf"))]
     [0.069336, 0.130812, 0.223144, 0.405465]
     """
@@ -80,6 +82,8 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
     Q fixed the bound holds for large n, but the rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states.
     ``sup_error_bound`` is a version with its constants. The paper calls both this bound and its root M(G, delta).
 
+    Examples
+    --------
     >>> round(estimation_bound(100, 10.0, 0.1, 0.95, 0.0, 1.0), 4)
     1.475
     """
@@ -99,8 +103,18 @@ def estimation_sides(
 ) -> Sides:
     """Theorem 1 on tables: left = max |g - p/q|^2 over the cells with p + q > 0, right = ``estimation_bound``.
 
-    ``g`` (n_cells,) must lie in [nu, mu]; p and q as in ``renyi_divergence``, for a pair of MDPs their occupancies of
-    transitions. Both sides are inf where p > 0 = q.
+    Both sides are inf where p > 0 = q.
+
+    Parameters
+    ----------
+    g : (n_cells,) in [nu, mu]
+    p, q : as in ``renyi_divergence``; for a pair of MDPs their occupancies of transitions
+    n, mu, nu, confidence, constant : as in ``estimation_bound``
+
+    Examples
+    --------
+    >>> estimation_sides([1.4, 0.6], [3, 1], [2, 2], n=100, mu=10.0, nu=0.1, confidence=0.95, constant=1.0).holds
+    True
     """
     ps, qs = _checks.distribution_pair(p, q)
     values = _in_box(g, "g", *_box(nu, mu))
@@ -113,8 +127,16 @@ def estimation_sides(
 class EstimationCounterexample(Sides):
     """Theorem 1 at K = 1 where it fails: ``ratio`` is the K that it would need.
 
-    ``probability_flat``: that neither sample has the atom, so that every ghat there minimises the empirical risk;
-    ``probability_forced``: that only P's sample has it, so that ghat = mu is the one minimiser. Both are above delta = 0.05.
+    Attributes
+    ----------
+    probability_flat : that neither sample has the atom, so that every ghat there minimises the empirical risk
+    probability_forced : that only P's sample has it, so that ghat = mu is the one minimiser; both above 0.05
+
+    Examples
+    --------
+    >>> found = universal_constant_counterexample(100)
+    >>> found.holds, found.left, round(found.right, 3)
+    (False, 81.0, 1.475)
     """
 
     probability_flat: float
@@ -128,6 +150,12 @@ def universal_constant_counterexample(
 
     left = (mu - 1)^2, right = the bound of Theorem 1 at K = 1, of order n^-1/2: the K needed grows as sqrt(n).
 
+    Parameters
+    ----------
+    n, mu, nu, confidence : as in ``estimation_bound``; n at least 2
+
+    Examples
+    --------
     >>> [round(universal_constant_counterexample(n).ratio) for n in (100, 10_000, 1_000_000)]
     [55, 549, 5491]
     >>> found = universal_constant_counterexample(1_000_000)
@@ -161,6 +189,8 @@ def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float,
     would be larger it solves n p e^2 / (2 + e) = log(4 n_cells / delta) instead. inf where e_q >= 1: a cell that Q's sample
     misses is then not excluded.
 
+    Examples
+    --------
     >>> round(sup_error_bound(100_000, 0.1, 0.2, 4, 1.5, 0.95), 4)
     0.1097
     """
@@ -183,9 +213,16 @@ def _chernoff(log_term: float, mean: float) -> float:
 def excess_risk(g: Any, p: Any, q: Any) -> Sides:
     """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p log g, phi(u) = u - 1 - log u.
 
-    ``g`` (n,) nonnegative; p and q as in ``renyi_divergence``. left is the difference of the two risks, right the
-    expectation, which is accurate for g near g* as well; they are equal up to rounding. inf where g = 0 < p or q = 0 < p.
+    left is the difference of the two risks, right the expectation, which is accurate for g near g* as well; they are
+    equal up to rounding. inf where g = 0 < p or q = 0 < p.
 
+    Parameters
+    ----------
+    g : (n,) nonnegative
+    p, q : as in ``renyi_divergence``
+
+    Examples
+    --------
     >>> sides = excess_risk([1.0, 1.0], [3, 1], [2, 2])
     >>> round(sides.left, 12) == round(sides.right, 12) == round(renyi_divergence([3, 1], [2, 2], 1), 12)
     True
@@ -206,7 +243,15 @@ def excess_risk(g: Any, p: Any, q: Any) -> Sides:
 def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> Sides:
     """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls L2(P), not the sup norm.
 
-    ``mu`` (default: the largest of g and g* where p > 0) must be at least those; other arguments as in ``excess_risk``.
+    Parameters
+    ----------
+    g, p, q : as in ``excess_risk``
+    mu : at least g and g* where p > 0; None: the largest of them
+
+    Examples
+    --------
+    >>> round(squared_error_sides([1.4, 0.6], [3, 1], [2, 2]).ratio, 3)
+    0.361
     """
     risk = excess_risk(g, p, q).right
     ps, qs = _checks.distribution_pair(p, q)
@@ -222,13 +267,16 @@ def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> S
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
     """The Lemma: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
 
-    zeta = beta_sas' / beta_sa; ``error`` bounds both |betahat - beta|_inf (Theorem 1 twice: probability 1 - 2 delta), and
-    all four ratios lie in [nu, mu], so that zeta lies in [nu/mu, mu/nu]. nu in (0, 1), mu in (1, inf), error in [0, inf].
+    The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
 
-    Notes
-    -----
-    The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n. The tight constant is attained as error -> 0.
+    Parameters
+    ----------
+    error : in [0, inf], of both |betahat - beta|_inf (Theorem 1 twice: probability 1 - 2 delta)
+    mu, nu : the box of all four ratios, as in ``estimation_bound``: zeta = beta_sas' / beta_sa is in [nu/mu, mu/nu]
+    tight : whether the smallest constant, attained as error -> 0, takes the place of the paper's
 
+    Examples
+    --------
     >>> ratio_error_bound(0.01, 2.0, 0.5), ratio_error_bound(0.01, 2.0, 0.5, tight=True)
     (0.16, 0.1)
     """
@@ -242,8 +290,16 @@ def ratio_error_sides(
 ) -> Sides:
     """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
 
-    ``moves``, ``pairs``: estimates of beta_sas' and beta_sa, ``true_moves``, ``true_pairs`` what they estimate, all (n,):
-    entry k is a transition's, and the pair's value is repeated for each of its transitions. All in [nu, mu].
+    Parameters
+    ----------
+    moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's, and the pair's value is repeated
+    true_moves, true_pairs : (n,) what they estimate; all in [nu, mu]
+    mu, nu, tight : as in ``ratio_error_bound``
+
+    Examples
+    --------
+    >>> round(ratio_error_sides([1.1], [0.9], [1.0], [1.0], mu=2.0, nu=0.5).ratio, 3)
+    0.139
     """
     named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
     top, bottom, best_top, best_bottom = (_in_box(value, name, *_box(nu, mu)) for name, value in named.items())
@@ -274,6 +330,8 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta.
     What holds: ``corrected_value_error_bound`` and ``bounds``. It is inf where x^T overflows.
 
+    Examples
+    --------
     >>> round(value_error_bound(2, 1.0, 0.99, error=0.03, nu=0.97), 8)
     0.0055871
     """
@@ -294,7 +352,16 @@ def value_error_sides(
 ) -> Sides:
     """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
 
-    ``model`` and ``ratio`` as in ``simulation_lemma``; rewards r(s, a), as the theorem has them.
+    Parameters
+    ----------
+    target, model, policy, ratio : as in ``simulation_lemma``; rewards r(s, a), as the theorem has them
+    horizon, error, nu : as in ``value_error_bound``
+
+    Examples
+    --------
+    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
+    >>> round(value_error_sides(target, model, [[1.0]] * 2, horizon=2, error=0.2, nu=0.5).ratio, 3)
+    0.023
     """
     kernel = check_pair(target, model, ratio)
     if target.reward_data is not None:
@@ -310,6 +377,13 @@ def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu
 
     left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right = the theorem's bound.
 
+    Parameters
+    ----------
+    horizon, discount, nu : as in ``value_error_bound``
+    epsilon : the sup error, at least 0
+
+    Examples
+    --------
     >>> [round(value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio, 2) for T in (2, 50)]
     [1.43, 18.37]
     """
@@ -322,9 +396,18 @@ def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu
 def corrected_value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float) -> float:
     """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}.
 
-    ``error`` = max |zhat/zeta - 1|; the other arguments as in ``value_error_bound``. The paper's shape without 1/nu: from
-    (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order 1 / (1 - gamma) the
-    error is of order (1 - gamma)^{-3/2}: not exponential.
+    The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order
+    1 / (1 - gamma) the error is of order (1 - gamma)^{-3/2}: not exponential.
+
+    Parameters
+    ----------
+    horizon, reward_bound, discount : as in ``value_error_bound``
+    error : max |zhat/zeta - 1|
+
+    Examples
+    --------
+    >>> round(corrected_value_error_bound(2, 1.0, 0.5, error=0.1), 6)
+    0.015
     """
     steps = _checks.positive_integer(horizon, "horizon")
     bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)

@@ -30,7 +30,29 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     """``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
     A policy of the environment's own number of states is extended to the twins that termination appended, where any
-    action does. Raises ValueError with the place and the value found.
+    action does.
+
+    Parameters
+    ----------
+    policy : (S, A), or (T, S, A) with a horizon T; nonnegative
+    mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
+    name : what errors call the policy
+    horizon : T; None: stationary policies only
+
+    Raises
+    ------
+    ValueError
+        With the place, the rule and the value found.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mdp = oee.tasks.gridworld(2, slip=0.1)
+    >>> check_policy([[1, 0, 0, 0]] * 4, mdp).shape
+    (4, 4)
+    >>> check_policy([[0.5, 0.4, 0, 0]] * 4, mdp)
+    Traceback (most recent call last):
+    ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
@@ -49,13 +71,31 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
 
 
 def uniform_policy(mdp: Sized) -> Array:
-    """The (S, A) policy that takes each action with probability 1/A."""
+    """The (S, A) policy that takes each action with probability 1/A.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP, or anything with ``n_states`` and ``n_actions``
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> uniform_policy(oee.tasks.gridworld(2, slip=0.1))[0].tolist()
+    [0.25, 0.25, 0.25, 0.25]
+    """
     return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
 
 
 def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     """weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in each state.
 
+    Parameters
+    ----------
+    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1
+    weight_of_a : float in [0, 1]
+
+    Examples
+    --------
     >>> mix([[1.0, 0.0]], [[0.5, 0.5]], 0.6).tolist()
     [[0.8, 0.2]]
     """

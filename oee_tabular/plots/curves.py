@@ -31,6 +31,7 @@ def plot_curves(
     ----------
     x : (k,) the parameter (delta, a slip, n)
     curves : name -> (k,); nan where there is no value
+    ax : matplotlib Axes
     bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
     truth : None, a number, or (k,)
     xlabel, ylabel : with units
@@ -74,7 +75,16 @@ def plot_errors(
 ) -> Axes:
     """Errors against n on logarithmic axes, with a line of ``slope`` (None: none) from the first curve's first point.
 
-    n : (k,) positive; errors : name -> (k,) nonnegative (a 0 is left out); bands as in ``plot_curves``. Returns ``ax``.
+    Parameters
+    ----------
+    n : (k,) positive
+    errors : name -> (k,) nonnegative (a 0 is left out)
+    ax, bands, xlabel, ylabel : as in ``plot_curves``
+    slope : of the line on logarithmic axes, -1/2 for a parametric rate; None: no line
+
+    Returns
+    -------
+    ax
 
     Examples
     --------
@@ -112,7 +122,15 @@ def plot_variance_growth(
 ) -> Axes:
     """Variances against the horizon, the variance on a logarithmic axis.
 
-    variances : name -> (k,) nonnegative; horizons : (k,), None: 1..k. Returns ``ax``.
+    Parameters
+    ----------
+    variances : name -> (k,) nonnegative
+    ax, xlabel, ylabel : as in ``plot_curves``
+    horizons : (k,); None: 1..k
+
+    Returns
+    -------
+    ax
 
     Examples
     --------

@@ -26,6 +26,12 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     A gridworld's moves stay, go to the neighbour on the left or right (never around an edge), or to the one above or below;
     a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
 
+    Parameters
+    ----------
+    mdp : FiniteMDP
+
+    Examples
+    --------
     >>> from oee_tabular.tasks import gridworld
     >>> detect_grid(gridworld(5, slip=0.1))
     (5, 5)
@@ -63,6 +69,7 @@ def plot_grid(
     ----------
     values : (rows * columns,), or that shape; nan for a cell without colour
     shape : (rows, columns)
+    ax : matplotlib Axes
     label : of the colour bar, with the unit
     norm, colormap : matplotlib's; None: linear
     text : (S,) words to write into the cells (left out beyond 12 rows or columns)
@@ -122,7 +129,14 @@ def plot_grid(
 def plot_ratio(values: Any, shape: tuple[int, int], ax: Axes, *, label: str = "ratio P_target / P_simulator") -> Axes:
     """A heat map of ratios, logarithmic around 1: one colour for more often than in the simulator, one for less often.
 
-    values : (S,) positive, nan where there is none; a 0 is drawn as the smallest. Returns ``ax``.
+    Parameters
+    ----------
+    values : (S,) positive, nan where there is none; a 0 is drawn as the smallest
+    shape, ax, label : as in ``plot_grid``
+
+    Returns
+    -------
+    ax
 
     Examples
     --------
@@ -158,8 +172,15 @@ def plot_coverage(
 ) -> Axes:
     """How many moves the log has from each state, logarithmic; states without any are crossed out.
 
-    counts : (S,) or (S, A), summed over actions; over : (S,) mask of states where an episode is over (left blank, "end").
-    Returns ``ax``.
+    Parameters
+    ----------
+    counts : (S,) or (S, A), summed over actions
+    shape, ax, label : as in ``plot_grid``
+    over : (S,) mask of states where an episode is over (left blank, "end")
+
+    Returns
+    -------
+    ax
 
     Examples
     --------
@@ -195,8 +216,16 @@ def plot_occupancy(
 ) -> Axes:
     """Where a policy spends its time; ``unseen`` states are crossed out.
 
-    time : (S,) shares that sum to at most 1; unseen : (S,) mask; over : (S,) mask of states where an episode is over (left
-    blank, "end"). Returns ``ax``.
+    Parameters
+    ----------
+    time : (S,) shares that sum to at most 1
+    shape, ax, label : as in ``plot_grid``
+    unseen : (S,) mask of states to cross out
+    over : (S,) mask of states where an episode is over (left blank, "end")
+
+    Returns
+    -------
+    ax
 
     Examples
     --------

@@ -30,9 +30,11 @@ def plot_states(
     ----------
     time : (S,) shares, which sum to at most 1
     recorded : (S,) moves of the log from each state, written beside the bars
+    ax : matplotlib Axes
     seen : (S,) share of the state's time that is in actions that the log has seen; None: 1 where moves are recorded
     top : how many states to show; those without time are left out
     names : of the states; None: their numbers
+    xlabel : what the bars are, with the unit
 
     Returns
     -------

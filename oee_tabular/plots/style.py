@@ -62,7 +62,18 @@ def literally(texts: Sequence[Text]) -> None:
 
 
 def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)) -> bytes:
-    """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display, no global state)."""
+    """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display, no global state).
+
+    Parameters
+    ----------
+    draw : a function of the Axes
+    size : (width, height) in inches
+
+    Examples
+    --------
+    >>> figure_png(lambda ax: ax.plot([0, 1]), size=(2.0, 1.5))[1:4]
+    b'PNG'
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -82,6 +93,13 @@ def figure_svg(
     It has ``title`` and ``description`` as its text alternative, ids that start with ``name`` (unique on the page), no
     date, and as colours the page's CSS variables --ink, --quiet, --paper and --series-0 to --series-7 where it has them.
     The same call gives the same text.
+
+    Parameters
+    ----------
+    draw : a function of the Axes
+    name : of the picture, unique on its page
+    title, description : its text alternative
+    size : (width, height) in inches
 
     Examples
     --------

@@ -18,8 +18,22 @@ if TYPE_CHECKING:
 def plot_values(records: Sequence[Mapping[str, Any]], ax: Axes, *, unit: str = "") -> Axes:
     """Values with their intervals, grouped by policy; exact target values as black lines; returns ``ax``.
 
-    ``records`` are a Report's. The axis spans what is credible: estimates far outside it (an exploding product) are drawn
-    as open markers at the edge, with their value.
+    The axis spans what is credible: estimates far outside it (an exploding product) are drawn as open markers at the
+    edge, with their value.
+
+    Parameters
+    ----------
+    records : a Report's ``records()``
+    ax : matplotlib Axes
+    unit : what a value is, the title
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> row = {"policy": "new", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": 1.2}
+    >>> ax = plot_values([row, row | {"estimator": "pdis", "value": 9.0, "n_episodes": 10}], Figure().subplots())
+    >>> [text.get_text() for text in ax.get_legend().get_texts()], [text.get_text() for text in ax.texts]
+    (['oee', 'pdis', 'true value'], ['9'])
     """
     policies = list(dict.fromkeys(row["policy"] for row in records))
     estimators = list(dict.fromkeys(row["estimator"] for row in records))
@@ -101,6 +115,8 @@ def plot_intervals(
     ----------
     names : k names
     values, lower, upper : (k,); an end that is nan leaves the interval out, a nan value with an interval the marker
+    ax : matplotlib Axes
+    truth : number or None
     limits : of the axis; None: what values, ends and truth span. What lies outside is an open marker at the edge, with its
         value; a nan value is said in words
     xlabel : what the value is, with its unit

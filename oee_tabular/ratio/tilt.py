@@ -31,7 +31,6 @@ from oee_tabular.ratio import programs
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 
-
 ENOUGH = 2.0  # nats of evidence that a richer tilt must gain
 
 

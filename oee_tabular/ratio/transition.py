@@ -86,9 +86,9 @@ def transition_ratio(
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
         probabilities), or given. ``details`` has the choice, its curve and its meaning.
-    features : phi for the tilt and for "linear": None (tilt: log P, and (log P)^2 where the evidence asks for it), an array aligned with
-        ``simulator.transitions.data``, one of
-        shape (S, A, S) or (S, A, S, d), or a function of (s, a, s'); ``oee.ratio.action_displacement`` makes some
+    features : phi for the tilt and for "linear": None (tilt: log P, and (log P)^2 where the evidence asks for it), an
+        array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of
+        (s, a, s'); ``oee.ratio.action_displacement`` makes some
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
         How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
         infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.

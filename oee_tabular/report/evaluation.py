@@ -46,10 +46,25 @@ def evaluate(
     guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
+    Returns
+    -------
+    Report
+        Estimates with their intervals, in the order policy, estimator; warnings in plain language; how sure it all is.
+
     Raises
     ------
     ValueError
         Bad arguments, and what the estimators that were asked for raise.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> report = evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, estimators=["simulator", "wpdis"], seed=0)
+    >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
+    [['new', 'simulator', 7.97], ['new', 'wpdis', 9.83]]
+    >>> report.sureness.sentences[0].split(":")[0]
+    'The target differs from the simulator'
     """
     from tqdm.auto import tqdm
 

@@ -8,7 +8,25 @@ from pathlib import Path
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
-    """``folder`` can be made and written; a ValueError before any work is done otherwise."""
+    """``folder`` can be made and written; a ValueError before any work is done otherwise.
+
+    Parameters
+    ----------
+    folder : str or path; nothing is made
+    name : what the error calls it
+
+    Raises
+    ------
+    ValueError
+        It, or a folder above it, is a file, or may not be written.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     check_output(Path(folder) / "new" / "results")  # no error: it could be made
+    ...     (Path(folder) / "new").exists()
+    False
+    """
     path = Path(folder)
     nearest = path
     while not nearest.exists() and nearest != nearest.parent:
@@ -25,7 +43,29 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
 
 
 def check_page(path: str | os.PathLike[str]) -> Path:
-    """``path`` as a Path of a page that can be written, in a folder that exists or can be made; a ValueError otherwise."""
+    """``path`` as a Path of a page that can be written, in a folder that exists or can be made.
+
+    Parameters
+    ----------
+    path : str or path of a .html or .htm file
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ValueError
+        Another ending, a folder, or a place that may not be written.
+
+    Examples
+    --------
+    >>> check_page("report.html").name
+    'report.html'
+    >>> check_page("report.pdf")
+    Traceback (most recent call last):
+    ValueError: report must be a file that ends in .html or .htm; got 'report.pdf'
+    """
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"report must be a file that ends in .html or .htm; got {str(file)!r}")

@@ -24,7 +24,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Result:
-    """One estimate of one policy."""
+    """One estimate of one policy.
+
+    Attributes
+    ----------
+    policy, estimator : their names in the report
+    estimate : Estimate, a discounted sum (never multiplied by 1 - discount)
+
+    Examples
+    --------
+    >>> Result("expert", "oee", Estimate(1.25, 0.5))
+    Result(policy='expert', estimator='oee', estimate=Estimate(1.25 ± 0.5 (standard error)))
+    """
 
     policy: str
     estimator: str
@@ -46,6 +57,14 @@ class Report:
     discount, horizon, seed, facts : how it was computed
     sureness : likelihood (and guaranteed) intervals of each policy, and the sentences that end the report
     problem, policies : what was evaluated, for the pictures of ``to_html``
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> report = oee.evaluate(pair.problem(1000, seed=0), pair.policy, estimators=["pdis"], target=pair.target, seed=0)
+    >>> [(row["estimator"], round(row["value"], 2), round(row["error"], 2)) for row in report.records()]
+    [('pdis', 9.72, -0.35)]
     """
 
     results: tuple[Result, ...]

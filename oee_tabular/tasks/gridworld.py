@@ -78,13 +78,34 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
 
 
 def gridworld_expert(size: int) -> Array:
-    """The paper's expert, (S, 4): raise the row until the last one, then the column."""
+    """The paper's expert, (S, 4): raise the row until the last one, then the column.
+
+    Parameters
+    ----------
+    size : int
+
+    Examples
+    --------
+    >>> gridworld_expert(3).argmax(axis=1).tolist()
+    [0, 0, 0, 0, 0, 0, 2, 2, 2]
+    """
     n = _checks.positive_integer(size, "size")
     row = np.arange(n * n) // n
     return deterministic_policy(np.where(row < n - 1, 0, 2), 4)
 
 
 def gridworld_policy(size: int, delta: float) -> Array:
-    """pi_delta = delta * expert + (1 - delta) * uniform, (S, 4)."""
+    """pi_delta = delta * expert + (1 - delta) * uniform, (S, 4).
+
+    Parameters
+    ----------
+    size : int
+    delta : float in [0, 1]: the share of the expert
+
+    Examples
+    --------
+    >>> gridworld_policy(3, 0.8)[0].round(6).tolist()
+    [0.85, 0.05, 0.05, 0.05]
+    """
     expert = gridworld_expert(size)
     return mix(expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0))

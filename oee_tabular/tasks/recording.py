@@ -39,6 +39,14 @@ def record_episodes(
     -------
     Transitions
         With rewards, termination, truncation, episodes and the probabilities of the actions taken.
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import make_environment
+    >>> env = make_environment("FrozenLake-v1", is_slippery=False)
+    >>> record_episodes(env, np.full((16, 4), 0.25), n_episodes=3, seed=0)
+    Transitions(40 transitions in 3 episodes of 7 to 24 steps: 3 terminated, 0 truncated;
+                states 0..11, actions 0..3; rewards 0 to 0; behaviour probabilities)
     """
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")

@@ -18,7 +18,22 @@ from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
 @dataclass(frozen=True)
 class NamedTask:
-    """A simulator that was named: its MDP, its expert (a task's own, else the optimal policy), its environment."""
+    """A simulator that was named.
+
+    Attributes
+    ----------
+    name : str, as it was given
+    mdp : FiniteMDP
+    expert : () -> (S, A), a task's own expert, else the optimal policy
+    environment : () -> Gymnasium environment, None for tasks that are not Gymnasium's
+    grid : size of a square gridworld of ours, else None
+
+    Examples
+    --------
+    >>> task = named_task("gridworld:3,slip=0.3")
+    >>> task.grid, task.expert().argmax(axis=1).tolist()
+    (3, [0, 0, 0, 0, 0, 0, 2, 2, 2])
+    """
 
     name: str
     mdp: FiniteMDP
@@ -32,7 +47,23 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
 
     ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"), a Gymnasium id
     with a toy-text table, or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
-    ``discount`` replaces the task's own.
+
+    Parameters
+    ----------
+    spec : str
+    discount : float in [0, 1], in place of the task's own; None: the task's
+
+    Raises
+    ------
+    ValueError
+        A name that is unknown (with the nearest ids), arguments that the task does not take, a file that is no MDP.
+
+    Examples
+    --------
+    >>> named_task("gridworld:10,slip=0.3").mdp
+    FiniteMDP(100 states, 4 actions, 1576 transitions, rewards r(s, a, s'), discount 0.99)
+    >>> named_task("FrozenLake-v1:is_slippery=False", discount=0.9).mdp
+    FiniteMDP(16 states, 4 actions, 64 transitions, rewards r(s, a, s'), discount 0.9)
     """
     if Path(spec).suffix.lower() == ".npz":
         mdp = FiniteMDP.load(spec)

@@ -19,7 +19,26 @@ def environment_exists(identifier: str) -> None:
 
 
 def make_environment(identifier: str, **kwargs: Any) -> Any:
-    """``gymnasium.make`` with errors that name what was asked for."""
+    """``gymnasium.make`` with errors that name what was asked for.
+
+    Parameters
+    ----------
+    identifier : a Gymnasium id
+    kwargs : of the environment
+
+    Raises
+    ------
+    ValueError
+        An unknown id (with the nearest ones), or arguments that the environment does not take.
+
+    Examples
+    --------
+    >>> make_environment("FrozenLake-v1", is_slippery=False).observation_space
+    Discrete(16)
+    >>> make_environment("FrozenLak-v1")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ValueError: environment must be a task or a Gymnasium id; 'FrozenLak-v1' is neither; near: FrozenLake-v1...
+    """
     import gymnasium
 
     environment_exists(identifier)

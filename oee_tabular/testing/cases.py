@@ -34,6 +34,8 @@ class Case:
     horizon : of the value; None: the infinite sum
     steps : longest episode of a log (beyond the horizon in some cases)
 
+    Examples
+    --------
     >>> pair = case("ragged")
     >>> round(pair.truth, 4), len(pair.log(100, seed=0)) < 600
     (10.0696, True)
@@ -99,7 +101,20 @@ class Case:
 
 
 def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Transitions:
-    """The log of ``Case.relabelled``."""
+    """The log of ``Case.relabelled``.
+
+    Parameters
+    ----------
+    log : Transitions
+    states, actions : (S,) and (A,) permutations: state s is named ``states[s]``, action a ``actions[a]``
+
+    Examples
+    --------
+    >>> log = case("ragged").log(2, seed=0)
+    >>> new = relabelled_log(log, np.array([1, 0, 2, 3]), np.array([0, 1]))
+    >>> log.state[:4].tolist(), new.state[:4].tolist()
+    ([0, 0, 0, 1], [1, 1, 1, 0])
+    """
     names = {"state": states[log.state], "action": actions[log.action], "next_state": states[log.next_state]}
     return Transitions(**(log.columns() | names))
 
@@ -107,7 +122,17 @@ def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Tra
 def padded_log(log: Transitions, actions: tuple[int, ...], probability: float) -> Transitions:
     """Further moves in the absorbing state, with these actions, after every episode that ended there.
 
-    ``probability`` is what the behaviour policy gives each of them.
+    Parameters
+    ----------
+    log : Transitions, with episodes, rewards and behaviour probabilities
+    actions : of the rows that are added to each such episode
+    probability : what the behaviour policy gives each of them
+
+    Examples
+    --------
+    >>> log = case("ragged").log(2, seed=0)
+    >>> len(log), int(log.terminated.sum()), len(padded_log(log, (0, 1), 0.5))
+    (8, 2, 12)
     """
     starts, rows = log.episode_starts, len(actions)
     assert starts is not None
@@ -236,7 +261,19 @@ CASES = tuple(_MADE)
 
 
 def case(name: str) -> Case:
-    """The case of that name, made anew; "same NAME": with the target for the simulator."""
+    """The case of that name, made anew; "same NAME": with the target for the simulator.
+
+    Parameters
+    ----------
+    name : one of ``CASES``, or "same " and one of them
+
+    Examples
+    --------
+    >>> CASES[:3]
+    ('ragged', 'ragged infinite', 'moves')
+    >>> round(case("ragged").truth, 2), round(case("same ragged").truth, 2)
+    (10.07, 10.07)
+    """
     bare = name.removeprefix("same ")
     _checks.one_of(bare, "name", CASES)
     found = _MADE[bare](bare)

@@ -39,10 +39,27 @@ _EXACT = frozenset({"relabelling", "scale", "padding", "after_end"})  # of the l
 
 
 def claims_of(estimator: Any, given: Iterable[str] | None = None) -> frozenset[str]:
-    """``given``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else the table
+    """What an estimator claims: the words that say which laws it owes.
+
+    ``given``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else the table
     of the package's own estimators, else ``DEFAULT``.
 
-    Raises ValueError for a word that is none of ``CLAIMS``.
+    Parameters
+    ----------
+    estimator : any object
+    given : words of ``CLAIMS``, or None
+
+    Raises
+    ------
+    ValueError
+        A word that is none of ``CLAIMS`` (with the nearest one).
+
+    Examples
+    --------
+    >>> sorted(claims_of(Simulator()) - DEFAULT)
+    ['after_end', 'identical', 'padding', 'shift']
+    >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
+    True
     """
     found: Any = given
     name = "claims"

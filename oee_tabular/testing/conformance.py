@@ -55,7 +55,22 @@ LAWS: Mapping[str, Law] = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one law: ``outcome`` (one of ``OUTCOMES``), the numbers found, and how to see it again."""
+    """What became of one law.
+
+    Attributes
+    ----------
+    law : its name, a key of ``LAWS``
+    outcome : "holds", "fails", "raises" or "not claimed"
+    text : the numbers found
+    example : how to see it again
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> verdict = check_estimator(Simulator(), claims=["consistent"], laws=["consistent"])["consistent"]
+    >>> verdict.outcome, verdict.text
+    ('fails', 'ragged: its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
+    """
 
     law: str
     outcome: str
@@ -65,7 +80,22 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Verdicts(Mapping[str, Verdict]):
-    """A verdict for each law; prints as a table, ``verdicts["shift"]`` is one of them."""
+    """A verdict for each law; prints as a table, ``verdicts["shift"]`` is one of them.
+
+    Attributes
+    ----------
+    estimator : its name
+    claims : the words by which laws were chosen
+    seed : of the logs
+    verdicts : law -> Verdict
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> verdicts = check_estimator(Simulator(), claims=["consistent", "scale"], laws=["consistent", "scale"])
+    >>> verdicts.passed, verdicts.broken, len(verdicts)
+    (False, ('consistent',), 2)
+    """
 
     estimator: str
     claims: frozenset[str]
@@ -151,6 +181,8 @@ def check_estimator(
     field ``n_rollouts`` is given more rollouts with more episodes where its limit is looked at. Cost: some 100 estimates (900
     where it claims to be unbiased), of logs of up to 4800 episodes.
 
+    Examples
+    --------
     >>> from oee_tabular.estimators import ModelBased
     >>> verdicts = check_estimator(ModelBased(), laws=["scale", "shift", "unbiased"])
     >>> verdicts.passed, verdicts["shift"].outcome, verdicts["unbiased"].outcome

@@ -55,6 +55,15 @@ def mdps(
     ------
     ValueError
         Sizes below 1 or in the wrong order, discounts outside [0, 1], unknown forms.
+
+    Examples
+    --------
+    >>> from hypothesis import given, settings
+    >>> @settings(max_examples=10)
+    ... @given(mdps(max_states=3))
+    ... def law(mdp):
+    ...     assert mdp.n_states <= 3 and abs(mdp.transitions.sum(axis=1) - 1).max() < 1e-12
+    >>> law()
     """
     low, high = _sizes(min_states, max_states, "min_states", "max_states")
     actions = _checks.positive_integer(max_actions, "max_actions")
@@ -91,7 +100,23 @@ def _mdps(
 
 
 def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
-    """(S, A) policies of ``mdp``; ``zeros=False``: every action has a chance in every state."""
+    """(S, A) policies of an MDP.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+    zeros : False: every action has a chance in every state
+
+    Examples
+    --------
+    >>> from hypothesis import given, settings
+    >>> coin = FiniteMDP([[[0.5, 0.5], [0.9, 0.1]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> @settings(max_examples=10)
+    ... @given(policies(coin, zeros=False))
+    ... def law(policy):
+    ...     assert policy.shape == (2, 2) and policy.min() > 0
+    >>> law()
+    """
     return _policies(_require(mdp), list(range(mdp.n_actions)) if not zeros else [])
 
 
@@ -116,6 +141,15 @@ def mdp_pairs(
     ------
     ValueError
         As ``mdps``; an unknown support.
+
+    Examples
+    --------
+    >>> from hypothesis import given, settings
+    >>> @settings(max_examples=10)
+    ... @given(mdp_pairs(support="inside", max_states=2))
+    ... def law(pair):
+    ...     assert not ((pair[1].transitions > 0) > (pair[0].transitions > 0)).nnz
+    >>> law()
     """
     _checks.one_of(support, "support", SUPPORTS)
     if support == "violated":
@@ -160,7 +194,22 @@ def _violated(draw: st.DrawFn, bases: st.SearchStrategy[FiniteMDP]) -> tuple[Fin
 
 
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
-    """Horizons from 1, and None where the infinite sum exists for every policy (discount below 1, or all of ``mdps``)."""
+    """Horizons from 1, and None where the infinite sum exists for every policy (discount below 1, or all of ``mdps``).
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+    max_horizon : the largest, a positive int
+
+    Examples
+    --------
+    >>> from hypothesis import given, settings
+    >>> @settings(max_examples=10)
+    ... @given(horizons(FiniteMDP([[[1.0]]], [1.0], [1.0], 0.9), max_horizon=3))
+    ... def law(horizon):
+    ...     assert horizon is None or 1 <= horizon <= 3
+    >>> law()
+    """
     model = _require(mdp)
     finite = st.integers(1, _checks.positive_integer(max_horizon, "max_horizon"))
     rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
@@ -188,6 +237,16 @@ def logs(
     behavior_policy : (S, A) whose actions are taken and whose probabilities are recorded; None: uniform
     max_episodes, max_steps : sizes, from 1 (a bag has at most their product of rows)
     rewards : whether rewards are recorded
+
+    Examples
+    --------
+    >>> from hypothesis import given, settings
+    >>> coin = FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> @settings(max_examples=10)
+    ... @given(logs(coin, max_episodes=3))
+    ... def law(log):
+    ...     assert 1 <= log.n_episodes <= 3 and (log.reward == log.state).all()
+    >>> law()
     """
     model = _require(mdp)
     if kind is not None:

@@ -1,0 +1,209 @@
+"""Every public name is explained: by a sentence, its parameters' names, and an example, which the suite runs."""
+
+import dataclasses
+import doctest
+import importlib
+import inspect
+import re
+from collections import Counter
+
+import pytest
+
+import oee_tabular
+
+PARTS = ("mdp", "data", "exact", "simulate", "tasks", "ratio", "estimators", "inference", "testing", "report", "plots")
+HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :|$)", re.MULTILINE)
+
+# what names still lack, "sentence", "example" or "parameters" (fields, of a dataclass): an entry must go when it is there
+PENDING = {
+    "tasks.Closure": {"example", "parameters"},
+    "tasks.ContinuousTask": {"example"},
+    "tasks.Discretization": {"example", "parameters"},
+    "tasks.GymnasiumTask": {"example"},
+    "tasks.MonteCarlo": {"example", "parameters"},
+    "tasks.Moves": {"example", "parameters"},
+    "tasks.cartpole_policy": {"example", "parameters"},
+    "tasks.defensive_mixture": {"example"},
+    "tasks.monte_carlo_value": {"example", "parameters"},
+    "tasks.record": {"example", "parameters"},
+    "tasks.resimulate": {"example", "parameters"},
+    "tasks.toy_text": {"example", "parameters"},
+    "tasks.train_expert": {"example"},
+    "tasks.visited_states": {"example", "parameters"},
+}
+
+
+def public():
+    """(module.name, value) of every public function and class, once."""
+    seen = set()
+    for module in PARTS:
+        loaded = importlib.import_module(f"oee_tabular.{module}")
+        names = getattr(loaded, "__all__", None) or [
+            name
+            for name in oee_tabular.__all__
+            if getattr(getattr(oee_tabular, name), "__module__", "") == f"oee_tabular.{module}"
+        ]
+        for name in sorted(names):
+            value = getattr(loaded, name)
+            if (inspect.isclass(value) or inspect.isroutine(value)) and id(value) not in seen:
+                seen.add(id(value))
+                yield f"{module}.{name}", value
+
+
+PUBLIC = dict(public())
+
+
+def sections(value):
+    """Heading -> text of a docstring's sections; "" has what stands before the first."""
+    parts = HEADING.split(inspect.cleandoc(value.__doc__ or ""))  # its own docstring, none that it inherits
+    return {"": parts[0].strip(), **dict(zip(parts[1::2], parts[2::2], strict=True))}
+
+
+def names_in(section):
+    """The names that a section explains: at the beginning of a line that is not indented, alone or before a colon."""
+    return [name.lstrip("*") for group in ENTRY.findall(section) for name in group.split(", ")]
+
+
+def unexplained(value, found):
+    """Parameters, or fields of a dataclass, that its docstring does not name, and those that it names too many."""
+    if inspect.isclass(value) and "Parameters" not in found:
+        if not dataclasses.is_dataclass(value):
+            return set()
+        inherited = {name for base in value.__mro__[1:] for name in getattr(base, "__dataclass_fields__", ())}
+        fields = {field.name for field in dataclasses.fields(value) if not field.name.startswith("_")}
+        return fields - inherited - set(names_in(found.get("Attributes", "")))
+    wanted = [name for name in inspect.signature(value).parameters if not name.startswith("_")]
+    given = Counter(names_in(found.get("Parameters", "")))
+    return set(given - Counter(wanted)) | set(Counter(wanted) - given)
+
+
+def lacks(value):
+    """What a docstring lacks: kind -> words."""
+    found, lack = sections(value), {}
+    first = found[""].split("\n\n")[0]
+    if not first.endswith("."):
+        lack["sentence"] = f"its first line must be a sentence; it is {first!r}"
+    if ">>>" not in found.get("Examples", ""):
+        lack["example"] = "it must have an example (>>>) in a section Examples"
+    if wrong := unexplained(value, found):
+        lack["parameters"] = f"each parameter (field) must be explained, once, and nothing else; not so {sorted(wrong)}"
+    return lack
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_public_names_are_explained(name):
+    lack, pending = lacks(PUBLIC[name]), PENDING.get(name, set())
+    new = [words for kind, words in lack.items() if kind not in pending]
+    assert not new, f"{name}: {'; '.join(new)}"
+    assert pending <= set(lack), f"{name} has its {', '.join(pending - set(lack))}: take that out of PENDING"
+
+
+def test_pending_names_are_public():
+    assert set(PENDING) <= set(PUBLIC)
+    assert all(PENDING.values())
+
+
+def test_the_suite_collects_the_examples(request):
+    """pytest is told to look for them in the package, and its finder sees those of every public name, module by module."""
+    assert "--doctest-modules" in request.config.getini("addopts")
+    assert "oee_tabular" in request.config.getini("testpaths")
+    expected = {}
+    for name, value in PUBLIC.items():
+        if "example" not in PENDING.get(name, ()):
+            expected.setdefault(value.__module__, set()).add(f"{value.__module__}.{value.__qualname__}")
+    for module, names in expected.items():
+        found = doctest.DocTestFinder(exclude_empty=True).find(importlib.import_module(module), module)
+        collected = {test.name for test in found if test.examples}
+        assert names <= collected, f"{module}: {sorted(names - collected)}"
+
+
+# the checks themselves
+
+
+def right(a, *, b, **kwargs):
+    """Adds.
+
+    Parameters
+    ----------
+    a, b : int
+        Numbers, and
+        more about them
+    kwargs : not used
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> 1 + 1
+    2
+    """
+
+
+@dataclasses.dataclass
+class Right:
+    """Holds.
+
+    Attributes
+    ----------
+    x, y : int
+
+    Examples
+    --------
+    >>> 1 + 1
+    2
+    """
+
+    x: int
+    y: int
+    _hidden: int = 0
+
+
+@dataclasses.dataclass
+class Heir(Right):
+    """Holds more.
+
+    Examples
+    --------
+    >>> 1 + 1
+    2
+    """
+
+    z: int = 0
+
+
+def test_the_check_accepts_what_is_right():
+    assert lacks(right) == lacks(Right) == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind", "words"),
+    [
+        ("Adds.", "Adds", "sentence", "it is 'Adds'"),
+        ("Adds.", "", "sentence", "it is ''"),
+        (">>> 1 + 1", "1 + 1", "example", "must have an example"),
+        ("Examples\n    --------\n", "", "example", "must have an example"),
+        ("a, b :", "a :", "parameters", "not so ['b']"),
+        ("a, b :", "a, b, c :", "parameters", "not so ['c']"),
+        ("a, b :", "a, b, a :", "parameters", "not so ['a']"),
+        ("kwargs : not used", "", "parameters", "not so ['kwargs']"),
+        ("Parameters\n    ----------\n", "", "parameters", "not so ['a', 'b', 'kwargs']"),
+    ],
+)
+def test_the_check_sees_what_is_missing(old, new, kind, words):
+    def changed(a, *, b, **kwargs):
+        pass
+
+    assert old in right.__doc__
+    changed.__doc__ = right.__doc__.replace(old, new)
+    assert words in lacks(changed).pop(kind)
+
+
+def test_the_check_sees_fields_that_are_missing():
+    class Bare(Right):
+        pass
+
+    assert set(lacks(Bare)) == {"sentence", "example"}
+    assert "not so ['z']" in lacks(Heir)["parameters"]
