@@ -37,6 +37,7 @@ _EXPORTS = {
     "doubly_robust_moments": "exact",
     "efficiency_bound": "exact",
     "trajectory_efficiency_bound": "exact",
+    "ContinuousTransitions": "data",
     "Transitions": "data",
     "sample_episodes": "simulate",
     "sample_transitions": "simulate",
@@ -73,7 +74,7 @@ _MODULES = (
 
 if TYPE_CHECKING:
     from oee_tabular import data, estimators, exact, inference, mdp, plots, ratio, report, simulate, tasks, testing
-    from oee_tabular.data import Transitions
+    from oee_tabular.data import ContinuousTransitions, Transitions
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
         Moments,
@@ -105,6 +106,7 @@ if TYPE_CHECKING:
     from oee_tabular.tasks import record_episodes
 
 __all__ = [
+    "ContinuousTransitions",
     "Estimate",
     "FiniteMDP",
     "Interval",

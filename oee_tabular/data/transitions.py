@@ -7,6 +7,7 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -197,6 +198,28 @@ class Transitions:
         if self.episode is not None:
             columns["truncated"][-1] |= not columns["terminated"][-1]
         return type(self)(**columns)
+
+    @classmethod
+    def concatenate(cls, logs: Sequence[Self]) -> Self:
+        """One log of several, in their order: episodes are numbered on; a column that one of them lacks is dropped.
+
+        Examples
+        --------
+        >>> a, b = Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]), Transitions([0], [1], [2], episode=[0])
+        >>> Transitions.concatenate([a, b]).episode
+        array([0, 0, 1])
+        """
+        parts = list(logs)
+        if not parts or not all(isinstance(log, cls) for log in parts):
+            raise ValueError(f"logs must be one or more {cls.__name__}; got {parts!r:.80}")
+        columns = [log.columns() for log in parts]
+        joined = {
+            name: [part[name] for part in columns] for name in columns[0] if all(name in part for part in columns)
+        }
+        if "episode" in joined:
+            after = np.cumsum([0, *(int(part.max()) + 1 for part in joined["episode"][:-1])])
+            joined["episode"] = [part + first for part, first in zip(joined["episode"], after, strict=True)]
+        return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Any) -> Self:
         """A bag of n rows drawn without replacement, the paper's way of taking a sample."""

@@ -1,6 +1,7 @@
 """Estimators of a policy's value in the target: ``estimator(problem, policy, seed=...) -> Estimate``."""
 
 from oee_tabular.estimators.base import Estimate, Estimator
+from oee_tabular.estimators.calibrated import calibrate
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.magic import Magic
@@ -23,4 +24,5 @@ __all__ = [
     "Oracle",
     "Problem",
     "Simulator",
+    "calibrate",
 ]

@@ -39,7 +39,7 @@ class OffEnvironment(ExactLimit):
     Parameters
     ----------
     ratio : "conditional" | "ratio_of_ratios" | "joint", a TransitionRatio, or a function (log, simulator) -> TransitionRatio
-        (``functools.partial(oee.transition_ratio, strength=3.0)``)
+        (``functools.partial(oee.transition_ratio, strength=3.0)``); where the problem was given counts it gets those
     evaluation : "exact" (dynamic programming in zeta * P: no product of ratios, no variance) or "monte_carlo" (the
         paper's product of ratios on rollouts of the simulator)
     weighting : "per_decision" | "trajectory", for "monte_carlo"
@@ -103,9 +103,9 @@ class OffEnvironment(ExactLimit):
             self.ratio.on(problem.simulator)  # or an error
             return self.ratio
         if callable(self.ratio):
-            return self.ratio(problem.log, problem.simulator)
+            return self.ratio(problem.observed, problem.simulator)
         if self.ratio == "conditional":
-            return transition_ratio(problem.log, problem.simulator)
+            return transition_ratio(problem.observed, problem.simulator)
         return transition_ratio(
             problem.log,
             problem.simulator,
@@ -203,7 +203,7 @@ def coverage(problem: Problem, model: Model, policy: Array, counts: Array) -> di
     d: Array = alive[visited]
     n: Array = counts[visited]
     seen = float(d.sum())
-    share = 1.0 if total == 0.0 else seen / total
+    share = 1.0 if total == 0.0 else min(seen / total, 1.0)
     spread = float(np.sum(d * d / n)) if d.size else 0.0
     missed = np.where(visited, 0.0, alive)
     first = [divmod(int(k), model.n_actions) for k in np.argsort(-missed, axis=None, kind="stable")[:3]]

@@ -11,10 +11,10 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, find
+from oee_tabular._sparse import align, canonical, find
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.finite_mdp import canonical_table, name_move
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 
@@ -52,19 +52,24 @@ class Problem:
         elsewhere. Importance sampling always uses the log's.
     episodes : Transitions, optional
         Whole episodes for importance sampling, where ``log`` is a draw of moves without episodes.
+    counts : sparse (S*A, S) of nonnegative numbers, optional
+        Counts of the target's moves in place of the log's, for the estimators that use counts (``Discretization.counts``
+        gives soft ones). Importance sampling and the paper's ratio of ratios keep using the log.
 
     Attributes
     ----------
     log : with terminated transitions led to the simulator's terminal states
     model : the simulator with the rewards that model-based values are to pay
-    counts : csr (S*A, S) of the log's moves
+    counts : csr (S*A, S) of the log's moves, or the given ones
+    observed : what a ratio is fitted to: the log, or the counts where they were given
     reward_conflict : RewardConflict or None
 
     Raises
     ------
     ValueError
         States or actions outside the simulator's; moves that the simulator gives probability 0 (the first are named);
-        a terminated move into a state where the simulator goes on; a log reward asked for and not there.
+        a terminated move into a state where the simulator goes on; a log reward asked for and not there; counts of another
+        shape, negative, not finite, or without any move.
 
     Examples
     --------
@@ -83,8 +88,29 @@ class Problem:
     simulator_data: Any = None
     rewards: Literal["simulator", "log"] = "simulator"
     episodes: Transitions | None = None
+    _counts: Any = None  # as given; the name ``counts`` is that of what is used
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        simulator: FiniteMDP,
+        log: Transitions,
+        horizon: int | None = None,
+        behavior_policy: Any = None,
+        simulator_data: Any = None,
+        rewards: Literal["simulator", "log"] = "simulator",
+        episodes: Transitions | None = None,
+        counts: Any = None,
+        *,
+        _counts: Any = None,  # dataclasses.replace passes fields on
+    ) -> None:
+        given = {"simulator": simulator, "log": log, "horizon": horizon, "behavior_policy": behavior_policy,
+                 "simulator_data": simulator_data, "rewards": rewards, "episodes": episodes,
+                 "_counts": _counts if counts is None else counts}  # fmt: skip
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
         if not isinstance(self.simulator, FiniteMDP):
             raise ValueError(f"simulator must be a FiniteMDP; got {type(self.simulator).__name__}")
         for name in ("log", "episodes"):
@@ -105,7 +131,11 @@ class Problem:
             object.__setattr__(self, "simulator_data", settled)
         if self.rewards == "log" and self.log.reward is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
-        refuse_unsupported(self.counts, self.simulator)
+        if self._counts is not None:
+            object.__setattr__(self, "_counts", _checked_counts(self._counts, self.simulator))
+            refuse_unsupported(self._counts, self.simulator, what="counts")
+        else:
+            refuse_unsupported(self.counts, self.simulator)
 
     def __repr__(self) -> str:
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
@@ -125,8 +155,16 @@ class Problem:
 
     @cached_property
     def counts(self) -> sparse.csr_array:
-        """(S*A, S) counts of the log's moves."""
+        """(S*A, S) counts of the log's moves, or those that were given."""
+        if self._counts is not None:
+            found: sparse.csr_array = self._counts
+            return found
         return self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+
+    @property
+    def observed(self) -> Transitions | sparse.csr_array:
+        """What a ratio is fitted to: the log, or the counts where they were given."""
+        return self.log if self._counts is None else self.counts
 
     @cached_property
     def model(self) -> FiniteMDP:
@@ -150,6 +188,25 @@ class Problem:
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
+
+
+def _checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
+    """Given counts as a canonical csr of the simulator's shape, read-only; ValueError that names the place."""
+    shape = simulator.transitions.shape
+    if not sparse.issparse(counts):
+        raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
+    if counts.shape != shape:
+        raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
+    if counts.dtype.kind not in "fiub":
+        raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
+    matrix = canonical(sparse.csr_array(counts, dtype=np.float64), drop_zeros=True)
+    bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
+    if bad.size:
+        where = name_move(matrix, int(bad[0]), simulator.n_actions)
+        raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]:g}")
+    if matrix.nnz == 0:
+        raise ValueError("counts must have at least one move; all are 0")
+    return matrix
 
 
 def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:

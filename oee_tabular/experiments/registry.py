@@ -100,6 +100,24 @@ class Experiment:
             count = min(repetitions, count) if smoke else repetitions
         return Settings(self.id, axes, count, seed)
 
+    def table(self, *, repetitions: int = 1, seed: int = 0, **axes: Any) -> pd.DataFrame:
+        """The rows of a few cells, computed here and now: axes by name, a value or several; the others in full."""
+        import pandas as pd
+
+        unknown = sorted(set(axes) - set(self.axes))
+        if unknown:
+            raise ValueError(f"axes must be among {', '.join(self.axes)}; got {unknown[0]!r}")
+        chosen = {
+            name: values if name not in axes else tuple(np.atleast_1d(np.asarray(axes[name], dtype=object)))
+            for name, values in self.axes.items()
+        }
+        rows = [
+            {**cell, **row}
+            for cell in Settings(self.id, chosen, repetitions, seed).cells()
+            for row in self.run(cell, Stream(self.id, seed, cell))
+        ]
+        return pd.DataFrame(rows)
+
 
 @dataclass(frozen=True)
 class Settings:

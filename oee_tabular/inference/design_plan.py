@@ -152,6 +152,9 @@ class Plan:
             for o, v in zip(self.policies, variances, strict=True)
         }
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         how = (
             "any (s, a)"
@@ -170,6 +173,10 @@ class Plan:
                 f"{o.name:<{size}}  {errors[0]:>10.3g} -> {errors[1]:<9.3g}  {widths[0]:>10.3g} -> {widths[1]:<9.3g}  "
                 f"{o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}"
             )
+        lines.append(
+            "inefficiency: n times the variance over its least, with as many moves chosen for this policy alone; to free: over "
+            "the least if any (s, a) could be set up"
+        )
         flat = self.distribution.reshape(-1)
         top = [divmod(int(k), self.distribution.shape[1]) for k in np.argsort(-flat, kind="stable")[:5]]
         lines.append("most of it: " + ", ".join(f"s={s}, a={a} {100 * self.distribution[s, a]:.1f}%" for s, a in top))

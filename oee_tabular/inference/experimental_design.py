@@ -262,7 +262,7 @@ def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: Any) -> tuple[Fi
     _checks.one_of(model, "model", ("estimate", "simulator"))
     if model == "simulator" or isinstance(problem, FiniteMDP):
         return mdp, "the simulator"
-    return transition_ratio(problem.log, problem.simulator).target_model(mdp), "the estimate from the log"
+    return transition_ratio(problem.observed, problem.simulator).target_model(mdp), "the estimate from the log"
 
 
 def _restart(restart: float | None, discount: float, horizon: int | None) -> float:

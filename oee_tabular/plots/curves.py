@@ -22,6 +22,7 @@ def plot_curves(
     *,
     bands: Mapping[str, tuple[Any, Any]] | None = None,
     truth: Any = None,
+    truth_label: str = "true value",
     xlabel: str = "parameter",
     ylabel: str = "value (discounted sum of rewards)",
 ) -> Axes:
@@ -33,7 +34,7 @@ def plot_curves(
     curves : name -> (k,); nan where there is no value
     ax : matplotlib Axes
     bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
-    truth : None, a number, or (k,)
+    truth, truth_label : None, a number, or (k,); its name in the legend
     xlabel, ylabel : with units
 
     Returns
@@ -59,7 +60,7 @@ def plot_curves(
         raise ValueError(f"bands must be of names in curves; {unknown[0]!r} is not")
     if truth is not None:
         line = np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
-        ax.plot(where, line, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value")
+        ax.plot(where, line, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
     return _finish(ax, xlabel, ylabel)
 
 

@@ -120,7 +120,7 @@ def plot_grid(
     bar = ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.03, ticks=ticks, drawedges=False)
     bar.set_label(label)
     if ticks is not None:
-        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+        bar.set_ticks(ticks, labels=[f"{tick:g}" if tick == round(tick) else f"{tick:.2g}" for tick in ticks])
         bar.minorticks_off()
     bar.outline.set_visible(False)
     return ax
@@ -240,10 +240,10 @@ def plot_occupancy(
     ended = _mask(over, rows * columns)
     share = np.where(ended, np.nan, share)
     most = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
-    return plot_grid(
-        share, shape, ax, label=label, norm=PowerNorm(0.5, 0.0, most if most > 0 else 1.0),
-        text=["end" if e else _percent(s) for s, e in zip(share, ended, strict=True)], crossed=unseen,
-    )  # fmt: skip
+    crossed = _mask(unseen, rows * columns) & ~ended
+    words = ["end" if e else "" if c else _percent(s) for s, e, c in zip(share, ended, crossed, strict=True)]
+    norm = PowerNorm(0.5, 0.0, most if most > 0 else 1.0)
+    return plot_grid(share, shape, ax, label=label, norm=norm, text=words, crossed=crossed)
 
 
 def _write(ax: Axes, drawn: Any, cells: Any, words: list[str], columns: int) -> None:

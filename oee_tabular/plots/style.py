@@ -49,7 +49,7 @@ def ink() -> str:
     return str(matplotlib.rcParams["text.color"])
 
 
-def shown(name: object, longest: int = 28) -> str:
+def shown(name: object, longest: int = 36) -> str:
     """A name as a picture can hold it: no control characters, at most ``longest`` letters."""
     text = "".join(letter if letter.isprintable() else "\ufffd" for letter in str(name))
     return text if len(text) <= longest else text[: longest - 1] + "…"

@@ -27,13 +27,14 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import programs
-from oee_tabular.ratio.neighbours import Neighbours, factor, log_determinant, neighbours
+from oee_tabular.ratio.neighbours import Factor, Neighbours, neighbours
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 from oee_tabular.ratio.tilt import ENOUGH
 
 SMALLEST, LARGEST = -2.0, 6.0  # log10 of lambda
 HOPELESS = 20.0  # nats below the best at which the search stops
+DENSE = 128  # unknowns up to which the Hessian is dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class LocalTilt:
     ratio : zeta on the simulator's entries
     theta : (S, d), theta + u_s, of the standardised features
     gap : bound on f less its minimum, divided by the number of moves
-    scores : csr (entries, (K + 1) d), d log zeta / d (u, theta); information : csc, f''
+    scores : csr (entries, (K + 1) d), d log zeta / d (u, theta); information : f'', csc or, of few unknowns, dense
     """
 
     smoothness: float
@@ -58,7 +59,7 @@ class LocalTilt:
     theta: Array
     gap: float
     scores: sparse.csr_array
-    information: sparse.csc_array
+    information: sparse.csc_array | Array
 
 
 class _Risk:
@@ -78,6 +79,8 @@ class _Risk:
         self.nodes, self.d = graph.penalty.shape[0], phi.shape[1]
         self.aim = self._by_group(segment_sums(self.observed[:, None] * self.phi, self.indptr))
         self.prior = sparse.csc_array(sparse.kron(graph.penalty, sparse.eye_array(self.d), format="csc"))
+        self.prior_factor = Factor(self.prior)
+        self._dense = self.prior.toarray() if (self.nodes + 1) * self.d <= DENSE else None
         blocks = np.arange(self.nodes * self.d).reshape(self.nodes, self.d)
         self._row = np.repeat(blocks, self.d, axis=1).reshape(-1)
         self._column = np.tile(blocks, (1, self.d)).reshape(-1)
@@ -109,13 +112,22 @@ class _Risk:
         flat = pull.reshape(-1) + smoothness * (self.prior @ u.reshape(-1))
         return np.concatenate([flat, pull.sum(axis=0) + theta]), information
 
-    def hessian(self, information: Array, smoothness: float) -> sparse.csc_array:
+    def hessian(self, information: Array, smoothness: float) -> sparse.csc_array | Array:
         """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d), and 1e-12 of the information on its diagonal.
 
         Enormous counts would drown what the penalties alone determine: (u + c, theta - c), collinear features.
         """
         size = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(self.d)
         information = information + size
+        if self._dense is not None:
+            unknowns = len(self._dense)
+            whole = np.empty((unknowns + self.d, unknowns + self.d))
+            whole[:unknowns, :unknowns] = smoothness * self._dense
+            whole[self._row, self._column] += information.reshape(-1)
+            whole[:unknowns, unknowns:] = information.reshape(unknowns, self.d)
+            whole[unknowns:, :unknowns] = whole[:unknowns, unknowns:].T
+            whole[unknowns:, unknowns:] = information.sum(axis=0) + np.eye(self.d)
+            return whole
         diagonal = sparse.csc_array((information.reshape(-1), (self._row, self._column)), self.prior.shape)
         edge = sparse.csc_array(information.reshape(self.nodes * self.d, self.d))
         corner = information.sum(axis=0) + np.eye(self.d)
@@ -130,7 +142,7 @@ def minimise(risk: _Risk, smoothness: float, u: Array, theta: Array) -> tuple[fl
     last = np.inf
     for _ in range(100):
         gradient, information = risk.slopes(u, theta, smoothness, model)
-        factored = factor(risk.hessian(information, smoothness))
+        factored = Factor(risk.hessian(information, smoothness))
         step = -factored.solve(gradient)
         decrement, size = float(-gradient @ step), max(1.0, abs(value), risk.total)
         if decrement <= 1e-24 * size or 1e-12 * size > decrement > 0.25 * last:  # no more than rounding is left
@@ -146,9 +158,9 @@ def minimise(risk: _Risk, smoothness: float, u: Array, theta: Array) -> tuple[fl
         else:
             break
         u, theta, value, model = u + length * du, theta + length * dt, trial, trial_model
-    logs = risk.d * (risk.nodes * np.log(smoothness) + risk.graph.log_determinant) - log_determinant(factored)
+    logs = risk.d * (risk.nodes * np.log(smoothness) + risk.graph.log_determinant) - factored.log_determinant()
     bend, rest = gradient[: u.size], gradient[u.size :]
-    gap = 0.5 * float(rest @ rest + bend @ factor(risk.prior).solve(bend) / smoothness)
+    gap = 0.5 * float(rest @ rest + bend @ risk.prior_factor.solve(bend) / smoothness)
     return float(-value + 0.5 * logs), u, theta, gap
 
 
@@ -234,7 +246,7 @@ def _by_cvxpy(risk: _Risk, smoothness: float, solver: str) -> tuple[Array, Array
     u, theta = both[:size].reshape(risk.nodes, risk.d), both[size:]
     _, model = risk.value(u, theta, smoothness)
     gradient, _ = risk.slopes(u, theta, smoothness, model)
-    return u, theta, 0.5 * float(gradient @ factor(sparse.csc_array(prior)).solve(gradient))
+    return u, theta, 0.5 * float(gradient @ Factor(sparse.csc_array(prior)).solve(gradient))
 
 
 def _scatter(values: Array, group: IntArray, nodes: int) -> sparse.csr_array:

@@ -14,12 +14,13 @@ Reference: [1] H. Rue and L. Held, Gaussian Markov Random Fields, 2005.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from oee_tabular._checks import IntArray
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.kernels.matching import match
 from oee_tabular.mdp import FiniteMDP
 
@@ -43,16 +44,38 @@ class Neighbours:
     log_determinant: float
 
 
-def factor(matrix: sparse.csc_array) -> sparse_linalg.SuperLU:
-    """Of a symmetric positive definite matrix, by minimum degree, without pivoting."""
-    return sparse_linalg.splu(
-        sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
+class Factor:
+    """Of a symmetric positive definite matrix: sparse, by minimum degree without pivoting; dense, Cholesky's."""
 
+    def __init__(self, matrix: sparse.csc_array | Array):
+        self._sparse: sparse_linalg.SuperLU | None = None
+        self._dense: Any = None
+        if isinstance(matrix, np.ndarray):
+            self._dense = linalg.cho_factor(matrix, lower=True)
+        else:
+            self._sparse = sparse_linalg.splu(
+                sparse.csc_array(matrix),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
 
-def log_determinant(factored: sparse_linalg.SuperLU) -> float:
-    """ln |A| of a positive definite A."""
-    return float(np.log(np.abs(factored.U.diagonal())).sum())
+    @property
+    def entries(self) -> int:
+        """Of the factor."""
+        return int(self._sparse.L.nnz) if self._sparse is not None else int(self._dense[0].size)
+
+    def solve(self, b: Array) -> Array:
+        """matrix^-1 b."""
+        if self._sparse is not None:
+            return np.asarray(self._sparse.solve(b))
+        return np.asarray(linalg.cho_solve(self._dense, b))
+
+    def log_determinant(self) -> float:
+        """ln |matrix|."""
+        if self._sparse is not None:
+            return float(np.log(np.abs(self._sparse.U.diagonal())).sum())
+        return 2.0 * float(np.log(np.diag(self._dense[0])).sum())
 
 
 def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
@@ -71,9 +94,9 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
                 - weights
                 + sparse.diags_array(weights.diagonal())
             )
-            factored = factor(penalty)
-            if len(sizes) <= 2 or factored.L.nnz <= FILL:
-                return Neighbours(group, penalty, log_determinant(factored))
+            factored = Factor(penalty)
+            if len(sizes) <= 2 or factored.entries <= FILL:
+                return Neighbours(group, penalty, factored.log_determinant())
         joined = match(weights.indptr, weights.indices, weights.data, sizes)
         onto = sparse.csr_array((np.ones(len(joined)), (np.arange(len(joined)), joined)))
         weights = sparse.csr_array(onto.T @ weights @ onto)

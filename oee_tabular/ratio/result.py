@@ -12,7 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.neighbours import factor
+from oee_tabular.ratio.neighbours import Factor
 from oee_tabular.ratio.segments import segment_sums, spread
 
 
@@ -153,8 +153,8 @@ class Influence:
         each = share * psi / counts
         if self.scores is not None and self.information is not None:
             pull = ((1.0 - share) * self.prior * psi) @ self.scores  # d value / d theta
-            if sparse.issparse(self.information):
-                moved = factor(sparse.csc_array(self.information)).solve(pull)
+            if sparse.issparse(self.scores):
+                moved = Factor(self.information).solve(pull)
             else:
                 moved = np.linalg.lstsq(self.information, pull)[0]
             each = each + self.scores @ moved

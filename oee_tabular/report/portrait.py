@@ -78,7 +78,7 @@ def portray(
     visits: dict[str, Visits] = {}
     over = simulator.closed()
     if problem.horizon is not None or simulator.discount < 1.0:
-        model = transition_ratio(problem.log, simulator).target_model(simulator)
+        model = transition_ratio(problem.observed, simulator).target_model(simulator)
         for name in list(policies)[:MOST_POLICIES]:
             time = occupancy(model, policies[name], horizon=problem.horizon)
             time = np.where(over[:, None], 0.0, time)

@@ -124,7 +124,7 @@ class Report:
 
         return pd.DataFrame(self.records())
 
-    def __str__(self) -> str:
+    def _header(self) -> list[str]:
         level = f"{self.confidence:.0%} interval"
         header = [
             "policy",
@@ -140,8 +140,14 @@ class Report:
         ]
         if self.truth:
             header.insert(5, "error")
+        return header
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
         body = [self._cells(row) for row in self.records()]
-        lines = _aligned([header, *body], numeric_from=2)
+        lines = _aligned([self._header(), *body], numeric_from=2)
         lines.insert(1, "-" * max(len(line) for line in lines))
         text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}", "", *lines]
         if self.truth:
@@ -256,13 +262,9 @@ class Report:
         return text
 
     def _repr_html_(self) -> str:
-        level = f"{self.confidence:.0%} interval"
         return _printing.table(
-            ["policy", "estimator", "value", "std. error", level, "coverage", "note"],
-            [
-                [cells[0], cells[1], cells[2], cells[3], cells[4], cells[6 + bool(self.truth)], cells[-1]]
-                for cells in (self._cells(row) for row in self.records())
-            ],
+            self._header(),
+            [self._cells(row) for row in self.records()],
             caption=f"Value: {self.unit} ({'normalised' if self.normalized else 'not normalised'})",
             text_columns=2,
             below=[

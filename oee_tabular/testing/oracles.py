@@ -88,7 +88,11 @@ class Comparison:
 
     @property
     def inefficiency(self) -> float:
-        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the bound is 0 or infinite."""
+        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the bound is 0 or infinite.
+
+        With ``behavior_policy`` the bound is that of time-indexed dynamics and starts that are estimated, too: an estimator
+        that knows the dynamics to be stationary can be below it.
+        """
         return self.n * self.variance / self.bound if 0.0 < self.bound < math.inf else math.nan
 
     @property

@@ -73,6 +73,23 @@ def test_drawing_is_without_replacement_and_reproducible():
     assert_array_equal(np.sort(whole.behavior_probability), np.sort(log.behavior_probability))
 
 
+def test_logs_are_joined_in_order():
+    mdp = oee.tasks.gridworld(3, 0.1)
+    logs = [oee.sample_episodes(mdp, oee.uniform_policy(mdp), k, 20, seed=k) for k in (2, 3)]
+    both = oee.Transitions.concatenate(logs)
+    assert len(both) == len(logs[0]) + len(logs[1])
+    assert both.n_episodes == 5
+    assert_array_equal(both.next_state, np.concatenate([log.next_state for log in logs]))
+    assert_array_equal(both.timestep, np.concatenate([log.timestep for log in logs]))
+    assert_array_equal(both.episode[: len(logs[0])], logs[0].episode)
+    bag = oee.Transitions.concatenate([logs[0], logs[1].draw(4, seed=0)])
+    assert bag.episode is None
+    with pytest.raises(ValueError, match="logs must be one or more Transitions; got"):
+        oee.Transitions.concatenate([])
+    with pytest.raises(ValueError, match="logs must be one or more Transitions; got"):
+        oee.Transitions.concatenate([logs[0], "log"])
+
+
 def test_the_first_rows_keep_their_episodes():
     log = small_log().first(2)
     assert_array_equal(log.episode, [7, 7])

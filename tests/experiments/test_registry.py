@@ -104,3 +104,14 @@ def test_the_paper_s_numbers():
     assert points.x.tolist() == [1000, 3162, 10000, 31623, 100000, 316228]
     assert paper.at("fig1a", "grid=40", "mean_absolute_error_of_zeta", 316228) == pytest.approx(0.0715476503)
     assert np.isnan(paper.at("fig1a", "grid=20", "mean_absolute_error_of_zeta", 1000))
+
+
+def test_a_few_cells_as_a_table():
+    experiment = EXPERIMENTS["estimands"]
+    table = experiment.table(delta=[0.1, 0.5], repetitions=2)
+    assert len(table) == 2 * 2 * 4
+    cell = {"delta": 0.5, "repetition": 1}
+    rows = experiment.run(cell, Stream("estimands", 0, cell))
+    assert table.tail(4).value.tolist() == [row["value"] for row in rows]
+    with pytest.raises(ValueError, match="axes must be among delta; got 'n'"):
+        experiment.table(n=3)
