@@ -15,18 +15,20 @@ from oee_tabular.inference.design_plan import Outlook, Plan
 from oee_tabular.inference.experimental_design import plan_data_collection
 from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.inference.pairs import Sides, SimulationLemma, simulation_lemma
-from oee_tabular.inference.theorems import (
+from oee_tabular.inference.theorem_1 import (
     EstimationCounterexample,
-    corrected_value_error_bound,
     estimation_bound,
     estimation_sides,
     excess_risk,
-    ratio_error_bound,
-    ratio_error_sides,
     renyi_divergence,
     squared_error_sides,
     sup_error_bound,
     universal_constant_counterexample,
+)
+from oee_tabular.inference.theorem_2 import (
+    corrected_value_error_bound,
+    ratio_error_bound,
+    ratio_error_sides,
     value_bound_counterexample,
     value_error_bound,
     value_error_sides,

@@ -193,3 +193,18 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
         raise ValueError(
             f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
         )
+
+
+def check_box(nu: float, mu: float) -> tuple[float, float]:
+    """nu in (0, 1) and mu > 1, or ValueError."""
+    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
+    return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
+
+
+def in_box(value: Any, name: str, nu: float, mu: float) -> Array:
+    """The values of a g as an array, or ValueError where one is outside [nu, mu]."""
+    array = _checks.float_array(value, name, ndim=1)
+    bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}")
+    return array

@@ -1,10 +1,9 @@
-"""The paper's statements on estimation error, as they stand, beside what is true of them (theory.md, section 4).
+"""Theorem 1 of the paper, on the error of the ratio g, beside what is true (theory.md, section 4).
 
-Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables or MDPs.
-Theorem 1 (the ratio g, equation "upperbound") needs a constant K that does not exist; the Lemma (zeta) holds and is loose;
-Theorem 2 (the value) is false. ``*_counterexample`` shows each failure, ``sup_error_bound``, the Lemma's tight constant and
-``corrected_value_error_bound`` (with ``bounds``) say what holds. g* = p/q; the paper's class of functions is nu <= g <= mu
-with nu < 1 < mu. ``ratio.check_assumptions`` says whether p/q lies in it. Divergences and risks are in nats.
+Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables. Theorem 1
+(equation "upperbound") needs a constant K that does not exist (``universal_constant_counterexample``); ``sup_error_bound``
+holds. g* = p/q; the paper's class of functions is nu <= g <= mu with nu < 1 < mu. ``ratio.check_assumptions`` says whether
+p/q lies in it. Divergences and risks are in nats.
 """
 
 from __future__ import annotations
@@ -14,15 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse, special
+from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact import policy_value
-from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.bounds import divergence_terms
-from oee_tabular.inference.pairs import Sides, check_pair
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.inference.pairs import Sides, check_box, in_box
 
 
 def renyi_divergence(p: Any, q: Any, order: float) -> float:
@@ -88,7 +84,7 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
     1.475
     """
     samples = _checks.positive_integer(n, "n")
-    lower, upper = _box(nu, mu)
+    lower, upper = check_box(nu, mu)
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     divergence = _checks.number_in(renyi, "renyi", 0.0, math.inf, infinite=True)
     k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
@@ -117,7 +113,7 @@ def estimation_sides(
     True
     """
     ps, qs = _checks.distribution_pair(p, q)
-    values = _in_box(g, "g", *_box(nu, mu))
+    values = in_box(g, "g", *check_box(nu, mu))
     _same_length(values, ps)
     right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
     return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0])) ** 2, right)
@@ -264,159 +260,6 @@ def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> S
     return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound**2 * risk)
 
 
-def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
-    """The Lemma: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
-
-    The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
-
-    Parameters
-    ----------
-    error : in [0, inf], of both |betahat - beta|_inf (Theorem 1 twice: probability 1 - 2 delta)
-    mu, nu : the box of all four ratios, as in ``estimation_bound``: zeta = beta_sas' / beta_sa is in [nu/mu, mu/nu]
-    tight : whether the smallest constant, attained as error -> 0, takes the place of the paper's
-
-    Examples
-    --------
-    >>> ratio_error_bound(0.01, 2.0, 0.5), ratio_error_bound(0.01, 2.0, 0.5, tight=True)
-    (0.16, 0.1)
-    """
-    lower, upper = _box(nu, mu)
-    size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
-    return (upper + lower if tight else upper * (1.0 + lower * upper)) / lower**2 * size
-
-
-def ratio_error_sides(
-    moves: Any, pairs: Any, true_moves: Any, true_pairs: Any, *, mu: float, nu: float, tight: bool = False
-) -> Sides:
-    """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
-
-    Parameters
-    ----------
-    moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's, and the pair's value is repeated
-    true_moves, true_pairs : (n,) what they estimate; all in [nu, mu]
-    mu, nu, tight : as in ``ratio_error_bound``
-
-    Examples
-    --------
-    >>> round(ratio_error_sides([1.1], [0.9], [1.0], [1.0], mu=2.0, nu=0.5).ratio, 3)
-    0.139
-    """
-    named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
-    top, bottom, best_top, best_bottom = (_in_box(value, name, *_box(nu, mu)) for name, value in named.items())
-    for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):
-        if array.shape != top.shape:
-            raise ValueError(f"{name} must have the length of moves, {len(top)}; it has {len(array)}")
-    error = float(max(np.abs(top - best_top).max(initial=0.0), np.abs(bottom - best_bottom).max(initial=0.0)))
-    left = float(np.abs(top / bottom - best_top / best_bottom).max(initial=0.0))
-    return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))
-
-
-def value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float, nu: float) -> float:
-    """Theorem 2's right-hand side: of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
-
-    T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2 sum_{t=1..T} t x^t.
-
-    Parameters
-    ----------
-    horizon : the paper's T. Its sum runs over t = 0..T, T + 1 rewards: ``policy_value(..., horizon=T + 1)``
-    reward_bound : R >= max |r(s, a)|
-    discount : gamma in [0, 1]
-    error : M(G, delta) / n^{1/4}, the sup error of both betahat
-    nu : in (0, 1)
-
-    Notes
-    -----
-    ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1 + error))^2 > gamma / nu. Causes: sum t
-    stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta.
-    What holds: ``corrected_value_error_bound`` and ``bounds``. It is inf where x^T overflows.
-
-    Examples
-    --------
-    >>> round(value_error_bound(2, 1.0, 0.99, error=0.03, nu=0.97), 8)
-    0.0055871
-    """
-    steps = _checks.positive_integer(horizon, "horizon")
-    bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
-    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
-    size = _checks.number_in(error, "error", 0.0, math.inf)
-    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
-    if bound == 0.0 or size == 0.0:
-        return 0.0
-    t = np.arange(1.0, steps + 1.0)
-    with np.errstate(over="ignore"):
-        return float(steps * (bound * size) ** 2 * np.sum(t * (gamma / lower) ** t))
-
-
-def value_error_sides(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int, error: float, nu: float, ratio: Any = None
-) -> Sides:
-    """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
-
-    Parameters
-    ----------
-    target, model, policy, ratio : as in ``simulation_lemma``; rewards r(s, a), as the theorem has them
-    horizon, error, nu : as in ``value_error_bound``
-
-    Examples
-    --------
-    >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> round(value_error_sides(target, model, [[1.0]] * 2, horizon=2, error=0.2, nu=0.5).ratio, 3)
-    0.023
-    """
-    kernel = check_pair(target, model, ratio)
-    if target.reward_data is not None:
-        raise ValueError("target must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')")
-    largest = float(np.abs(target.rewards).max())
-    right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
-    values = [policy_value(mdp, policy, horizon=horizon + 1) for mdp in (target, kernel)]
-    return Sides((values[0] - values[1]) ** 2, right)
-
-
-def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu: float) -> Sides:
-    """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1: zhat = 1 + epsilon, sup error epsilon.
-
-    left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right = the theorem's bound.
-
-    Parameters
-    ----------
-    horizon, discount, nu : as in ``value_error_bound``
-    epsilon : the sup error, at least 0
-
-    Examples
-    --------
-    >>> [round(value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio, 2) for T in (2, 50)]
-    [1.43, 18.37]
-    """
-    size = _checks.number_in(epsilon, "epsilon", 0.0, math.inf)
-    mdp = FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], discount)
-    ratio = sparse.csr_array([[1.0 + size]])
-    return value_error_sides(mdp, mdp, np.ones((1, 1)), horizon=horizon, error=size, nu=nu, ratio=ratio)
-
-
-def corrected_value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float) -> float:
-    """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}.
-
-    The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order
-    1 / (1 - gamma) the error is of order (1 - gamma)^{-3/2}: not exponential.
-
-    Parameters
-    ----------
-    horizon, reward_bound, discount : as in ``value_error_bound``
-    error : max |zhat/zeta - 1|
-
-    Examples
-    --------
-    >>> round(corrected_value_error_bound(2, 1.0, 0.5, error=0.1), 6)
-    0.015
-    """
-    steps = _checks.positive_integer(horizon, "horizon")
-    bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
-    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
-    size = _checks.number_in(error, "error", 0.0, math.inf)
-    t = np.arange(1.0, steps + 1.0)
-    return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))
-
-
 def _same_length(g: Array, p: Array) -> None:
     if g.shape != p.shape:
         raise ValueError(f"g must have the length of p, {len(p)}; it has {len(g)}")
@@ -425,16 +268,3 @@ def _same_length(g: Array, p: Array) -> None:
 def _ratio(p: Array, q: Array) -> Array:
     """p/q: inf where q = 0 < p, and 1 where p = q = 0 (nothing depends on it)."""
     return np.divide(p, q, out=np.where(p > 0.0, np.inf, 1.0), where=q > 0.0)
-
-
-def _box(nu: float, mu: float) -> tuple[float, float]:
-    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
-    return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
-
-
-def _in_box(value: Any, name: str, nu: float, mu: float) -> Array:
-    array = _checks.float_array(value, name, ndim=1)
-    bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}")
-    return array
