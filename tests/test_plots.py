@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 import oee_tabular as oee
 from oee_tabular import plots
+from oee_tabular.plots.style import series
 
 
 @pytest.fixture
@@ -74,6 +75,16 @@ def test_intervals_are_a_forest(ax):
     assert any(np.array_equal(line.get_xdata(), [0.2, 1.8]) for line in ax.get_lines())
     assert "discounted sum" in ax.get_xlabel()
     drawn(ax)
+
+
+def test_more_than_eight_series_are_told_apart():
+    styles = [tuple(sorted((k, str(v)) for k, v in series(k).items())) for k in range(16)]
+    assert len(set(styles)) == 16
+    names = [str(k) for k in range(10)]
+    far = plots.plot_intervals(names, np.arange(10.0), np.full(10, np.nan), np.full(10, np.nan), Figure().subplots(),
+                               limits=(2.0, 5.0))  # fmt: skip
+    assert len(words(far)) == 6
+    drawn(plots.plot_curves([1.0, 2.0], {name: [k, k] for k, name in enumerate(names)}, Figure().subplots()))
 
 
 def test_intervals_choose_their_limits():

@@ -158,7 +158,7 @@ def plot_intervals(
         if math.isnan(value) and np.isfinite([low[k], high[k]]).any():
             continue  # an interval alone
         edge = left if not math.isfinite(value) or value < left else right
-        ax.plot(edge, y, ms=7, mfc="none", clip_on=False, **style)
+        ax.plot(edge, y, ms=7, clip_on=False, **style | {"markerfacecolor": "none"})
         ax.annotate(
             f"{value:.3g}" if math.isfinite(value) else "no value", (edge, y), fontsize="small", va="bottom",
             xytext=(6 if edge == left else -6, 2), textcoords="offset points", ha="left" if edge == left else "right",
