@@ -31,7 +31,19 @@ autodoc_typehints = "none"
 napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
-MODULES = ("mdp", "data", "exact", "simulate", "tasks", "ratio", "estimators", "inference", "testing", "report", "plots")
+MODULES = (
+    "mdp",
+    "data",
+    "exact",
+    "simulate",
+    "tasks",
+    "ratio",
+    "estimators",
+    "inference",
+    "testing",
+    "report",
+    "plots",
+)
 
 SECTIONS = {
     "Parameters", "Returns", "Raises", "Notes", "Examples", "Attributes", "Yields", "Warns", "See Also", "References",
@@ -75,9 +87,10 @@ def public_names():
     found = {}
     for module in MODULES:
         loaded = importlib.import_module(f"oee_tabular.{module}")
-        names = getattr(loaded, "__all__", None) or [
-            name for name in oee_tabular.__all__ if getattr(getattr(oee_tabular, name), "__module__", "").startswith(f"oee_tabular.{module}")
-        ]
+        names = getattr(loaded, "__all__", None)
+        if names is None:
+            top = {name: getattr(getattr(oee_tabular, name), "__module__", "") for name in oee_tabular.__all__}
+            names = [name for name, origin in top.items() if origin.startswith(f"oee_tabular.{module}")]
         found[module] = sorted(names)
     return found
 

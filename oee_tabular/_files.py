@@ -51,7 +51,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
     staged: list[tuple[Path, Path]] = []
     try:
         for name, data in contents.items():
-            temporary = folder / f".{name}.part"
+            temporary = folder / f".{name}.{uuid.uuid4().hex}.part"
             staged.append((temporary, folder / name))
             temporary.write_bytes(data)
         for temporary, target in staged:

@@ -9,14 +9,30 @@ from typing import Annotated, Any
 
 import typer
 
+from oee_tabular.cli_continuous import (
+    CALIBRATION_HELP,
+    EPISODES_HELP,
+    FLOOR_HELP,
+    GRID_HELP,
+    OUTSIDE_HELP,
+    STRICT_HELP,
+    described,
+    from_states,
+    is_continuous,
+    recorded_states,
+    refuse_settings,
+    settings_of,
+)
 from oee_tabular.cli_inputs import (
+    ESTIMATORS_HELP,
+    POLICY_HELP,
+    SIMULATOR_HELP,
     embedded,
     from_files,
     policies_of,
     policy_of,
     problem_of,
-    report_summary,
-    sampled,
+    recorded,
     task_of,
 )
 
@@ -26,21 +42,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-)
-
-SIMULATOR_HELP = (
-    "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
-    "an .npz of a FiniteMDP"
-)
-POLICY_HELP = (
-    ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
-    "are the simulator's; expert is optimal where a task has none of its own"
-)
-
-ESTIMATORS_HELP = (
-    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, "
-    "dr-beta, dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
-    "--target: oracle, oracle-product"
 )
 
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
@@ -59,7 +60,10 @@ def evaluate(
     ] = None,
     behavior: Annotated[str | None, typer.Option(help="Policy that recorded the log, as for --policy.")] = None,
     target: Annotated[str | None, typer.Option(help="The true target, as for --simulator, to show errors.")] = None,
-    horizon: Annotated[int | None, typer.Option(help="Number of rewards; none: the infinite discounted sum.")] = None,
+    horizon: Annotated[
+        int | None,
+        typer.Option(help="Number of rewards; none: the infinite discounted sum, or a continuous task's own."),
+    ] = None,
     discount: Discount = None,
     normalized: Annotated[
         bool | None, typer.Option("--normalized/--raw", help="Multiply values by (1 - discount).", show_default=False)
@@ -73,6 +77,12 @@ def evaluate(
     guaranteed: Annotated[
         bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
     ] = False,
+    grid: Annotated[str | None, typer.Option(help=GRID_HELP)] = None,
+    outside: Annotated[str | None, typer.Option(help=OUTSIDE_HELP)] = None,
+    strict: Annotated[bool, typer.Option("--strict", help=STRICT_HELP)] = False,
+    calibration: Annotated[str | None, typer.Option(help=CALIBRATION_HELP)] = None,
+    floor: Annotated[float | None, typer.Option(help=FLOOR_HELP)] = None,
+    simulations: Annotated[int | None, typer.Option(help=EPISODES_HELP)] = None,
     seed: Seed = 0,
     output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
     page: Annotated[
@@ -87,14 +97,25 @@ def evaluate(
         check_output(output)
     if page is not None:
         check_page(page)
-    options = {"horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise}
+    options: dict[str, Any] = {
+        "horizon": horizon,
+        "discount": discount,
+        "rewards": rewards,
+        "action_noise": action_noise,
+    }
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+    settings = settings_of(grid, outside, strict, calibration, floor, simulations)
+    continuous = is_continuous(simulator)
+    if not continuous:
+        refuse_settings(settings)
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
     elif simulator is None or log is None:
         given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
         raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
+    elif continuous:
+        report = from_states(simulator, log, policy, behavior, target, options, bool(normalized), common, settings)
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     typer.echo(report.to_json() if json else str(report))
@@ -113,23 +134,21 @@ def sample(
     policy: Annotated[str, typer.Option(help=POLICY_HELP)] = "uniform",
     transitions: Annotated[int | None, typer.Option(help="How many transitions to record.")] = None,
     episodes: Annotated[int | None, typer.Option(help="How many episodes to record.")] = None,
-    horizon: Annotated[int, typer.Option(help="Longest episode (besides Gymnasium's own limits).")] = 1000,
+    horizon: Annotated[
+        int | None, typer.Option(help="Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.")
+    ] = None,
     discount: Discount = None,
     seed: Seed = 0,
 ) -> None:
-    """Record a log. A Gymnasium environment is stepped through its own step()."""
+    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
     if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
-    task = task_of(environment, discount)
-    pi = policy_of(policy, task, "policy")
-    if task.environment is not None:
-        from oee_tabular.tasks import record_episodes
-
-        env = task.environment()
-        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=horizon, seed=seed)
-        env.close()
-    else:
-        log = sampled(task.mdp, pi, transitions, episodes, horizon, seed)
+    if is_continuous(environment):
+        states = recorded_states(environment, policy, transitions, episodes, horizon, seed)
+        states.save(output)
+        typer.echo(f"{output}: {states!r}")
+        return
+    log = recorded(environment, policy, transitions, episodes, horizon, discount, seed)
     log.save(output)
     typer.echo(f"{output}: {log.describe()}")
 
@@ -160,45 +179,18 @@ def export(
     discount: Discount = None,
     action_noise: Annotated[float, typer.Option(help="As in evaluate.")] = 0.0,
 ) -> None:
-    """Write a simulator to an .npz file."""
-    mdp = task_of(simulator, discount).mdp
-    if action_noise:
-        mdp = mdp.with_action_noise(action_noise)
-    mdp.save(output)
-    typer.echo(f"{output}: {mdp!r}")
+    """Write a simulator to an .npz file; of a continuous task its finite MDP, with the cells and what they were made from."""
+    task = task_of(simulator, discount)
+    mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
+    saved = task.discretization if task.discretization is not None and not action_noise else mdp
+    saved.save(output)
+    typer.echo(f"{output}: {saved!r}")
 
 
 @app.command()
 def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.")]) -> None:
     """Say what a file holds."""
-    from oee_tabular import _files
-    from oee_tabular.data import Transitions
-    from oee_tabular.mdp import FiniteMDP
-
-    path = Path(file)
-    if path.is_dir() and (path / "report.json").is_file():
-        path = path / "report.json"
-    suffix = path.suffix.lower()
-    if suffix == ".json":
-        typer.echo(report_summary(path))
-    elif suffix in (".npz", ".npy"):
-        arrays = _files.read_npz(file)
-        kind = _files.npz_kind(arrays)
-        if kind == "finite_mdp":
-            mdp = FiniteMDP.load(file)
-            over = int(mdp.absorbing().sum())
-            typer.echo(f"{mdp!r}\nrewards {mdp.rewards.min():g} to {mdp.rewards.max():g}, {over} states that are over")
-        elif kind == "transitions":
-            typer.echo(repr(Transitions.load(file)))
-        else:
-            for name, array in arrays.items():
-                policy_like = (
-                    array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
-                )
-                what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if policy_like else "array"
-                typer.echo(f"{what} ({name!r}): {array.dtype} of shape {array.shape}")
-    else:
-        typer.echo(repr(Transitions.load(file)))
+    typer.echo(described(file))
 
 
 @app.command()

@@ -13,6 +13,22 @@ if TYPE_CHECKING:
     from oee_tabular.report import Report
     from oee_tabular.tasks import NamedTask
 
+SIMULATOR_HELP = (
+    "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
+    "an .npz of a FiniteMDP | a continuous task, cartpole:gravity=10"
+)
+POLICY_HELP = (
+    ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
+    "are the simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, "
+    "and arrays of its cells"
+)
+
+ESTIMATORS_HELP = (
+    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, "
+    "dr-beta, dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
+    "--target: oracle, oracle-product"
+)
+
 
 def report_summary(path: Path) -> str:
     """What a report.json says, in a few lines."""
@@ -40,7 +56,6 @@ def task_of(spec: str, discount: float | None) -> NamedTask:
 
 def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     """The policy that ``spec`` names, in the MDP of ``task``."""
-    from oee_tabular import _files
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
 
@@ -58,13 +73,19 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
         return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
+    return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
+
+
+def policy_array(spec: str, name: str) -> Array:
+    """The array that a .npy or .npz file holds."""
+    from oee_tabular import _files
+
     arrays = _files.read_npz(spec)
     if _files.npz_kind(arrays) is not None:
         raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
     if "policy" not in arrays and len(arrays) != 1:
         raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
-    array = arrays.get("policy", next(iter(arrays.values())))
-    return check_policy(array, task.mdp, name=f"{name} {spec!r}")
+    return arrays.get("policy", next(iter(arrays.values())))
 
 
 def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
@@ -77,6 +98,29 @@ def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
             raise ValueError(f"--policy names must differ; {label!r} is given twice")
         found[label] = policy_of(source, task, "--policy")
     return found
+
+
+def recorded(
+    spec: str,
+    policy: str,
+    transitions: int | None,
+    episodes: int | None,
+    horizon: int | None,
+    discount: float | None,
+    seed: int,
+) -> Transitions:
+    """A log of the environment that ``spec`` names; Gymnasium's are stepped."""
+    from oee_tabular.tasks import record_episodes
+
+    task = task_of(spec, discount)
+    pi = policy_of(policy, task, "policy")
+    steps = 1000 if horizon is None else horizon
+    if task.environment is None:
+        return sampled(task.mdp, pi, transitions, episodes, steps, seed)
+    env = task.environment()
+    log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
+    env.close()
+    return log
 
 
 def sampled(

@@ -16,6 +16,11 @@ from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius
 
 LARGEST = 200_000  # entries beyond which the likelihood interval is left out: its fixed point takes minutes
 
+SOFT = (
+    "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
+    "moves, are left out. The intervals shown are the delta method's."
+)
+
 
 @dataclass(frozen=True)
 class Sureness:
@@ -32,6 +37,10 @@ def how_sure(
 
     ``scale`` multiplies values in the sentences (1 - discount for normalised reports).
     """
+    if problem.observed is not problem.log:
+        if guaranteed:
+            raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
+        return Sureness({}, (SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
     if len(evidence.phat) > LARGEST or (problem.simulator.discount == 1.0 and problem.horizon is None):
         return Sureness({}, (_distance(evidence),))

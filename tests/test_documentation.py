@@ -16,22 +16,7 @@ HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :|$)", re.MULTILINE)
 
 # what names still lack, "sentence", "example" or "parameters" (fields, of a dataclass): an entry must go when it is there
-PENDING = {
-    "tasks.Closure": {"example", "parameters"},
-    "tasks.ContinuousTask": {"example"},
-    "tasks.Discretization": {"example", "parameters"},
-    "tasks.GymnasiumTask": {"example"},
-    "tasks.MonteCarlo": {"example", "parameters"},
-    "tasks.Moves": {"example", "parameters"},
-    "tasks.cartpole_policy": {"example", "parameters"},
-    "tasks.defensive_mixture": {"example"},
-    "tasks.monte_carlo_value": {"example", "parameters"},
-    "tasks.record": {"example", "parameters"},
-    "tasks.resimulate": {"example", "parameters"},
-    "tasks.toy_text": {"example", "parameters"},
-    "tasks.train_expert": {"example"},
-    "tasks.visited_states": {"example", "parameters"},
-}
+PENDING: dict[str, set[str]] = {}
 
 
 def public():

@@ -191,7 +191,10 @@ class ContinuousTransitions:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read .npz, .csv or .parquet; required are state_0, ..., next_state_0, ... and action or action_0, ..."""
+        """Read .npz, .csv, .parquet, or a Minari folder or id, whose observations are the states.
+
+        Required of a table are state_0, ..., next_state_0, ... and action or action_0, ...
+        """
         from oee_tabular.data import continuous_files
 
         columns = continuous_files.read(path)

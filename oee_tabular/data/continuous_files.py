@@ -1,4 +1,4 @@
-"""Logs of continuous states as files: npz, CSV and parquet, whole or not at all.
+"""Logs of continuous states as files: npz, CSV and parquet, whole or not at all; Minari data sets are read.
 
 In a table a vector is spread over numbered columns: state_0, state_1, ..., next_state_0, ..., action_0, ...
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
-from oee_tabular.data.files import _require
+from oee_tabular.data.files import _require, is_minari, minari_columns, minari_episodes
 from oee_tabular.data.transitions import COLUMNS
 
 KIND = "continuous_transitions"
@@ -45,7 +45,9 @@ def write(columns: Columns, path: str | os.PathLike[str]) -> None:
 def read(path: str | os.PathLike[str]) -> Columns:
     """The columns that ``write`` wrote, or a table of the same names; unknown ones are left out with a warning."""
     name = os.fspath(path)
-    if _suffix(name) == ".npz":
+    if Path(name).suffix.lower() not in SUFFIXES and is_minari(name):
+        columns = minari_columns(name, _vectors_only)
+    elif _suffix(name) == ".npz":
         columns = _files.load_npz(name, KIND)
         columns.pop(_files.KIND)
     else:
@@ -59,7 +61,42 @@ def read(path: str | os.PathLike[str]) -> Columns:
             f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
             f"{', no '.join(absent)}, only {', '.join(columns) or 'nothing'}"
         )
+    if columns["state"].ndim == 1 and columns["next_state"].ndim == 1:
+        raise ValueError(
+            f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered states"
+        )
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def holds_states(path: str | os.PathLike[str]) -> bool:
+    """Whether a file or Minari data set is a log of continuous states; of tables only the header is read."""
+    name = os.fspath(path)
+    suffix = Path(name).suffix.lower()
+    if suffix == ".npz":
+        return _files.npz_kind(_files.read_npz(name)) == KIND
+    if suffix == ".csv":
+        with open(name, encoding="utf-8", errors="replace") as handle:
+            return "state_0" in [label.strip().strip('"') for label in handle.readline().split(",")]
+    if suffix == ".parquet":
+        _require("pyarrow", "parquet")
+        from pyarrow import ArrowInvalid, parquet
+
+        try:
+            return "state_0" in parquet.read_schema(name).names
+        except ArrowInvalid:
+            return False  # whoever reads it says what is wrong
+    if not is_minari(name):
+        return False
+    first = next(iter(minari_episodes(name)), None)
+    return first is not None and np.asarray(first.observations).ndim == 2
+
+
+def _vectors_only(observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
+    if observations.ndim != 2 or observations.dtype.kind not in "fiu" or actions.ndim not in (1, 2):
+        raise ValueError(
+            f"{name!r} must have observations that are vectors, and actions that are numbers or vectors; they have shapes "
+            f"{observations.shape} of {observations.dtype} and {actions.shape} of {actions.dtype}"
+        )
 
 
 def _suffix(path: str | os.PathLike[str]) -> str:

@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -74,11 +75,17 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
                 raise
             raise ValueError(f"{name!r} must be a parquet table; {error}") from None
         return _from_columns(kind, _frame_columns(frame, name), name)
-    if suffix == "" and not Path(name).exists() and "/" not in name and not name.startswith("minari:"):
-        raise FileNotFoundError(2, "no such file", name)
-    if suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name):
+    if is_minari(name):
         return _load_minari(kind, name)
     raise ValueError(_unknown(name))
+
+
+def is_minari(name: str) -> bool:
+    """Whether ``name`` is a Minari folder or id rather than a file; FileNotFoundError where it can be neither."""
+    suffix = Path(name).suffix.lower()
+    if suffix == "" and not Path(name).exists() and "/" not in name and not name.startswith("minari:"):
+        raise FileNotFoundError(2, "no such file", name)
+    return suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name)
 
 
 def _unknown(name: str) -> str:
@@ -189,7 +196,8 @@ def _write_minari(log: Transitions, starts: NDArray[np.int64], identifier: str) 
         )
 
 
-def _load_minari(kind: type[Log], name: str) -> Log:
+def minari_episodes(name: str) -> list[Any]:
+    """The episodes of a Minari folder or id, as Minari gives them."""
     _require("minari", "minari")
     import minari
     from minari.dataset.minari_dataset import MinariDataset
@@ -207,15 +215,28 @@ def _load_minari(kind: type[Log], name: str) -> Log:
                 raise FileNotFoundError(
                     f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: {error}"
                 ) from None
-        episodes = list(data.iterate_episodes())
+        return list(data.iterate_episodes())
+
+
+def _load_minari(kind: type[Log], name: str) -> Log:
+    return _from_columns(kind, minari_columns(name, _discrete), name)
+
+
+def _discrete(observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
+    if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
+        raise ValueError(
+            f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
+            f"{observations.dtype} and {actions.shape} of {actions.dtype}"
+        )
+
+
+def minari_columns(name: str, check: Callable[[NDArray[Any], NDArray[Any], str], None]) -> dict[str, NDArray[Any]]:
+    """A Minari data set as columns; ``check(observations, actions, name)`` refuses an episode that is none of the log's."""
+    episodes = minari_episodes(name)
     parts: dict[str, list[NDArray[Any]]] = {column: [] for column in COLUMNS if column != "timestep"}
     for number, episode in enumerate(episodes):
         observations, actions = np.asarray(episode.observations), np.asarray(episode.actions)
-        if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
-            raise ValueError(
-                f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
-                f"{observations.dtype} and {actions.shape} of {actions.dtype}"
-            )
+        check(observations, actions, name)
         steps = len(actions)
         parts["state"].append(observations[:-1])
         parts["next_state"].append(observations[1:])
@@ -229,5 +250,4 @@ def _load_minari(kind: type[Log], name: str) -> Log:
             parts["behavior_probability"].append(np.asarray(recorded, dtype=np.float64).reshape(-1)[:steps])
     if parts["behavior_probability"] and len(parts["behavior_probability"]) < len(episodes):
         raise ValueError(f"{name!r} must record behavior_probability in every episode or in none")
-    columns = {column: np.concatenate(arrays) for column, arrays in parts.items() if arrays}
-    return _from_columns(kind, columns, name)
+    return {column: np.concatenate(arrays) for column, arrays in parts.items() if arrays}

@@ -194,7 +194,7 @@ def renyi_cell(settings: Cell, stream: Stream) -> list[Row]:
     values = {
         "simulator": Simulator()(problem, policy).value,
         "OEE, exact": OffEnvironment(zeta)(problem, policy).value,
-        "OEE, product (100 rollouts)": product(problem, policy, seed=stream.generator()).value,
+        "OEE, product (100 rollouts)": product(problem, policy, seed=stream.generator(use="rollouts")).value,
     }
     moments = weighted_return_moments(simulator, true_ratio(target, simulator), policy, horizon=HORIZON)
     return [
@@ -253,7 +253,7 @@ def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
     log = drawn(target, behavior, n, stream.generator())
     pattern = simulator.transitions
     observed = aligned_counts(log.counts(100, 4), simulator)
-    expected = simulator_weights(observed, log, simulator, None, behavior, stream.generator("n"), None)
+    expected = simulator_weights(observed, log, simulator, None, behavior, stream.generator(use="simulator"), None)
     truth = policy_value(target, policy, horizon=HORIZON)
     options: dict[str, Any] = {"lower": 0.01, "upper": 10.0, "ridge": n**-0.5}
     rows = []

@@ -59,7 +59,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     behavior = uniform_policy(target)
     pool = episodes_for(target, behavior, n, generator)
     problem = Problem(simulator, pool.draw(n, seed=generator), horizon=HORIZON, behavior_policy=behavior, episodes=pool)
-    rollouts = stream.generator("n")
+    rollouts = stream.generator(use="rollouts")
     zeta = {"OEE, product": OffEnvironment().fit(problem, generator), "oracle, product": true_ratio(target, simulator)}
     rows = []
     for delta in DELTAS:
@@ -148,7 +148,7 @@ def estimands(settings: Cell, stream: Stream) -> list[Row]:
     shifted = Problem(
         short, episodes_for(target, uniform_policy(target), 100, stream.generator()).draw(100, seed=0), horizon=HORIZON
     )
-    sampled = oracle(shifted, policy, seed=stream.generator()).value
+    sampled = oracle(shifted, policy, seed=stream.generator(use="rollouts")).value
     values = {
         "true, r(s_t+1)": truth,
         "OEE's, r(s_t)": policy_value(current, policy, horizon=HORIZON),

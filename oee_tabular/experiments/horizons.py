@@ -27,7 +27,8 @@ def horizon_cell(settings: Cell, stream: Stream) -> list[Row]:
     delta, n = float(settings["delta"]), 3162
     simulator, target = grids(10)
     policy = gridworld_policy(10, delta)
-    log = episodes_for(target, uniform_policy(target), n, stream.generator()).draw(n, seed=stream.generator())
+    generator = stream.generator()
+    log = episodes_for(target, uniform_policy(target), n, generator).draw(n, seed=generator)
     fitted, truth = transition_ratio(log, simulator), true_ratio(target, simulator)
     rows = []
     for steps in HORIZONS:

@@ -35,7 +35,7 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
         parts += [
             mean.rename(f"{measure}_mean"),
             sd.rename(f"{measure}_sd"),
-            (sd / np.sqrt(count)).rename(f"{measure}_se"),
+            (sd / np.sqrt(values.count())).rename(f"{measure}_se"),
         ]
     summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
     if experiment.paper is not None:
@@ -96,7 +96,14 @@ def share_legend(figure: Figure) -> None:
 def markdown(experiment: Experiment, store: Store, summary: pd.DataFrame) -> str:
     """The summary as a page."""
     settings = store.settings
-    command = f"oee reproduce {experiment.id}" + (f" --seed {settings.seed}" if settings.seed else "")
+    command = f"oee reproduce {experiment.id}"
+    small = dict(settings.axes) != {name: tuple(values) for name, values in experiment.axes.items()}
+    if small:
+        command += " --smoke"
+    if settings.repetitions != (experiment.smoke_repetitions if small else experiment.repetitions):
+        command += f" --seeds {settings.repetitions}"
+    if settings.seed:
+        command += f" --seed {settings.seed}"
     axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
     return "\n".join(
         [
@@ -122,7 +129,7 @@ def pipe_table(frame: pd.DataFrame) -> str:
             return "" if np.isnan(value) else f"{value:.4g}"
         return str(value).replace("|", "\\|")
 
-    lines = ["| " + " | ".join(map(str, frame.columns)) + " |", "|" + "---|" * len(frame.columns)]
+    lines = ["| " + " | ".join(map(text, frame.columns)) + " |", "|" + "---|" * len(frame.columns)]
     lines += [
         "| " + " | ".join(text(value) for value in row) + " |" for row in frame.itertuples(index=False, name=None)
     ]

@@ -31,25 +31,28 @@ Row = dict[str, Any]
 class Stream:
     """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words, repetition))``.
 
-    The words are a digest of the experiment's id and of the names given to ``generator`` (the cell's own settings by
-    default), so that cells which name the same settings share their random numbers (the same log for two estimators).
+    The words are a digest of the experiment's id, of the settings named (all of the cell's by default; cells which name the
+    same ones share their random numbers) and of what they are for (``use``): numbers for different uses are independent.
     """
 
     experiment: str
     seed: int
     cell: Cell
 
-    def sequence(self, *names: str) -> np.random.SeedSequence:
+    def sequence(self, *names: str, use: str = "") -> np.random.SeedSequence:
         """The seed sequence of the named settings of the cell; of all without names."""
+        unknown = [name for name in names if name not in self.cell]
+        if unknown:
+            raise ValueError(f"names must be settings of the cell, {', '.join(self.cell)}; got {unknown[0]!r}")
         kept = {k: v for k, v in self.cell.items() if k != "repetition" and (not names or k in names)}
-        text = json.dumps([self.experiment, kept], sort_keys=True)
+        text = json.dumps([self.experiment, kept, *([use] if use else [])], sort_keys=True)
         words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype=">u4")
         key = (*(int(word) for word in words), int(self.cell.get("repetition", 0)))
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
-    def generator(self, *names: str) -> np.random.Generator:
-        """A new generator of ``sequence(*names)``."""
-        return np.random.default_rng(self.sequence(*names))
+    def generator(self, *names: str, use: str = "") -> np.random.Generator:
+        """A new generator of ``sequence(*names, use=use)``; the same call gives the same numbers again."""
+        return np.random.default_rng(self.sequence(*names, use=use))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +111,9 @@ class Experiment:
         if unknown:
             raise ValueError(f"axes must be among {', '.join(self.axes)}; got {unknown[0]!r}")
         chosen = {
-            name: values if name not in axes else tuple(np.atleast_1d(np.asarray(axes[name], dtype=object)))
+            name: values
+            if name not in axes
+            else tuple(_known(x, values) for x in np.atleast_1d(np.asarray(axes[name], object)))
             for name, values in self.axes.items()
         }
         rows = [
@@ -117,6 +122,12 @@ class Experiment:
             for row in self.run(cell, Stream(self.id, seed, cell))
         ]
         return pd.DataFrame(rows)
+
+
+def _known(value: Any, values: tuple[Scalar, ...]) -> Scalar:
+    """The axis's own value where it has an equal one, so that 1000.0 names the same cell as 1000; a plain scalar else."""
+    own: Scalar = value.item() if isinstance(value, np.generic) else value
+    return next((known for known in values if known == own), own)
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ def run_experiment(
     OSError
         No scheduler at the address (within ten seconds, before anything is written).
     RuntimeError
-        A worker with another version of the package; a cell whose worker died three times.
+        A worker with another version of the package, or with several threads; workers that died three times in a row.
     """
     if jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs}")
@@ -123,8 +123,9 @@ def run_experiment(
 def _compute(
     experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], parallel: Callable[[], Any], bar: Any
 ) -> None:
-    left = dict(enumerate(todo))
-    for attempt in range(ATTEMPTS):
+    left, attempt = dict(enumerate(todo)), 0
+    while True:
+        before = len(left)
         tasks = (joblib.delayed(_task)((k, experiment.run, settings, cell, store.code)) for k, cell in left.items())
         try:
             for number, rows in parallel()(list(tasks)):
@@ -132,9 +133,14 @@ def _compute(
                 bar.update()
             return
         except Exception as error:
-            if not _died(error) or attempt == ATTEMPTS - 1:
+            if not _died(error):
                 raise
-    raise AssertionError("unreachable")
+            attempt = 1 if len(left) < before else attempt + 1
+            if attempt == ATTEMPTS:
+                first = "; ".join(str(dict(cell)) for cell in list(left.values())[:3])
+                raise RuntimeError(
+                    f"a worker was killed {ATTEMPTS} times in a row without a finished cell; unfinished: {first}"
+                ) from error
 
 
 def _died(error: Exception) -> bool:
@@ -181,6 +187,12 @@ def _check_workers(client: Any) -> None:
     versions = client.run(code_version, on_error="return")
     if not versions:
         raise RuntimeError("the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1")
+    several = {address: n for address, n in client.nthreads().items() if n > 1}
+    if several:
+        address, n = next(iter(several.items()))
+        raise RuntimeError(
+            f"dask workers must have one thread each; {address} has {n} (dask worker ADDRESS --nthreads 1)"
+        )
     for address, found in versions.items():
         if isinstance(found, BaseException):
             raise RuntimeError(f"the worker at {address} cannot import oee_tabular: {found}")

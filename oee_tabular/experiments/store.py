@@ -2,7 +2,7 @@
 
 A finished cell is one line of cells.jsonl, written and flushed when it is finished: its key (a digest of the cell, the seed and
 the code) and its rows. A line that a killed process left half written is dropped. What was made by other code is
-computed again.
+computed again, and stays in the cache for the day when that code is run again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import functools
 import hashlib
 import importlib.metadata
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,15 @@ from oee_tabular import _files
 from oee_tabular.experiments.registry import Cell, Row, Settings
 
 PACKAGE = Path(__file__).parents[1]
+SOURCES = (".py", ".csv", ".xml", ".npz")
+FILES = ("settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png")
 
 
 @functools.cache
 def code_version() -> str:
-    """The package's version and a digest of its sources: what a result depends on, besides the settings."""
+    """The package's version and a digest of its files: what a result depends on, besides the settings and the libraries."""
     digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted(path for path in PACKAGE.rglob("*") if path.suffix in SOURCES):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
@@ -35,6 +36,17 @@ def cell_key(settings: Settings, cell: Cell, code: str) -> str:
     """The name of a cell's result."""
     text = json.dumps([settings.experiment, settings.seed, dict(cell), code], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _settings_in(path: Path) -> dict[str, Any]:
+    """The settings of a results folder; ValueError where the file is not one."""
+    try:
+        found = json.loads(path.read_text())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or "experiment" not in found:
+        raise ValueError(f"{path} must be the settings of a results folder; it is not (--output names another folder)")
+    return found
 
 
 class Store:
@@ -56,10 +68,15 @@ class Store:
         if fresh and folder.exists():
             if any(folder.iterdir()) and not self._file.is_file():
                 raise ValueError(f"{folder} must be a results folder to be emptied; it has no settings.json")
-            shutil.rmtree(folder)
+            others = sorted(path.name for path in folder.iterdir() if path.name not in FILES and path.suffix != ".part")
+            if others:
+                raise ValueError(f"{folder} must hold results only to be emptied; it holds {', '.join(others[:3])}")
+            for path in folder.iterdir():
+                path.unlink()
         if self._file.is_file():
-            self._compare(json.loads(self._file.read_text()))
-        self._done, self.stale = self._read()
+            self._compare(_settings_in(self._file))
+        self._done, self._others = self._read()
+        self.stale = len(self._others)
 
     def _compare(self, found: dict[str, Any]) -> None:
         wanted = self.settings.as_dict()
@@ -78,25 +95,28 @@ class Store:
             "another folder)"
         )
 
-    def _read(self) -> tuple[dict[str, list[Row]], int]:
-        """What is finished, and how many cells of other code there are."""
-        done, stale = {}, 0
+    def _read(self) -> tuple[dict[str, list[Row]], list[str]]:
+        """What is finished, and the lines of other code."""
+        done: dict[str, list[Row]] = {}
+        others = []
         if self._cells.is_file():
-            for line in self._cells.read_text().splitlines():
+            for line in self._cells.read_text(errors="replace").splitlines():
                 try:
                     entry = json.loads(line)
                 except json.JSONDecodeError:
                     continue  # half written
+                if not isinstance(entry, dict) or not {"key", "code", "rows"} <= entry.keys():
+                    continue
                 if entry["code"] == self.code:
                     done[entry["key"]] = entry["rows"]
                 else:
-                    stale += 1
-        return done, stale
+                    others.append(line + "\n")
+        return done, others
 
     def open(self) -> None:
         """Make the folder and say what it will hold; a cache with lines of other code, or half a line, is written anew."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        lines = "".join(self._line(key, rows) for key, rows in self._done.items())
+        lines = "".join([*self._others, *(self._line(key, rows) for key, rows in self._done.items())])
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
         _files.write_all(self.folder, {self._file.name: settings.encode(), self._cells.name: lines.encode()})
 
@@ -108,7 +128,7 @@ class Store:
         return [cell for cell in self.settings.cells() if cell_key(self.settings, cell, self.code) not in self._done]
 
     def add(self, cell: Cell, rows: list[Row]) -> None:
-        """Keep a finished cell, on disk before this returns."""
+        """Keep a finished cell, written before this returns."""
         key = cell_key(self.settings, cell, self.code)
         line = self._line(key, rows)
         with self._cells.open("a") as handle:
@@ -118,6 +138,11 @@ class Store:
 
     def rows(self) -> list[Row]:
         """All rows, in the order of the cells, each with its cell's settings first."""
+        missing = len(self.missing())
+        if missing:
+            raise ValueError(
+                f"{self.folder} lacks {missing} of {len(self.settings.cells())} cells; run the experiment again"
+            )
         found = []
         for cell in self.settings.cells():
             for row in self._done[cell_key(self.settings, cell, self.code)]:

@@ -209,6 +209,10 @@ class FiniteMDP:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an npz of plain arrays, whole or not at all."""
+        _files.save_npz(path, KIND, self.arrays())
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file holds."""
         arrays: dict[str, Any] = {
             "shape": np.array([self.n_states, self.n_actions]),
             "transitions_data": self.transitions.data,
@@ -223,7 +227,7 @@ class FiniteMDP:
         else:
             for part in ("data", "indices", "indptr"):
                 arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
-        _files.save_npz(path, KIND, arrays)
+        return arrays
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

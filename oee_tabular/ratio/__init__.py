@@ -6,7 +6,7 @@ from oee_tabular.ratio.features import gaussian
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sample_result import SampleRatio
 from oee_tabular.ratio.samples import density_ratio_samples
-from oee_tabular.ratio.support import refuse_unsupported
+from oee_tabular.ratio.support import refuse_unsupported, uncovered_share
 from oee_tabular.ratio.tilt import action_displacement
 from oee_tabular.ratio.transition import transition_ratio, true_ratio
 
@@ -23,4 +23,5 @@ __all__ = [
     "refuse_unsupported",
     "transition_ratio",
     "true_ratio",
+    "uncovered_share",
 ]

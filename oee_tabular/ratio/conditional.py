@@ -62,7 +62,7 @@ def fit_conditional(
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     curvature = np.asarray(bend if toward is None else bend * q)
     zeta, gap, enclosure = _solve(dual.kl_coordinates(p, q, curvature, center), box, indptr, solver)
-    gap = gap if tilt is None else max(gap, tilt.gap)
+    gap = gap if tilt is None else float(np.maximum(gap, tilt.gap))
     inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
     safe = np.where(inside, zeta, 1.0)
     influence = Influence(

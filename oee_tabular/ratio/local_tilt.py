@@ -27,7 +27,7 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import programs
-from oee_tabular.ratio.neighbours import Factor, Neighbours, neighbours
+from oee_tabular.ratio.neighbours import REST, Factor, Neighbours, neighbours
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 from oee_tabular.ratio.tilt import ENOUGH
@@ -44,7 +44,7 @@ class LocalTilt:
     Attributes
     ----------
     smoothness : lambda
-    gain : evidence (nats) less that of one theta for all states
+    gain : evidence (nats) less that of one theta for all states (with the unit prior, or one as wide as u gives the level)
     curve : (lambda, gain) of every lambda tried
     ratio : zeta on the simulator's entries
     theta : (S, d), theta + u_s, of the standardised features
@@ -106,31 +106,34 @@ class _Risk:
         """The gradient in u without and theta with its penalty's part, and the Fisher information by group (K, d, d)."""
         mean = segment_sums(model[:, None] * self.phi, self.indptr)
         scores = self.phi - spread(mean, self.indptr)
-        products = (model[:, None] * scores)[:, :, None] * scores[:, None, :]
-        information = self._by_group(self.n_row[:, None, None] * segment_sums(products, self.indptr))
+        mass = model * spread(self.n_row, self.indptr)
+        information = np.empty((self.nodes, self.d, self.d))
+        for i in range(self.d):  # one column at a time: (entries, d) of memory
+            products = segment_sums((mass * scores[:, i])[:, None] * scores, self.indptr)
+            information[:, i, :] = self._by_group(products)
         pull = self._by_group(self.n_row[:, None] * mean) - self.aim
         flat = pull.reshape(-1) + smoothness * (self.prior @ u.reshape(-1))
         return np.concatenate([flat, pull.sum(axis=0) + theta]), information
 
     def hessian(self, information: Array, smoothness: float) -> sparse.csc_array | Array:
-        """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d), and 1e-12 of the information on its diagonal.
+        """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d), and 1e-12 of the information on the diagonals of u and theta.
 
         Enormous counts would drown what the penalties alone determine: (u + c, theta - c), collinear features.
         """
-        size = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(self.d)
-        information = information + size
+        eye, whole = np.eye(self.d), information.sum(axis=0)
+        corner = whole + (1.0 + 1e-12 * np.trace(whole)) * eye
+        raised = information + 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * eye
         if self._dense is not None:
             unknowns = len(self._dense)
-            whole = np.empty((unknowns + self.d, unknowns + self.d))
-            whole[:unknowns, :unknowns] = smoothness * self._dense
-            whole[self._row, self._column] += information.reshape(-1)
-            whole[:unknowns, unknowns:] = information.reshape(unknowns, self.d)
-            whole[unknowns:, :unknowns] = whole[:unknowns, unknowns:].T
-            whole[unknowns:, unknowns:] = information.sum(axis=0) + np.eye(self.d)
-            return whole
-        diagonal = sparse.csc_array((information.reshape(-1), (self._row, self._column)), self.prior.shape)
+            dense = np.empty((unknowns + self.d, unknowns + self.d))
+            dense[:unknowns, :unknowns] = smoothness * self._dense
+            dense[self._row, self._column] += raised.reshape(-1)
+            dense[:unknowns, unknowns:] = information.reshape(unknowns, self.d)
+            dense[unknowns:, :unknowns] = dense[:unknowns, unknowns:].T
+            dense[unknowns:, unknowns:] = corner
+            return dense
+        diagonal = sparse.csc_array((raised.reshape(-1), (self._row, self._column)), self.prior.shape)
         edge = sparse.csc_array(information.reshape(self.nodes * self.d, self.d))
-        corner = information.sum(axis=0) + np.eye(self.d)
         return sparse.csc_array(
             sparse.block_array([[diagonal + smoothness * self.prior, edge], [edge.T, corner]], format="csc")
         )
@@ -193,7 +196,8 @@ def fit_local_tilt(
             return None
     else:
         evidence, at, theta, gap = minimise(risk, smoothness, start, theta)
-        chosen, curve = (evidence - one_for_all, smoothness, at, theta, gap), [(smoothness, evidence - one_for_all)]
+        gain = evidence - max(one_for_all, _one_tilt(risk, theta, smoothness))
+        chosen, curve = (gain, smoothness, at, theta, gap), [(smoothness, gain)]
     gain, smoothness, u, theta, gap = chosen
     if solver != "dual":
         u, theta, gap = _by_cvxpy(risk, smoothness, solver)
@@ -203,16 +207,47 @@ def fit_local_tilt(
 _Fit = tuple[float, float, Array, Array, float]  # gain, lambda, u, theta, gap
 
 
+def _one_tilt(risk: _Risk, theta: Array, smoothness: float) -> float:
+    """The evidence of one theta for all states whose prior is as wide as that of the level of u + theta at this lambda.
+
+    That level has the precision tau = lambda REST S / (1 + lambda REST S) <= 1: departures must not be credited with what a
+    wider prior of the level alone would gain.
+    """
+    wide = smoothness * REST * len(risk.graph.group)
+    tau, still = wide / (1.0 + wide), np.zeros((risk.nodes, risk.d))
+
+    def value(at: Array) -> tuple[float, Array]:
+        whole, model = risk.value(still, at, 0.0)
+        return whole + 0.5 * (tau - 1.0) * float(at @ at), model
+
+    best, model = value(theta)
+    for _ in range(50):
+        gradient, information = risk.slopes(still, theta, 0.0, model)
+        curvature = information.sum(axis=0) + tau * np.eye(risk.d)
+        slope = gradient[still.size :] + (tau - 1.0) * theta
+        step, length = -np.linalg.solve(curvature, slope), 1.0
+        trial, found = value(theta + step)
+        while not trial <= best and length > 1e-6:
+            length *= 0.5
+            trial, found = value(theta + length * step)
+        if not trial < best - 1e-9:
+            break
+        theta, best, model = theta + length * step, trial, found
+    half_log = 0.5 * risk.d * float(np.log(tau)) - 0.5 * float(np.linalg.slogdet(curvature)[1])
+    return half_log - float(best)
+
+
 def _search(risk: _Risk, theta: Array, one_for_all: float) -> tuple[_Fit | None, list[tuple[float, float]]]:
     """From the smoothest downwards by decades, then around the best."""
     curve: list[tuple[float, float]] = []
     best: _Fit | None = None
-    u = np.zeros((risk.nodes, risk.d))
+    u, start = np.zeros((risk.nodes, risk.d)), theta
 
     def attempt(level: float) -> _Fit:
         nonlocal u, theta, best
         evidence, u, theta, gap = minimise(risk, 10.0**level, u, theta)
-        fit = (evidence - one_for_all, 10.0**level, u, theta, gap)
+        alone = max(one_for_all, _one_tilt(risk, start, 10.0**level))
+        fit = (evidence - alone, 10.0**level, u, theta, gap)
         curve.append((10.0**level, fit[0]))
         if best is None or fit[0] > best[0]:
             best = fit

@@ -53,6 +53,25 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     )
 
 
+def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
+    """The uncovered mass: the share of ``moves`` to which the simulator gives probability 0.
+
+    Parameters
+    ----------
+    moves : csr (S*A, S), counts or weighted probabilities
+    simulator : FiniteMDP
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
+    >>> uncovered_share(target.transitions, simulator) > 0, uncovered_share(simulator.transitions, target)
+    (True, 0.0)
+    """
+    _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
+    return float(moves.data[~stored].sum() / moves.data.sum())
+
+
 def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
     if counts.shape != simulator.transitions.shape:

@@ -151,6 +151,13 @@ class CartPolePolicy:
 def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy:
     """The paper's policies: delta * uniform + (1 - delta) * the shipped expert (stochastic by default).
 
+    Parameters
+    ----------
+    delta : share of the uniform policy, in [0, 1]
+    deterministic : whether the expert takes its likelier action
+
+    Examples
+    --------
     >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
     [[0.5, 0.5]]
     """

@@ -56,6 +56,11 @@ def train_expert(
     Notes
     -----
     iterations * population * episodes * horizon compiled steps: a tenth of a second by default.
+
+    Examples
+    --------
+    >>> [round(weight, 3) for weight in train_expert()]
+    [15.455, 1.425, -0.143]
     """
     sizes = {
         "iterations": iterations,

@@ -26,7 +26,19 @@ StatePolicy: TypeAlias = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """One step from each of n states: ``next_state`` (n, d), ``reward`` (n,), ``terminated`` (n,)."""
+    """One step from each of n states.
+
+    Attributes
+    ----------
+    next_state : (n, d)
+    reward : (n,)
+    terminated : (n,) whether the episode is over in ``next_state``
+
+    Examples
+    --------
+    >>> Moves(np.array([[0.5]]), np.ones(1), np.array([False])).next_state.tolist()
+    [[0.5]]
+    """
 
     next_state: Array
     reward: Array
@@ -52,6 +64,23 @@ class ContinuousTask(ABC):
     Notes
     -----
     A reward is 0 after termination. A time limit is not part of a task: it is the horizon of an evaluation.
+
+    Examples
+    --------
+    A point on the line that is pushed to either side and paid for being near 0:
+
+    >>> from oee_tabular.tasks import GridInterpolation
+    >>> class Point(ContinuousTask):
+    ...     name, state_names, feature_names = "Point", ("s",), ("s",)
+    ...     actions, n_disturbances, periodic, terminates = np.array([-0.25, 0.25]), 1, (False,), False
+    ...     feature_low, feature_high = np.array([-1.0]), np.array([1.0])
+    ...     def moves(self, states, actions, disturbance):
+    ...         following = np.clip(states + self.actions[actions][:, None] + 0.01 * disturbance, -1.0, 1.0)
+    ...         return Moves(following, -np.abs(states[:, 0]), np.zeros(len(states), dtype=bool))
+    ...     def initial_states(self, n, rng):
+    ...         return rng.uniform(-0.1, 0.1, (n, 1))
+    >>> GridInterpolation((9,), closure_episodes=0).build(Point()).mdp
+    FiniteMDP(9 states, 2 actions, 18 transitions, rewards r(s, a), discount 0.99)
     """
 
     name: str

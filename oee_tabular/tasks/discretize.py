@@ -62,11 +62,20 @@ class Discretization:
     mdp : FiniteMDP with one state for each cell, and last, where episodes can end, the one that is over
     task : ContinuousTask
     cells : where the states lie
-    points : (m, d) states of the task that stand for the cells, and ``point_cell`` (m,) the cell that each belongs to: a
-        policy in a cell is its mean over the cell's points
+    points : (m, d) states of the task that stand for the cells
+    point_cell : (m,) the cell that each point belongs to: a policy in a cell is its mean over the cell's points
     metadata : how it was made: plain numbers and words
     diagnostics : ``clipped`` (share of the simulator's steps that left the grid and were put on its face), ``step_in_cells``
         (median length of a step in spacings, for each feature), ``closure`` (Closure, where it was measured)
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, record
+    >>> model = GridInterpolation((32, 32), closure_episodes=0).build(CartPole(10.0))
+    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=500, max_steps=100, seed=0)
+    >>> encoded = model.encode_log(log, seed=0)
+    >>> len(encoded), model.policy(cartpole_policy(0.3)).shape, round(float(model.counts(log).sum()), 6)
+    (500, (1025, 2), 500.0)
     """
 
     mdp: FiniteMDP
@@ -276,7 +285,7 @@ class Discretization:
             found = f"{rows.size} of {len(states)} rows are not; the first, row {rows[0]}, is at {place}"
             text = f"{name} must be inside {self.cells.extent()}: {found}"
             if outside == "error":
-                raise ValueError(f"{text}. A wider grid, or outside='nearest' or 'drop', takes them")
+                raise ValueError(f"{text}. A wider grid, or outside='nearest' or 'drop' (--outside), takes them")
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
             warnings.warn(f"{text}. They are {done}", stacklevel=5)
         return gone

@@ -84,7 +84,19 @@ def visited_states(
 ) -> Array:
     """(n, d) states before each move, in equal parts from every task under every policy.
 
-    Tasks are those that the cells must serve: the simulator under several parameters (never the target's data).
+    Parameters
+    ----------
+    tasks : those that the cells must serve: the simulator under several parameters (never the target's data)
+    policies : functions of states (n, d) giving probabilities (n, A)
+    n : how many states in all
+    max_steps : longest episode
+    seed : the same seed gives the same bits
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy
+    >>> visited_states([CartPole(5.0), CartPole(20.0)], [cartpole_policy(0.3)], 1000, max_steps=100, seed=0).shape
+    (1000, 4)
     """
     size = _checks.positive_integer(n, "n")
     pairs = [(task, policy) for task in tasks for policy in policies]

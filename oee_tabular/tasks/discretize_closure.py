@@ -21,8 +21,20 @@ if TYPE_CHECKING:
 class Closure:
     """What discretising costs: the value of one policy in the finite model against Monte Carlo in the task itself.
 
-    ``error`` is (discretised - monte_carlo) / scale, where the scale is |monte_carlo|, or the standard deviation of a return
-    if that is larger (for returns that change sign); ``standard_error`` is Monte Carlo's, on the same scale.
+    Attributes
+    ----------
+    discretised : the value in the finite model
+    monte_carlo : the value in the task itself
+    error : (discretised - monte_carlo) / scale, where the scale is |monte_carlo|, or the standard deviation of a return if
+        that is larger (for returns that change sign)
+    standard_error : Monte Carlo's, on the same scale
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, GridInterpolation
+    >>> closure = GridInterpolation((32, 32), closure_episodes=0).build(CartPole()).closure(n_episodes=1000, seed=0)
+    >>> abs(closure.error) < 0.05, closure.standard_error < 0.02
+    (True, True)
     """
 
     discretised: float

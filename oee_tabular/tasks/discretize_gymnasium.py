@@ -58,6 +58,21 @@ class GymnasiumTask(ContinuousTask):
     -----
     Some 10^5 steps a second and less: each state is put into the environment by itself. An environment that draws random
     numbers takes them from the generator of ``step``; ``moves`` has no disturbance to give it, and reseeds it with 0 each time.
+
+    Examples
+    --------
+    CartPole-v1 itself; its time limit is not part of the task (the module has Pendulum-v1):
+
+    >>> import gymnasium
+    >>> def write(env, state):
+    ...     env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
+    >>> ends = [2.4, 3.0, 0.21, 3.2]
+    >>> task = GymnasiumTask(
+    ...     lambda: gymnasium.make("CartPole-v1"), state_names=("x", "x_dot", "theta", "theta_dot"), actions=[0, 1],
+    ...     low=[-end for end in ends], high=ends, get_state=lambda env: env.unwrapped.state, set_state=write,
+    ... )
+    >>> task.moves(np.array([[0.0, 0.0, 0.2, 1.0]]), np.array([1]), np.zeros((1, 0))).terminated.tolist()
+    [True]
     """
 
     def __init__(

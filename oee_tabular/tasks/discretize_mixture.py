@@ -40,6 +40,16 @@ def defensive_mixture(
     ------
     ValueError
         Different numbers of states or actions; rewards r(s, a, s') (a mixture of moves has no single one).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> from oee_tabular.tasks import CartPole, GridInterpolation
+    >>> builder = GridInterpolation((20, 20), closure_episodes=0)
+    >>> plain, low, high = (builder.build(CartPole(gravity)) for gravity in (10.0, 5.0, 20.0))
+    >>> mixture = defensive_mixture(plain, [low, high], epsilon=0.1)
+    >>> round(float(oee.true_ratio(high.mdp, mixture.mdp).values.data.max()), 3) <= 2 / 0.1
+    True
     """
     weight = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
     if not others:

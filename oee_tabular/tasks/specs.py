@@ -1,8 +1,10 @@
-"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``."""
+"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``.
+
+Continuous ones, ``cartpole:gravity=10``, are in ``named_continuous``.
+"""
 
 from __future__ import annotations
 
-import ast
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +14,10 @@ from typing import Any
 from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.discretize import Discretization
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
+from oee_tabular.tasks.named_arguments import arguments
+from oee_tabular.tasks.named_continuous import CONTINUOUS, ContinuousSimulator, continuous_simulator
 from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
 
@@ -27,6 +32,8 @@ class NamedTask:
     expert : () -> (S, A), a task's own expert, else the optimal policy
     environment : () -> Gymnasium environment, None for tasks that are not Gymnasium's
     grid : size of a square gridworld of ours, else None
+    continuous : the ContinuousSimulator, None for tasks whose states are numbered
+    discretization : of a continuous simulator by its default configuration; its ``mdp`` is this one
 
     Examples
     --------
@@ -40,13 +47,16 @@ class NamedTask:
     expert: Callable[[], Array]
     environment: Callable[[], Any] | None = None
     grid: int | None = None
+    continuous: ContinuousSimulator | None = None
+    discretization: Discretization | None = None
 
 
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """The task that ``spec`` names.
 
-    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"), a Gymnasium id
-    with a toy-text table, or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
+    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"; "cartpole" on its
+    default grid), a Gymnasium id with a toy-text table, or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
+    literals or words.
 
     Parameters
     ----------
@@ -70,7 +80,11 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         mdp = mdp if discount is None else mdp.with_discount(discount)
         return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
     name, _, rest = spec.partition(":")
-    positional, keywords = _arguments(rest)
+    if name in CONTINUOUS:
+        found = continuous_simulator(spec)
+        model = found.build(discount=0.99 if discount is None else discount)
+        return NamedTask(spec, model.mdp, lambda: model.policy(found.expert), continuous=found, discretization=model)
+    positional, keywords = arguments(rest)
     if discount is not None:
         keywords["discount"] = discount
     if name == "gridworld":
@@ -88,46 +102,3 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     mdp = FiniteMDP.from_gymnasium(env, discount=gamma)
     env.close()
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))
-
-
-def _arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
-    positional: list[Any] = []
-    keywords: dict[str, Any] = {}
-    for part in _split(text):
-        key, equals, value = part.partition("=")
-        if equals and key.strip().isidentifier():
-            keywords[key.strip()] = _literal(value.strip())
-        else:
-            positional.append(_literal(part.strip()))
-    return positional, keywords
-
-
-def _split(text: str) -> list[str]:
-    """At commas that stand outside brackets and quotes."""
-    parts, depth, quote, current = [], 0, "", ""
-    for letter in text:
-        if quote:
-            quote = "" if letter == quote else quote
-        elif letter in "'\"":
-            quote = letter
-        else:
-            depth += (letter in "([{") - (letter in ")]}")
-        if letter == "," and depth == 0 and not quote:
-            parts.append(current)
-            current = ""
-        else:
-            current += letter
-    return [part for part in [*parts, current] if part.strip()]
-
-
-def _literal(text: str) -> Any:
-    lowered = {"true": True, "false": False, "none": None}
-    if text.lower() in lowered:
-        return lowered[text.lower()]
-    if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
-        top, bottom = text.split("/", 1)
-        return int(top) / int(bottom)
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text

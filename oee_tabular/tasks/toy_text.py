@@ -53,6 +53,14 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
 def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
     """The FiniteMDP of a Gymnasium toy-text environment.
 
+    Parameters
+    ----------
+    identifier : a Gymnasium id
+    discount : in [0, 1]
+    kwargs : of the environment
+
+    Examples
+    --------
     >>> toy_text("FrozenLake-v1", map_name="8x8", success_rate=0.6)
     FiniteMDP(64 states, 4 actions, 674 transitions, rewards r(s, a, s'), discount 0.99)
     """

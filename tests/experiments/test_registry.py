@@ -68,6 +68,15 @@ def test_named_settings_share_a_stream():
     assert (one.generator("n").random(3) != other.generator("n").random(3)).all()
 
 
+def test_uses_have_numbers_of_their_own():
+    stream = Stream("some", 0, {"n": 1, "repetition": 0})
+    draws = [stream.generator(use=use).random(3) for use in ("", "rollouts", "simulator")]
+    assert len({tuple(draw) for draw in draws}) == 3
+    assert_array_equal(stream.generator(use="rollouts").random(3), draws[1])
+    with pytest.raises(ValueError, match="names must be settings of the cell, n, repetition; got 'gird'"):
+        stream.generator("gird")
+
+
 def test_the_stream_is_pinned():
     """Another version must not change the numbers of a saved table silently."""
     stream = Stream("fig1a", 0, {"data": "uniform", "grid": 10, "n": 1000, "repetition": 2})
@@ -113,5 +122,7 @@ def test_a_few_cells_as_a_table():
     cell = {"delta": 0.5, "repetition": 1}
     rows = experiment.run(cell, Stream("estimands", 0, cell))
     assert table.tail(4).value.tolist() == [row["value"] for row in rows]
+    same = experiment.table(delta=np.float64(0.5)), experiment.table(delta=[0.5])
+    assert same[0].equals(same[1])
     with pytest.raises(ValueError, match="axes must be among delta; got 'n'"):
         experiment.table(n=3)

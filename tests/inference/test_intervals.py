@@ -425,6 +425,7 @@ def test_two_steps_that_never_succeeded_are_both_raised():
         assert_allclose((found.lower, found.upper), (0.0, 0.9 * p * p), rtol=1e-6, atol=1e-15)
 
 
+@settings(max_examples=20)
 @given(rngs)
 def test_no_member_of_the_profile_set_is_outside(rng):
     """Sparse rewards and few moves; members on the way from the frequencies to random rows, each as far as the set goes."""
@@ -442,3 +443,30 @@ def test_no_member_of_the_profile_set_is_outside(rng):
         q = weights / np.add.reduceat(weights, evidence.indptr[:-1])[evidence.rows]
         value = oee.policy_value(evidence.with_rows(likelihood._toward(evidence, q, limit)), policy)
         assert found.lower - 1e-9 <= value <= found.upper + 1e-9
+
+
+def test_rows_that_must_move_together_move_together():
+    """The lower end needs an unseen row at its extreme and two seen rows that are flat alone (found by trial)."""
+    supports = {0: [0, 4, 6], 1: [0, 3], 2: [0, 2, 4], 3: [2], 4: [0, 1], 5: [4], 6: [6]}
+    kernel = np.zeros((7, 1, 7))
+    for s, arrivals in supports.items():
+        kernel[s, 0, arrivals] = 1 / len(arrivals)
+    reward = np.array([0.0, 0, -1, 1, 0, 0, 0])
+    simulator = oee.FiniteMDP(kernel, reward, np.eye(7)[0], 0.9)
+    problem = oee.Problem(simulator, oee.Transitions([0, 0, 1], [0, 0, 0], [6, 6, 0]))
+    found = oee.interval(problem, np.ones((7, 1)))
+    evidence = ambiguity.gather(problem, np.ones((7, 1)))
+    limit = stats.chi2.ppf(0.95, 1) / 2
+    rows = evidence.phat.copy().reshape(-1)
+    entries = {(s, t): k for k, (s, t) in enumerate((s, t) for s, ts in supports.items() for t in ts)}
+    worst = 0.0
+    for share in np.linspace(0.01, 0.99, 99):  # of the limit to row 0, the rest to row 1; unseen rows at their worst
+        p, q = 1 - np.exp(-limit * share / 2), 1 - np.exp(-limit * (1 - share))
+        rows[:] = 0.0
+        for (s, t), value in {
+            (0, 4): p, (0, 6): 1 - p, (1, 3): q, (1, 0): 1 - q, (2, 2): 1.0, (3, 2): 1.0, (4, 1): 1.0, (5, 4): 1.0, (6, 6): 1.0,
+        }.items():  # fmt: skip
+            rows[entries[s, t]] = value
+        worst = min(worst, oee.policy_value(evidence.with_rows(rows), np.ones((7, 1))))
+    assert worst < -1.0
+    assert found.lower <= worst + 1e-9

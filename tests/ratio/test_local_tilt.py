@@ -12,6 +12,7 @@ from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
 from oee_tabular.kernels.matching import match
+from oee_tabular.ratio import local_tilt
 from oee_tabular.ratio import neighbours as graphs
 from oee_tabular.ratio.local_tilt import fit_local_tilt
 from oee_tabular.ratio.neighbours import REST, neighbours
@@ -152,6 +153,33 @@ def test_a_target_that_one_tilt_fits_keeps_it():
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     kept = [oee.transition_ratio(counts_of(target, simulator, 4000, seed)[0], simulator) for seed in range(10)]
     assert sum(zeta.details["smoothness"] == np.inf for zeta in kept) >= 8
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.01])
+def test_one_tilt_however_far_is_not_called_many(slip):
+    """Far levels must not be credited to departures: a target of one theta, far from the simulator."""
+    simulator, target = oee.tasks.gridworld(6, 0.3), oee.tasks.gridworld(6, slip)
+    for n in (100, 1000, 10_000):
+        zeta = oee.transition_ratio(counts_of(target, simulator, n)[0], simulator)
+        assert "one tilt for all states does not fit" not in zeta.details["meaning"]
+
+
+@pytest.mark.parametrize("dense", [0, 128])
+def test_enormous_counts(dense, monkeypatch):
+    simulator, target = halves(4)
+    monkeypatch.setattr(local_tilt, "DENSE", dense)
+    for size in (1e9, 1e15, 1e22):
+        zeta = oee.transition_ratio(sparse.csr_array(size * target.transitions), simulator, smoothness=5.0)
+        assert_allclose(zeta.target_model(simulator).transitions.toarray(), target.transitions.toarray(), atol=1e-6)
+        assert np.isfinite(zeta.gap)
+
+
+def test_dense_and_sparse_systems_agree(monkeypatch):
+    simulator, target = halves(5)
+    log, _ = counts_of(target, simulator, 3000)
+    dense = oee.transition_ratio(log, simulator)
+    monkeypatch.setattr(local_tilt, "DENSE", 0)
+    assert_allclose(oee.transition_ratio(log, simulator).values.data, dense.values.data, rtol=1e-10)
 
 
 def test_the_same_program_by_cvxpy():

@@ -1,0 +1,197 @@
+"""The command for continuous tasks: their options, policies and logs from specifications and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular.cli_inputs import policy_array
+
+if TYPE_CHECKING:
+    from oee_tabular._checks import Array
+    from oee_tabular.data import ContinuousTransitions
+    from oee_tabular.report import Report, Settings
+    from oee_tabular.tasks import StatePolicy
+    from oee_tabular.tasks.named_continuous import ContinuousSimulator
+
+GRID_HELP = "Vertices along each feature of a continuous task, 60x60; none: the task's own (cartpole: 32x32)."
+OUTSIDE_HELP = "What to do with a continuous log's states outside the grid: error (default), drop or nearest."
+STRICT_HELP = "An error, not a warning, for actions of a continuous log that are not in the task's set."
+CALIBRATION_HELP = "Of a continuous task's values: ratio, difference or none; none given: the task's own."
+FLOOR_HELP = "Share of a continuous simulator's step that may end anywhere near (defensive); none: the task's own."
+EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; none: 50000."
+
+
+def is_continuous(spec: str | None) -> bool:
+    """Whether ``spec`` names a continuous task."""
+    from oee_tabular.tasks.named_continuous import CONTINUOUS
+
+    return spec is not None and spec.partition(":")[0] in CONTINUOUS
+
+
+def settings_of(
+    grid: str | None,
+    outside: str | None,
+    strict: bool,
+    calibration: str | None,
+    floor: float | None,
+    episodes: int | None,
+) -> dict[str, Any]:
+    """The options that were given, by the names of ``Settings``."""
+    shape: tuple[int, ...] | None = None
+    if grid is not None:
+        try:
+            shape = tuple(int(part) for part in grid.lower().split("x"))
+        except ValueError:
+            raise ValueError(f"--grid must be like 32x32; got {grid!r}") from None
+    given = {"grid": shape, "outside": outside, "strict": strict or None, "calibration": calibration, "floor": floor,
+             "episodes": episodes}  # fmt: skip
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def refuse_settings(settings: dict[str, Any]) -> None:
+    """An error where options of continuous tasks are given without one."""
+    if settings:
+        name = next(iter(settings))
+        option = "simulations" if name == "episodes" else name
+        raise ValueError(f"--{option} needs a continuous task (--simulator cartpole:gravity=10)")
+
+
+def from_states(
+    spec: str,
+    log: Path,
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool,
+    common: dict[str, Any],
+    settings: dict[str, Any],
+) -> Report:
+    """The report on a continuous simulator, a log of continuous states and policies."""
+    from oee_tabular.data import ContinuousTransitions
+    from oee_tabular.report import evaluate_continuous
+    from oee_tabular.tasks.named_continuous import continuous_simulator
+
+    for name, plain in (("rewards", "simulator"), ("action_noise", 0.0)):
+        if options[name] != plain:
+            raise ValueError(
+                f"--{name.replace('_', '-')} must be left out for a continuous task; it is {options[name]}"
+            )
+    simulator = continuous_simulator(spec)
+    if target is not None and not is_continuous(target):
+        raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
+    return evaluate_continuous(
+        simulator,
+        ContinuousTransitions.load(log),
+        _policies(policy, simulator),
+        settings=_settings(settings),
+        behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
+        target=None if target is None else continuous_simulator(target).task,
+        horizon=options["horizon"],
+        discount=0.99 if options["discount"] is None else options["discount"],
+        normalized=normalized,
+        facts={"simulator_name": spec, "log_name": str(log)},
+        **common,
+    )
+
+
+def recorded_states(
+    spec: str, policy: str, transitions: int | None, episodes: int | None, horizon: int | None, seed: int
+) -> ContinuousTransitions:
+    """A log of the continuous task that ``spec`` names."""
+    from oee_tabular.tasks.named_continuous import continuous_simulator
+
+    simulator = continuous_simulator(spec)
+    return simulator.record(
+        _named(policy, simulator, "policy"),
+        n_transitions=transitions,
+        n_episodes=episodes,
+        max_steps=horizon,
+        seed=seed,
+    )
+
+
+def described(file: str) -> str:
+    """What a file or data set holds."""
+    from oee_tabular import _files
+    from oee_tabular.cli_inputs import report_summary
+    from oee_tabular.data import ContinuousTransitions, Transitions
+    from oee_tabular.data.continuous_files import holds_states
+
+    path = Path(file)
+    if path.is_dir() and (path / "report.json").is_file():
+        path = path / "report.json"
+    if path.suffix.lower() == ".json":
+        return report_summary(path)
+    if holds_states(file):
+        return _states(ContinuousTransitions.load(file))
+    if path.suffix.lower() not in (".npz", ".npy"):
+        return repr(Transitions.load(file))
+    arrays = _files.read_npz(file)
+    kind = _files.npz_kind(arrays)
+    if kind == "finite_mdp":
+        return _mdp(file, arrays)
+    if kind == "transitions":
+        return repr(Transitions.load(file))
+    return "\n".join(_array(name, array) for name, array in arrays.items())
+
+
+def _states(log: ContinuousTransitions) -> str:
+    lines = [repr(log)]
+    for name in ("state", "next_state"):
+        values: Array = getattr(log, name)
+        ranges = zip(values.min(axis=0), values.max(axis=0), strict=True)
+        lines.append(f"{name}: " + ", ".join(f"_{k} {low:.4g} to {high:.4g}" for k, (low, high) in enumerate(ranges)))
+    if log.behavior_probability is not None:
+        lines.append("with behaviour probabilities")
+    return "\n".join(lines)
+
+
+def _mdp(file: str, arrays: dict[str, Any]) -> str:
+    import json
+
+    from oee_tabular.mdp import FiniteMDP
+
+    mdp = FiniteMDP.load(file)
+    over = int(mdp.absorbing().sum())
+    text = f"{mdp!r}\nrewards {mdp.rewards.min():g} to {mdp.rewards.max():g}, {over} states that are over"
+    if "metadata" in arrays:
+        facts = json.loads(str(arrays["metadata"]))
+        text += "\nmade from a continuous task: " + ", ".join(f"{name} {value}" for name, value in facts.items())
+    return text
+
+
+def _array(name: str, array: Any) -> str:
+    policy_like = array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
+    what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if policy_like else "array"
+    return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"
+
+
+def _settings(given: dict[str, Any]) -> Settings:
+    from oee_tabular.report import Settings
+
+    return Settings(**given)
+
+
+def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC; the expert where there are none."""
+    found: dict[str, Any] = {}
+    for text in specs or ["expert"]:
+        name, equals, spec = text.partition("=")
+        label, source = (name, spec) if equals else (text, text)
+        if label in found:
+            raise ValueError(f"--policy names must differ; {label!r} is given twice")
+        is_file = Path(source).suffix.lower() in (".npy", ".npz")
+        found[label] = policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
+    return found
+
+
+def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
+    """A policy of states; an array's cells are those of the default grid."""
+    if Path(spec).suffix.lower() not in (".npy", ".npz"):
+        return simulator.policy(spec, name)
+    from oee_tabular.report.continuous import as_function, as_table
+
+    model = simulator.build()
+    return as_function(as_table(policy_array(spec, name), model, spec), model)

@@ -1,0 +1,54 @@
+"""``value,key=value,...``: the arguments of a task that is named on the command line."""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+
+def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
+    """Positional values and keywords; values are Python literals or words.
+
+    >>> arguments("10,slip=0.3,pay=next,desc=['SF','FG']")
+    ([10], {'slip': 0.3, 'pay': 'next', 'desc': ['SF', 'FG']})
+    """
+    positional: list[Any] = []
+    keywords: dict[str, Any] = {}
+    for part in _split(text):
+        key, equals, value = part.partition("=")
+        if equals and key.strip().isidentifier():
+            keywords[key.strip()] = _literal(value.strip())
+        else:
+            positional.append(_literal(part.strip()))
+    return positional, keywords
+
+
+def _split(text: str) -> list[str]:
+    """At commas that stand outside brackets and quotes."""
+    parts, depth, quote, current = [], 0, "", ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        else:
+            depth += (letter in "([{") - (letter in ")]}")
+        if letter == "," and depth == 0 and not quote:
+            parts.append(current)
+            current = ""
+        else:
+            current += letter
+    return [part for part in [*parts, current] if part.strip()]
+
+
+def _literal(text: str) -> Any:
+    lowered = {"true": True, "false": False, "none": None}
+    if text.lower() in lowered:
+        return lowered[text.lower()]
+    if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
+        top, bottom = text.split("/", 1)
+        return int(top) / int(bottom)
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text

@@ -1,0 +1,97 @@
+"""Tied ratios: the pooled program's closed form, its limits, and what is refused."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
+from oee_tabular.ratio import true_ratio
+from oee_tabular.ratio.ties import tied_ratio
+
+
+def ring(p, n=12, n_actions=2):
+    """Steps of 0, 1 or 2 around a ring with probabilities p[a]: the displacement does not depend on the state."""
+    dense = np.zeros((n, n_actions, n))
+    for s in range(n):
+        for a in range(n_actions):
+            for k in range(3):
+                dense[s, a, (s + k) % n] += p[a][k]
+    return oee.FiniteMDP(dense, np.linspace(0, 1, n), np.eye(n)[0], 0.9)
+
+
+def displacement(s, a, following):
+    return 3 * a + (following - s) % 12
+
+
+SIMULATOR = ring([[0.2, 0.5, 0.3], [0.6, 0.3, 0.1]])
+TARGET = ring([[0.1, 0.3, 0.6], [0.2, 0.4, 0.4]])
+
+
+def test_a_function_of_the_key_is_found_exactly():
+    zeta = tied_ratio(100 * TARGET.transitions, SIMULATOR, displacement, strength=0.0)
+    assert_allclose(zeta.values.toarray(), true_ratio(TARGET, SIMULATOR).values.toarray(), rtol=1e-9)
+    assert zeta.gap < 1e-10
+    assert zeta.details["n_keys"] == 6
+    assert zeta.details["n_groups"] == 2
+    assert_allclose(zeta.details["pooled_row_sums"], 1.0)
+
+
+def test_pooled_counts_and_strength_in_closed_form():
+    log = oee.sample_transitions(TARGET, np.full((12, 2), 1 / 24), 40, seed=1)
+    counts = log.counts(12, 2)
+    zeta = tied_ratio(log, SIMULATOR, displacement, strength=5.0)
+    n = np.zeros((2, 3))
+    rows, columns = counts.nonzero()
+    for row, s in zip(rows, columns, strict=True):
+        n[row % 2, (s - row // 2) % 12] += counts[row, s]
+    p = np.array([[0.2, 0.5, 0.3], [0.6, 0.3, 0.1]])
+    wanted = (n + 5 * p) / (n.sum(axis=1, keepdims=True) + 5) / p
+    found = zeta.values.toarray().reshape(12, 2, 12)
+    for s in range(12):
+        for a in range(2):
+            assert_allclose(found[s, a, (s + np.arange(3)) % 12], wanted[a], rtol=1e-9)
+
+
+def test_an_action_never_seen_keeps_the_simulator():
+    only = 50 * TARGET.transitions.toarray()
+    only[1::2] = 0.0
+    from scipy import sparse
+
+    zeta = tied_ratio(sparse.csr_array(only), SIMULATOR, displacement)
+    assert_allclose(zeta.values.toarray()[1::2][SIMULATOR.transitions.toarray()[1::2] > 0], 1.0)
+    assert zeta.details["groups_visited"] == 1
+
+
+def test_rows_sum_to_one_where_the_tie_is_wrong():
+    base = oee.tasks.gridworld(4, 0.3)
+    log = oee.sample_transitions(oee.tasks.gridworld(4, 0.1), np.full((16, 4), 1 / 64), 200, seed=0)
+    zeta = tied_ratio(log, base, row_of_entry(base.transitions) % 4 * 0 + np.arange(base.transitions.nnz) % 3)
+    assert_allclose(row_sums(base.transitions, zeta.values.data * base.transitions.data), 1.0)
+    assert zeta.details["pooled_row_sums"][1] > 1.01
+    zeta.target_model(base)
+
+
+BAD = [
+    (lambda: tied_ratio(TARGET.transitions, SIMULATOR, np.zeros(3, dtype=int)), r"tie must have shape \(72,\)"),
+    (lambda: tied_ratio(TARGET.transitions, SIMULATOR, np.zeros(72)), "tie must have integer keys; they are float64"),
+    (
+        lambda: tied_ratio(TARGET.transitions, SIMULATOR, displacement, strength=-1),
+        r"strength must be in \[0, inf\); it is -1",
+    ),
+    (lambda: tied_ratio([1], SIMULATOR, displacement), "log_or_counts must be Transitions or a sparse matrix"),
+    (lambda: tied_ratio(TARGET.transitions, None, displacement), "simulator must be a FiniteMDP; got NoneType"),
+]
+
+
+@pytest.mark.parametrize(("call", "text"), BAD)
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+def test_no_mass_left_in_a_row():
+    simulator = oee.FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0.0, 1.0], [1.0, 0.0], 0.9)
+    counts = on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match=r"strength must be positive here: no key of row \(s=1, a=0\)"):
+        tied_ratio(counts, simulator, np.array([0, 1, 1]), strength=0.0)
