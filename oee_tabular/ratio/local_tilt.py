@@ -234,7 +234,7 @@ def _one_tilt(risk: _Risk, theta: Array, smoothness: float) -> float:
             break
         theta, best, model = theta + length * step, trial, found
     half_log = 0.5 * risk.d * float(np.log(tau)) - 0.5 * float(np.linalg.slogdet(curvature)[1])
-    return half_log - float(best)
+    return float(half_log - best)
 
 
 def _search(risk: _Risk, theta: Array, one_for_all: float) -> tuple[_Fit | None, list[tuple[float, float]]]:
