@@ -94,17 +94,18 @@ FIGURE_2 = Experiment(
     caption=(
         f"{UNITS} The policy is delta uniform + (1 - delta) expert; the log is n moves of the target by delta = 0.3, in "
         "episodes of at most 100 steps. Error: |estimate - truth|; the truth is a mean of 400 000 episodes (standard "
-        "error at most 0.0003). First row: values at n = 80 000; hollow grey marks are what the paper published (gravities 10 "
-        "and 15 only; its expert, another one, is lost, so its points need not lie on our lines). Second and third row: mean "
-        "|error| over the seeds at each delta; bands: 10% to 90% of the seeds. Last row: the mean over delta, for both n, and "
-        "for logs recorded by stepping Gymnasium's own CartPole; stars: the paper's curves against the paper's truth (for the "
-        "simulator, which it leaves out, its true curve at gravity 10). One configuration for all: 32 x 32 vertices over angle "
-        "and angular velocity, the simulator looked at in the log's places, the ratio shrunk to it with strength 0.01. "
-        "Calibrated: times the simulator's Monte Carlo value / its value on the grid. Raw, the grid's own error hides it: "
-        "at gravities 7.5 and 12.5 the uncorrected simulator is as near. Calibrated, the gain is not off-environment "
-        "evaluation's alone: the model of the log's frequencies gains as much by the same calibration, and least squares of a "
-        "linear model, which has no cells to learn, is best wherever gravity is mistaken. Importance sampling has correct "
-        "probabilities, and is accurate near the data's policy. The oracle is the target itself on the same grid."
+        "error at most 0.0003). First row: values at n = 80 000; hollow grey marks are what the paper published "
+        "(gravities 10 and 15 only; its expert, another one, is lost, so its points need not lie on our lines). Second "
+        "and third row: mean |error| over the seeds at each delta; bands: 10% to 90% of the seeds. Last row: the mean "
+        "over delta, for both n, and for logs recorded by stepping Gymnasium's own CartPole; stars: the paper's curves "
+        "against the paper's truth (for the simulator, which it leaves out, its true curve at gravity 10). One "
+        "configuration for all: 32 x 32 vertices over angle and angular velocity, the simulator looked at in the log's "
+        "places, the ratio shrunk to it with strength 0.01. Calibrated: times the simulator's Monte Carlo value / its "
+        "value on the grid. Raw, the grid's own error hides it: at gravities 7.5 and 12.5 the uncorrected simulator is "
+        "as near. Calibrated, the gain is not off-environment evaluation's alone: the model of the log's frequencies "
+        "gains as much by the same calibration, and least squares of a linear model, which has no cells to learn, is "
+        "best wherever gravity is mistaken. Importance sampling has correct probabilities, and is accurate near the "
+        "data's policy. The oracle is the target itself on the same grid."
     ),
 )  # fmt: skip
 
@@ -190,10 +191,10 @@ RESOLUTION = Experiment(
     group="continuous",
     caption=(
         f"{UNITS} Mean |error| over six deltas and three gravities (7.5, 12.5, 15). Left: the target itself on the states, no "
-        "data (n = 0 in the table): two dimensions (angle and angular velocity, exact for policies of the angle) and four (the "
-        "whole state: grids, and cells of states that the simulator visits). Middle and right: off-environment evaluation from "
-        "n moves, raw (dashed) and calibrated (solid); bands: smallest and largest of the seeds. Two dimensions need 1000 "
-        "states; in four, far more do not reach their accuracy."
+        "data (n = 0 in the table): two dimensions (angle and angular velocity, exact for policies of the angle) and "
+        "four (the whole state: grids, and cells of states that the simulator visits). Middle and right: "
+        "off-environment evaluation from n moves, raw (dashed) and calibrated (solid); bands: smallest and largest of "
+        "the seeds. Two dimensions need 1000 states; in four, far more do not reach their accuracy."
     ),
 )
 
@@ -223,8 +224,8 @@ CARTPOLE_DATA = Experiment(
     group="continuous",
     caption=(
         f"{UNITS} Mean |error| over six target policies, delta 0 to 1, from logs that delta = 0 (the expert), 0.3, 0.6 or 1 "
-        "(uniform) recorded; lines: means over the seeds, bands: the smallest and the largest. visited: the share of grid "
-        "states and actions that the log has seen."
+        "(uniform) recorded; lines: means over the seeds, bands: the smallest and the largest. visited: the share of "
+        "grid states and actions that the log has seen."
     ),
 )
 

@@ -188,10 +188,10 @@ ESTIMANDS = Experiment(
     measures=("value", "distance"),
     draw=draw_estimands,
     caption=(
-        "The published code's true curve pays r(s_t+1), its OEE pays r(s_t), and its oracle pays r(s_t+1) with a weight that "
-        "lacks the last move, self-normalised over 100 rollouts. All with the exact zeta, no estimation error at all: what "
-        "differs is what is estimated. Exactly evaluated, the oracle's quantity is nearer the true curve than OEE's; as "
-        "published, its rollouts put it farther off at most deltas. That OEE beats the oracle is no merit of an estimate. "
-        "The first two are exact, the last is the mean distance over the seeds."
+        "The published code's true curve pays r(s_t+1), its OEE pays r(s_t), and its oracle pays r(s_t+1) with a weight"
+        " that lacks the last move, self-normalised over 100 rollouts. All with the exact zeta, no estimation error at "
+        "all: what differs is what is estimated. Exactly evaluated, the oracle's quantity is nearer the true curve than"
+        " OEE's; as published, its rollouts put it farther off at most deltas. That OEE beats the oracle is no merit of"
+        " an estimate. The first two are exact, the last is the mean distance over the seeds."
     ),
 )

@@ -278,14 +278,14 @@ TABLE_1 = Experiment(
     requires=("mujoco",),
     smoke_repetitions=1,
     caption=(
-        "SIMULATED STAND-IN: no data of the paper's robot was published, and the target here is the same MuJoCo arm perturbed "
-        "(velocity x 1.4; everything: velocity x 1.2, latency 0.05 s, payload 1 kg, friction 2 N m, servo gain x 0.4, encoder "
-        "noise 0.002 rad). Means of sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs to each goal, recorded "
-        "with a share delta of random commands; bars: standard deviations over the seeds; dashed: the value of 250 runs in "
-        "the target. removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied over displacements, "
-        "against a defensive simulator (10 % of it displacements times 0.5 and 1.5, a change of the paper's fixed simulator; "
-        "the plain one beside it); calibrated: plus the simulator's difference between 250 runs and the grid. uncovered: "
-        "share of the log's moves without support, left_out: of states outside the grid; neither is used. "
-        "The paper's column has the real arm's numbers, which need not agree."
+        "SIMULATED STAND-IN: no data of the paper's robot was published, and the target here is the same MuJoCo arm "
+        "perturbed (velocity x 1.4; everything: velocity x 1.2, latency 0.05 s, payload 1 kg, friction 2 N m, servo "
+        "gain x 0.4, encoder noise 0.002 rad). Means of sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs"
+        " to each goal, recorded with a share delta of random commands; bars: standard deviations over the seeds; "
+        "dashed: the value of 250 runs in the target. removed: share of the simulator's error (of 250 runs) that is "
+        "gone. zeta is tied over displacements, against a defensive simulator (10 % of it displacements times 0.5 and "
+        "1.5, a change of the paper's fixed simulator; the plain one beside it); calibrated: plus the simulator's "
+        "difference between 250 runs and the grid. uncovered: share of the log's moves without support, left_out: of "
+        "states outside the grid; neither is used. The paper's column has the real arm's numbers, which need not agree."
     ),
 )

@@ -168,8 +168,9 @@ def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> 
         group="gymnasium",
         caption=caption
         + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "
-        "uniform; the log is recorded by stepping the environment with 50% of the simulator's optimum. Means over policies "
-        "and seeds; tau is that of the five policies' order, regret in the table what choosing the best estimate loses. WIS "
+        "uniform; the log is recorded by stepping the environment with 50% of the simulator's optimum. Means over "
+        "policies and seeds; tau is that of the five policies' order, regret in the table what choosing the best "
+        "estimate loses. WIS "
         "has the true behaviour probabilities.",
     )
 

@@ -81,10 +81,18 @@ def record_goals(
 ) -> ContinuousTransitions:
     """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
 
+    Parameters
+    ----------
+    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
+    n_runs : to each goal
+    delta : share of random commands, in [0, 1]
+    horizon : commands of a run
+    seed : the same seed gives the same bits
+
     Returns
     -------
     ContinuousTransitions
-        States are whole states of the arm; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
+        States are whole states of ``arm``; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
         episode's goal. It is a simulated stand-in's log, not a robot's.
 
     Examples

@@ -213,7 +213,21 @@ class KinovaPolicy:
 def kinova_policy(goal: int, delta: float = 0.0) -> KinovaPolicy:
     """delta * uniform + (1 - delta) * the proportional controller to a goal.
 
-    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3)
-    np.float64(0.74)
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    delta : share of random commands, in [0, 1]
+
+    Returns
+    -------
+    KinovaPolicy
+        A function of states, whose first three coordinates are the hand's position in m.
+
+    Examples
+    --------
+    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
+    [1.0, 1.0, 1.0]
+    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
+    0.74
     """
     return KinovaPolicy(goal, delta)

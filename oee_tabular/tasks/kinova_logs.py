@@ -67,8 +67,19 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
 def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None) -> ContinuousTransitions:
     """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
 
-    Raises ValueError with the file's name for what ``hand_log`` refuses; ImportError naming the extra (``parquet``,
-    ``minari``) where a format's library is missing.
+    Parameters
+    ----------
+    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
+    speed : m/s that a command of 1 stands for, see ``hand_log``
+
+    Raises
+    ------
+    ValueError
+        What ``hand_log`` refuses, with the file's name.
+    FileNotFoundError
+        Neither a file, nor a Minari folder, nor a Minari id here.
+    ImportError
+        A format's library is missing; it names the extra (``parquet``, ``minari``).
 
     Examples
     --------

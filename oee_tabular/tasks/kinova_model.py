@@ -58,6 +58,15 @@ class KinovaHand(ContinuousTask):
     starts : (n, 3) in m, positions at which episodes begin
     goal : row of GOALS; r(x) = -|x - goal|
     source : the arm's parameters
+    name : says that it is a stand-in
+
+    Examples
+    --------
+    >>> still = np.zeros((27, 3, 3))
+    >>> hand = KinovaHand(ideal_hand().coefficients, still, CENTER[None], {"ideal": True}, goal=2)
+    >>> further = hand.scaled(1.5).moves(CENTER[None], np.array([26]), np.zeros((1, 3)))
+    >>> ((further.next_state - CENTER) / STEP).round(3).tolist(), further.reward.round(3).tolist()
+    ([[1.5, 1.5, 1.5]], [-0.247])
     """
 
     coefficients: Array
@@ -144,7 +153,31 @@ def basis(states: Array) -> Array:
 def fit_hand(arm: KinovaArm, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
     """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
 
-    Cost: 27 n_states commands of the arm, some seconds. Raises ImportError without MuJoCo.
+    Parameters
+    ----------
+    arm : KinovaArm
+        A KinovaHand serves as well, to see what the fit finds of a hand that is known.
+    n_states : how many states are stepped, at most
+    seed : the same seed gives the same bits
+
+    Raises
+    ------
+    ImportError
+        A KinovaArm, and MuJoCo is not installed.
+
+    Notes
+    -----
+    27 n_states commands of the arm: some seconds by default.
+
+    Examples
+    --------
+    >>> class Straight(KinovaHand):  # in the arm's place: every command moves it by 1.4 steps
+    ...     def moves(self, states, actions, disturbance):
+    ...         following = states + 1.4 * STEP * COMMANDS[actions]
+    ...         return Moves(following, self.costs(states), np.zeros(len(states), dtype=np.bool_))
+    >>> found = fit_hand(Straight(None, None, CENTER[None], {}), n_states=100)
+    >>> (found.coefficients[26, 0] / STEP).round(3).tolist(), found.coefficients.shape
+    ([1.4, 1.4, 1.4], (27, 10, 3))
     """
     wanted = _checks.positive_integer(n_states, "n_states")
     rng = _checks.generator(seed)
@@ -184,8 +217,10 @@ def kinova_model(
     Parameters
     ----------
     arm : KinovaArm (fitted first), or what ``fit_hand`` made of one
+    spacing : m between vertices, half a command's step to five
     defensive : epsilon of a mixture with the same displacements times 0.5 and 1.5, and twice the scatter, so that a ratio
         has support where a target moves less or further; it is another simulator, and ``metadata`` says so
+    points : along each axis of a box, over which costs and policies are averaged
     n_states, seed : of ``fit_hand``
 
     Notes

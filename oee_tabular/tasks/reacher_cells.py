@@ -41,10 +41,22 @@ class ArmCells:
     Attributes
     ----------
     task : Reacher, whose reward is paid
-    cells : where the states lie; points (m, 4) and point_cell (m,): the states that stand for them
+    cells : where the states lie
+    points, point_cell : (m, 4) states of the arm that stand for the cells, and (m,) the cell of each
     transitions : length -> csr (S*A, S), the simulator with links of that length
     counts : csr (S*A, S), the log's moves
-    initial : (S,); discount
+    initial, discount : (S,) where episodes begin, and gamma: those of every ``mdp``
+
+    Examples
+    --------
+    >>> log = reacher_log(Reacher.tamed(), 500, max_steps=25, seed=0)
+    >>> numbers = {"n_cells": 50, "n_simulated": 200, "n_stepped": 200, "horizon": 25}
+    >>> arm = arm_cells(log, task=Reacher.tamed(), lengths=(0.1, 0.2), **numbers)
+    >>> simulator = arm.mdp(arm.mixture())
+    >>> simulator.n_states == arm.cells.n_cells, list(arm.transitions), int(arm.counts.sum())
+    (True, [0.1, 0.2], 500)
+    >>> arm.policy(reacher_policy(0.3)).shape == (simulator.n_states, 9)
+    True
     """
 
     task: Reacher
@@ -228,6 +240,13 @@ def _count(rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.
 def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None) -> ContinuousTransitions:
     """The paper's data: n moves by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
 
+    Parameters
+    ----------
+    task : Reacher, the target's arm
+    n : moves in all
+    max_steps : moves of an episode
+    seed : the same seed gives the same bits
+
     Raises
     ------
     ValueError
@@ -235,7 +254,7 @@ def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
 
     Examples
     --------
-    >>> len(reacher_log(Reacher(), 1000, seed=0))
+    >>> len(reacher_log(Reacher(), 1000, max_steps=25, seed=0))
     1000
     """
     size = _checks.positive_integer(n, "n")

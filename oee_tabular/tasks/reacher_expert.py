@@ -75,6 +75,12 @@ class ReacherPolicy:
 def reacher_policy(delta: float) -> StatePolicy:
     """The paper's kind of policies: delta * uniform + (1 - delta) * our expert (the paper's is lost).
 
+    Parameters
+    ----------
+    delta : share of random actions, in [0, 1]
+
+    Examples
+    --------
     >>> reacher_policy(0.9)(np.zeros((1, 4))).max().round(12).item()
     0.2
     """

@@ -17,8 +17,21 @@ from oee_tabular.tasks.reacher import Reacher
 class LinearReacher(Reacher):
     """s' = s + A s + B u + c + N(0, Sigma), fitted to a log by least squares; rewards and beginnings are the arm's.
 
-    Made by ``LinearReacher.fit``. coefficients (7, 4): of 1, the state's four and the command's two; root (4, 4): Cholesky's of
-    Sigma, the residuals' covariance.
+    Made by ``LinearReacher.fit``; the other fields are the arm's.
+
+    Attributes
+    ----------
+    coefficients : (7, 4), of 1, the state's four and the command's two
+    root : (4, 4), Cholesky's of Sigma, the residuals' covariance
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import reacher_log
+    >>> model = LinearReacher.fit(reacher_log(Reacher.tamed(), 1000, max_steps=25, seed=0), Reacher.tamed())
+    >>> still = np.zeros((2, 4))
+    >>> back, forth = model.moves(still, np.array([0, 8]), still).next_state[:, 2]  # the shoulder's speed
+    >>> bool(back < 0 < forth)
+    True
     """
 
     coefficients: Array = field(default_factory=lambda: np.zeros((7, 4)), compare=False, repr=False)
