@@ -150,7 +150,7 @@ def basis(states: Array) -> Array:
     return np.stack([np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
 
 
-def fit_hand(arm: KinovaArm, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
+def fit_hand(arm: KinovaArm | KinovaHand, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
     """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
 
     Parameters
