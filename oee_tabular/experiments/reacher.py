@@ -82,7 +82,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     length, n = float(settings["length"]), int(settings["n"])
     target = Reacher(length)
     log = reacher_log(target, n, seed=stream.generator())
-    arm = arm_cells(log, task=Reacher(SIMULATED, length), seed=stream.sequence("cells"))
+    arm = arm_cells(log, task=Reacher(SIMULATED, length), seed=stream.sequence(use="cells"))
     policies = [arm.policy(reacher_policy(delta)) for delta in DELTAS]
     weights = arm.risk_minimising_weights()
     found, facts = estimates(arm, weights, policies, length)
