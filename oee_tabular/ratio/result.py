@@ -99,8 +99,9 @@ class TransitionRatio:
         """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.
 
         ``gradient`` is its derivative in each entry of zeta * P (``exact.transition_gradient``). Rows are taken as
-        multinomial given their counts, the prior's strength and the tilt's smoothness as given; unvisited rows add only what they share with others
-        (a tilt). The error that a wrong prior makes is not in it. None where no formula is known.
+        multinomial given their counts, what was chosen on the data (the prior's strength, the tilt's features and smoothness)
+        as given; unvisited rows add only what they share with others (a tilt). The error that a wrong prior makes is not in
+        it. None where no formula is known.
         """
         return None if self._influence is None else self._influence.standard_error(gradient)
 
