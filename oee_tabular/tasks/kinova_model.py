@@ -212,7 +212,7 @@ def kinova_model(
     """The 3-D MDP of the hand's position on a grid of ``spacing`` m (default: the step of a command) around home.
 
     A state is the box around a vertex. A point that is uniform in its box and moves by D_a ends in the boxes around as the
-    multilinear weights of D_a say; cost and policy are means over ``points``^3 points of the box.
+    multilinear weights of D_a say; cost and policy are means over ``points ** 3`` points of the box.
 
     Parameters
     ----------
