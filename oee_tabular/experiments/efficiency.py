@@ -1,0 +1,209 @@
+"""Asymptotic variances against simulation, and what planned collection saves."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular.data import Transitions
+from oee_tabular.estimators import Estimator, ModelBased, OffEnvironment, Problem
+from oee_tabular.exact import efficiency_bound, occupancy, policy_value, ratio_of_ratios_variance
+from oee_tabular.experiments.common import panels, rmse, series_of, small_grids
+from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
+from oee_tabular.inference import plan_data_collection
+from oee_tabular.inference.design_flow import collection_mdp
+from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.simulate import sample_episodes
+from oee_tabular.tasks import gridworld, gridworld_expert, gridworld_policy
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+SCALE = 0.05  # values times (1 - discount) at discount 0.95
+
+# ---- efficiency --------------------------------------------------------------------------------------------------------
+
+CHUNK = 500
+
+
+def _dense(mdp: FiniteMDP) -> Array:
+    return np.asarray(mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, mdp.n_states))
+
+
+def efficiency_cell(settings: Cell, stream: Stream) -> list[Row]:
+    """500 logs of the target and of the simulator; the plug-in and the quotient, rows as they come and normalised."""
+    n = int(settings["n"])
+    simulator, target = gridworld(5, 0.3, discount=0.95), gridworld(5, 0.1, discount=0.95)
+    policy = mix(gridworld_expert(5), uniform_policy(target), 0.5)
+    share = np.full((25, 4), 0.01)
+    p, q = _dense(target), _dense(simulator)
+    assert simulator.transition_rewards is not None
+    reward = simulator.transition_rewards.toarray().reshape(q.shape)  # r(s, a, s'), known
+    generator = stream.generator()
+    ours, theirs = (
+        generator.multinomial(n, (share[:, :, None] * rows).reshape(-1), size=CHUNK).reshape(CHUNK, *rows.shape)
+        for rows in (p, q)
+    )
+    likelihood = ours / ours.sum(axis=3, keepdims=True)
+    moves = np.divide(ours, theirs, out=np.zeros(ours.shape), where=theirs > 0)
+    kernel = moves * (theirs.sum(axis=3) / ours.sum(axis=3))[..., None] * q
+    arguments = (simulator, target, policy, share, share)
+    exact = {
+        "plug-in": efficiency_bound(target, policy, share),
+        "ratio of ratios": ratio_of_ratios_variance(*arguments),
+        "ratio of ratios, rows normalised": ratio_of_ratios_variance(*arguments, rows="normalised"),
+    }
+    rows = []
+    kernels = (likelihood, kernel, kernel / kernel.sum(axis=3, keepdims=True))
+    for (name, bound), chances in zip(exact.items(), kernels, strict=True):
+        system = np.eye(25) - 0.95 * np.einsum("sa,nsat->nst", policy, chances)
+        paid = np.einsum("sa,nsat,sat->ns", policy, chances, reward)
+        values = np.linalg.solve(system, paid[..., None])[..., 0] @ target.initial
+        rows.append({"estimator": name, "scaled_variance": float(n * values.var(ddof=1)), "exact": float(bound),
+                     "ratio": float(n * values.var(ddof=1) / bound)})  # fmt: skip
+    return rows
+
+
+def draw_efficiency(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """n times the simulated variance beside the exact one."""
+    (ax,) = panels(figure, ["n times the variance of the value"], size=(6.4, 3.6))
+    names = list(table.estimator.unique())
+    found = table.groupby("estimator").agg({"scaled_variance": ["mean", "sem"], "exact": "first"}).reindex(names)
+    place = np.arange(len(names))
+    ax.plot(found["exact", "first"], place, "|", ms=26, mew=2.5, color="#0072B2", label="exact (the formula)")
+    ax.errorbar(found["scaled_variance", "mean"], place, xerr=1.96 * found["scaled_variance", "sem"], fmt="o", ms=5,
+                color="#D55E00", label="simulated, 95% range")  # fmt: skip
+    ax.set_xscale("log")
+    ticks = [100, 200, 500, 1000, 2000, 5000]
+    ax.set_xticks(ticks, [str(tick) for tick in ticks])
+    ax.minorticks_off()
+    ax.set_xlim(100, 6000)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_yticks(place, names)
+    ax.grid(visible=True, alpha=0.3)
+    ax.set_xlabel("n Var(J), J a discounted sum of rewards (logarithmic)")
+    ax.legend(fontsize="small", loc="lower right", markerscale=0.45)
+
+
+EFFICIENCY = Experiment(
+    id="efficiency",
+    title="Asymptotic variances against simulation: the plug-in attains the bound, the quotient is far from it",
+    axes={"n": (100_000,)},
+    repetitions=40,
+    run=efficiency_cell,
+    keys=("n", "estimator"),
+    measures=("ratio", "scaled_variance", "exact"),
+    draw=draw_efficiency,
+    group="sureness",
+    caption=(
+        "5 x 5 grid, slip 0.3 simulated, 0.1 real, discount 0.95; n = 10^5 rows drawn uniformly over (s, a) from each "
+        "side, 500 logs a seed. Exact: efficiency_bound for the plug-in (the maximum-likelihood model), "
+        "ratio_of_ratios_variance for the quotient."
+    ),
+)
+
+# ---- collection --------------------------------------------------------------------------------------------------------
+
+RESTART = 0.05
+DESIGNS = ("uniform", "on-policy", "planned", "two-stage")
+
+
+def _record(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
+    """n moves: episodes that stop after each move with probability RESTART, and at the goal."""
+    episodes = n // 3 + 100  # more than are needed
+    log = sample_episodes(target, behavior, episodes, 300, seed=generator)
+    assert log.timestep is not None
+    assert log.episode is not None
+    kept = np.flatnonzero(log.timestep < generator.geometric(RESTART, episodes)[log.episode])
+    return log.select(kept[:n])
+
+
+def _joined(first: Transitions, second: Transitions) -> Transitions:
+    names = ("state", "action", "next_state", "reward")
+    return Transitions(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
+
+
+def _planned(known: Any, policy: Array, n: int) -> Array:
+    return plan_data_collection(known, policy, n=n, sampling="behavior", restart=RESTART).behavior_policy
+
+
+@functools.cache
+def _before() -> Array:
+    """The plan from the simulator alone, the same for every n."""
+    return _planned(small_grids()[0], gridworld_policy(5, 0.5), 1)
+
+
+@functools.cache
+def _foretold(design: str, n: int) -> float:
+    """sqrt(asymptotic variance / n) of maximum likelihood under the design; two stages: under the oracle's plan."""
+    _, target = small_grids()
+    policy = gridworld_policy(5, 0.5)
+    if design == "uniform":
+        behavior = uniform_policy(target)
+    elif design == "on-policy":
+        behavior = policy
+    else:
+        behavior = _before() if design == "planned" else _planned(target, policy, n)
+    share = occupancy(collection_mdp(target, RESTART), behavior)
+    return SCALE * float(np.sqrt(efficiency_bound(target, policy, share) / n))
+
+
+def collection_cell(settings: Cell, stream: Stream) -> list[Row]:
+    """One log of each design; maximum likelihood and the default."""
+    n, design = int(settings["n"]), str(settings["design"])
+    simulator, target = small_grids()
+    policy, generator = gridworld_policy(5, 0.5), stream.generator()
+    if design == "uniform":
+        log = _record(target, uniform_policy(target), n, generator)
+    elif design == "on-policy":
+        log = _record(target, policy, n, generator)
+    elif design == "planned":
+        log = _record(target, _before(), n, generator)
+    else:
+        first = _record(target, _before(), n // 5, generator)
+        rest = n - len(first)
+        log = _joined(first, _record(target, _planned(Problem(simulator, first), policy, rest), rest, generator))
+    problem, truth = Problem(simulator, log), policy_value(target, policy)
+    rows = []
+    likelihood: Estimator = ModelBased(fallback="simulator")
+    for name, estimate in (("maximum likelihood", likelihood), ("default", OffEnvironment())):
+        error = SCALE * (estimate(problem, policy).value - truth)
+        rows.append({"estimator": name, "error": error, "squared_error": error**2, "foretold": _foretold(design, n)})
+    return rows
+
+
+def draw_collection(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """RMSE against n for each design."""
+    from oee_tabular.plots import plot_errors
+
+    names = list(table.estimator.unique())
+    for ax, name in zip(panels(figure, names), names, strict=True):
+        part = table[table.estimator == name]
+        n = sorted(part.n.unique())
+        plot_errors(
+            n, series_of(part, "design", "n", "error", n, rmse), ax, ylabel="RMSE of the value times (1 - discount)"
+        )
+
+
+COLLECTION = Experiment(
+    id="collection",
+    title="Planned collection: the same error with a third of the moves",
+    axes={"n": (667, 2000, 6667, 20_000), "design": DESIGNS},
+    smoke={"n": (667,), "design": ("uniform", "planned")},
+    repetitions=100,
+    run=collection_cell,
+    keys=("n", "design", "estimator"),
+    measures=("squared_error", "error", "foretold"),
+    draw=draw_collection,
+    group="sureness",
+    caption=(
+        "5 x 5 grid, discount 0.95, half expert half uniform; n moves of episodes that start again after each move with"
+        " probability 0.05. planned: before any data; two-stage: a fifth as planned, then the plan from that log. Root "
+        "mean square over the seeds. A plan minimises the variance of maximum likelihood; the default borrows from all "
+        "rows by a tilt, and no plan is made for it."
+    ),
+)
