@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from oee_tabular.data import ContinuousTransitions
     from oee_tabular.report import Report, Settings
     from oee_tabular.tasks import StatePolicy
-    from oee_tabular.tasks.named_continuous import ContinuousSimulator
+    from oee_tabular.tasks.continuous_simulator import ContinuousSimulator
 
 GRID_HELP = "Vertices along each feature of a continuous task, 60x60; none: the task's own (cartpole: 32x32)."
 OUTSIDE_HELP = "What to do with a continuous log's states outside the grid: error (default), drop or nearest."
 STRICT_HELP = "An error, not a warning, for actions of a continuous log that are not in the task's set."
 CALIBRATION_HELP = "Of a continuous task's values: ratio, difference or none; none given: the task's own."
-FLOOR_HELP = "Share of a continuous simulator's step that may end anywhere near (defensive); none: the task's own."
-EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; none: 50000."
+FLOOR_HELP = "Share of other steps in a continuous simulator (defensive); none: the task's own."
+EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; none: the task's own (cartpole: 50000)."
 
 
 def is_continuous(spec: str | None) -> bool:
@@ -183,6 +183,8 @@ def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[s
         if label in found:
             raise ValueError(f"--policy names must differ; {label!r} is given twice")
         is_file = Path(source).suffix.lower() in (".npy", ".npz")
+        if is_file:
+            _refuse_arrays(source, simulator, "--policy")
         found[label] = policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
     return found
 
@@ -191,7 +193,16 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
     """A policy of states; an array's cells are those of the default grid."""
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
+    _refuse_arrays(spec, simulator, name)
     from oee_tabular.report.continuous import as_function, as_table
 
     model = simulator.build()
     return as_function(as_table(policy_array(spec, name), model, spec), model)
+
+
+def _refuse_arrays(spec: str, simulator: ContinuousSimulator, name: str) -> None:
+    if simulator.cells_of_log:
+        raise ValueError(
+            f"{name} must be uniform, expert or mix:WEIGHT for {simulator.task.name}, whose cells are made of the log; "
+            f"got {spec!r}"
+        )

@@ -440,7 +440,7 @@ TABLE = {
     ),
     "unknown method": (
         lambda: oee.transition_ratio(LOG, GRID, method="joined"),
-        r"method must be one of 'conditional', 'linear', 'kernel', 'ratio_",
+        r"method must be one of 'conditional', 'tied', 'linear', 'kernel', 'ratio_",
     ),
     "unknown prior": (
         lambda: oee.transition_ratio(LOG, GRID, prior="flat"),

@@ -366,3 +366,63 @@ def test_the_whole_state_has_cells_of_its_own():
     task = named_task("cartpole:form=full")
     assert task.mdp.n_states == 1001
     assert task.expert().shape == (1001, 2)
+
+
+# ---------------------------------------------------------------- the arms
+
+
+def test_reacher_from_the_command_line(capsys, tmp_path):
+    """Cells of the log, the averaged lengths as the simulator, the plain one beside it."""
+    log = tmp_path / "log.npz"
+    run(
+        capsys, "sample", "reacher:length=0.2,tamed=True", "--policy", "mix:0.5", "--transitions", 5000, "--output", log
+    )
+    words = [
+        "evaluate",
+        "--simulator",
+        "reacher:length=0.1,reward_length=0.2,tamed=True",
+        "--log",
+        log,
+        "--policy",
+        "mix:0.5",
+    ]
+    words += ["--estimators", "simulator,oee", "--simulations", 1000, "--json"]
+    report = json.loads(run(capsys, *words, "--target", "reacher:length=0.2,tamed=True"))
+    value = {row["estimator"]: row["value"] for row in report["results"]}
+    right = value["target (continuous)"]
+    assert abs(value["oee"] - right) < 0.7 * abs(value["simulator (continuous)"] - right)
+    assert "oee (calibrated)" not in value
+    assert report["facts"]["floor"] == 1.0
+    assert "links as long times one of 0.5, 0.7, 1.0, 1.4, 2.0" in report["facts"]["simulator"]
+    assert any(text.startswith("standard errors and intervals are of the log alone") for text in report["warnings"])
+    plain = json.loads(run(capsys, *words[:-1], "--floor", 0.2, "--json"))
+    assert plain["facts"]["uncovered_mass"] == report["facts"]["uncovered_mass"] > 0.1  # of the plain simulator
+    text = run(capsys, *words, "--policy", f"file={tmp_path / 'pi.npy'}", code=2)
+    assert "--policy must be uniform, expert or mix:WEIGHT for Reacher, whose cells are made of the log; got" in text
+
+
+def test_the_arm_from_the_command_line(capsys, tmp_path):
+    """Ties, calibration by the difference, and the stand-in's name; positions alone by form=hand."""
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'oee-tabular[mujoco]'")
+    log = tmp_path / "log.npz"
+    run(capsys, "sample", "kinova:velocity_scale=1.4", "--policy", "expert", "--episodes", 50, "--output", log)
+    words = ["evaluate", "--simulator", "kinova", "--log", log, "--policy", "expert", "--estimators", "simulator,oee"]
+    words += ["--simulations", 40, "--target", "kinova:velocity_scale=1.4", "--json"]
+    report = json.loads(run(capsys, *words))
+    value = {row["estimator"]: row["value"] for row in report["results"]}
+    right = value["target (continuous)"]
+    assert abs(value["oee (calibrated)"] - right) < 0.3 * abs(value["simulator (continuous)"] - right)
+    assert value["oee (calibrated)"] - value["oee"] == pytest.approx(
+        value["simulator (continuous)"] - value["simulator"]
+    )
+    assert report["facts"]["ratio"] == {"tie": "displacements", "strength": 3.0}
+    assert "half or one and a half times as far" in report["facts"]["simulator"]
+    assert "grid must be left out for kinova" in run(capsys, *words, "--grid", "9x9x9", code=2)
+
+
+def test_the_arm_needs_a_form(capsys, tmp_path):
+    LOG.save(tmp_path / "log.npz")
+    words = ["evaluate", "--simulator", "kinova:form=elbow", "--log", tmp_path / "log.npz"]
+    assert "form must be one of 'arm', 'hand'; got 'elbow'" in run(capsys, *words, code=2)
+    words = ["evaluate", "--simulator", "kinova", "--log", tmp_path / "log.npz"]
+    assert "log.state must have the 27 coordinates of Kinova Gen3" in run(capsys, *words, code=2)

@@ -37,6 +37,8 @@ def tied_ratio(
 ) -> TransitionRatio:
     """zeta from pooled counts: one number for all entries with the same key, then each row of zeta * P scaled to sum to 1.
 
+    ``transition_ratio(..., tie=tie)`` is the same.
+
     Parameters
     ----------
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)

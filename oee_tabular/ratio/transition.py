@@ -1,6 +1,6 @@
 """The ratio of transition probabilities zeta = P_target / P_simulator: the paper's Section IV.B.
 
-Five ways from counts to zeta:
+Six ways from counts to zeta:
 
 "conditional" (the default)
     The simulator P is known. For each (s, a): minimise sum_s' P z - p log z (+ ridge) over the box, subject to
@@ -8,6 +8,8 @@ Five ways from counts to zeta:
     maximum-likelihood model.
 "linear", "kernel"
     The same risk over zeta = 1 + Phi w, features centred in each row: all rows share w (``linear``).
+"tied"
+    Entries with one key share one ratio, so that rows which are alike pool their counts (``ties``).
 "ratio_of_ratios" (the paper's)
     beta_sas' and beta_sa are fitted apart, target counts against data of the simulator, and zeta is their quotient
     (``quotient``). Nothing makes the rows of zeta * P sum to 1.
@@ -23,7 +25,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align
+from oee_tabular._sparse import align, on_pattern
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio.box import check_box
@@ -34,10 +36,12 @@ from oee_tabular.ratio.linear import N_CENTERS, fit_linear
 from oee_tabular.ratio.quotient import SimulatorData, fit_quotient
 from oee_tabular.ratio.result import TransitionRatio, make_result
 from oee_tabular.ratio.support import aligned_counts, refuse_unsupported, require_pair
+from oee_tabular.ratio.ties import Tie, tied_ratio
 
 # the options that a method has for itself
 _OWN = {
     "conditional": {"prior", "strength", "features", "smoothness"},
+    "tied": {"tie", "strength"},
     "linear": {"features"},
     "kernel": {"kernel", "coordinates", "bandwidth", "n_centers"},
     "ratio_of_ratios": {"simulator_data", "behavior_policy"},
@@ -56,6 +60,7 @@ def transition_ratio(
     strength: float | str | None = None,
     features: Any = None,
     smoothness: float | str | None = None,
+    tie: Tie | Any = None,
     kernel: str | Kernel | None = None,
     coordinates: Any = None,
     bandwidth: float | None = None,
@@ -77,12 +82,12 @@ def transition_ratio(
     ----------
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
-    method : "conditional" | "linear" | "kernel" | "ratio_of_ratios" | "joint"
+    method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel" | "ratio_of_ratios" | "joint"
     prior : "tilt" (default) | "simulator" | "none"; conditional only
         The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt
         zeta proportional to exp(theta . phi), fitted to all rows together; theta varies over the states where the log
         gives evidence that it does.
-    strength : "evidence" (default) | "loo", or a nonnegative number; conditional only
+    strength : "evidence" (default) | "loo", or a nonnegative number; conditional, and tied (a number, default 3)
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
         probabilities), or given. ``details`` has the choice, its curve and its meaning.
@@ -92,6 +97,8 @@ def transition_ratio(
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
         How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
         infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
+    tie : which entries share one ratio: integers, one for each entry of ``simulator.transitions.data``, or a function of
+        the arrays (s, a, s') of all entries that returns them; see ``ratio.tied_ratio``
     kernel, coordinates, bandwidth, n_centers : "gaussian" (moves of one action are alike as the coordinates of s, (S,) or
         (S, c), and the displacements to s' are; ``bandwidth`` 1 in standard deviations), or a function of (m, 1 + 2c) and
         (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array; beyond ``n_centers`` (200) moves the
@@ -135,6 +142,8 @@ def transition_ratio(
     (True, True)
     """
     _checks.one_of(method, "method", METHODS)
+    if tie is not None and method == "conditional":
+        method = "tied"
     if not isinstance(simulator, FiniteMDP):
         raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
     options = {
@@ -142,6 +151,7 @@ def transition_ratio(
         "strength": strength,
         "features": features,
         "smoothness": smoothness,
+        "tie": tie,
         "kernel": kernel,
         "coordinates": coordinates,
         "bandwidth": bandwidth,
@@ -173,6 +183,14 @@ def transition_ratio(
             toward=toward,
             solver=solver,
         )
+    if method == "tied":
+        for name, value in {"lower": lower, "upper": upper, "ridge": ridge}.items():
+            if value is not None:
+                raise ValueError(f"{name} must not be given with method 'tied', which does not use it; got {value!r}")
+        if tie is None:
+            raise ValueError("tie must be given with method 'tied': a key for each entry, or a function of (s, a, s')")
+        pooled = on_pattern(simulator.transitions, observed)
+        return tied_ratio(pooled, simulator, tie, strength=_strength(strength))
     if isinstance(ridge, str):
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
     if method in ("linear", "kernel"):
@@ -214,6 +232,12 @@ def transition_ratio(
         observed, whole, simulator, simulator_data, behavior_policy=behavior_policy, toward=toward, **common
     )
     return make_result(simulator, quotient.zeta, "ratio_of_ratios", quotient.gap, observed, quotient.details)
+
+
+def _strength(value: float | str | None) -> float:
+    if isinstance(value, str):
+        raise ValueError(f"strength must be a number with method 'tied'; got {value!r}")
+    return 3.0 if value is None else value
 
 
 def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) -> Array:

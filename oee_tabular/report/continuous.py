@@ -21,6 +21,7 @@ from oee_tabular.data import ContinuousTransitions, Transitions
 from oee_tabular.estimators import Estimator, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
+from oee_tabular.exact import policy_value
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.report.continuous_estimators import Calibrated, MonteCarloValue, Plain, Simulated, Supported
@@ -28,10 +29,9 @@ from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.results import Report
 from oee_tabular.tasks import ContinuousTask, Discretization, StatePolicy
 from oee_tabular.tasks.continuous import check_probabilities
-from oee_tabular.tasks.named_continuous import ContinuousSimulator
+from oee_tabular.tasks.continuous_simulator import ContinuousSimulator
 
 CALIBRATIONS = (*KINDS, "none")
-EPISODES = 50_000
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Settings:
     strict: bool = False
     calibration: str | None = None
     floor: float | None = None
-    episodes: int = EPISODES
+    episodes: int | None = None
 
 
 def evaluate_continuous(
@@ -125,13 +125,15 @@ def evaluate_continuous(
     tables = {name: as_table(policy, made.model, name) for name, policy in policies.items()}
     functions = {tables[name].tobytes(): as_function(policy, made.model) for name, policy in policies.items()}
     stream = np.random.SeedSequence(seed, spawn_key=(10**6,))
-    mc = MonteCarloValue(simulator.task, functions, steps, chosen.episodes, discount, stream)
+    episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
+    mc = MonteCarloValue(simulator.task, functions, steps, episodes, discount, stream)
     rows = _rows(made, mc, kind, estimators)
     if target is not None:
-        there = MonteCarloValue(target, functions, steps, chosen.episodes, discount, stream)
+        there = MonteCarloValue(target, functions, steps, episodes, discount, stream)
         rows["target (continuous)"] = Simulated(there)
+    told.append(_lost(made.plain, mc, tables, steps))
     report = evaluate(made.problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
-    for text in told:
+    for text in told[:-1]:
         warnings.warn(text, stacklevel=2)
     said = [_placed(text, made.model) for text in report.warnings]
     return replace(report, warnings=(*said, *told))
@@ -170,7 +172,7 @@ def _made(
         plain = (
             model if floor == 0.0 else simulator.build(grid=settings.grid, at=numbered, floor=0.0, discount=discount)
         )
-    counts = model.counts(numbered, outside=settings.outside)
+    counts = simulator.counts(model, numbered, outside=settings.outside)
     encoded = model.encode_log(
         numbered, seed=np.random.SeedSequence(seed, spawn_key=(10**6 + 1,)), outside=settings.outside
     )
@@ -181,7 +183,7 @@ def _made(
         bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     try:
         problem = Problem(model.mdp, bag, horizon=horizon, counts=counts, episodes=episodes)
-        zeta = transition_ratio(counts, model.mdp, **simulator.ratio)
+        zeta = transition_ratio(counts, model.mdp, **simulator.ratio_options(model))
     except ValueError as error:
         if "stay where the simulator has probability" not in str(error):
             raise
@@ -203,7 +205,7 @@ def _made(
         "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
         "grid": model.cells.extent(),
         "floor": floor,
-        "ratio": dict(simulator.ratio),
+        "ratio": {name: "displacements" if name == "tie" else value for name, value in simulator.ratio.items()},
         "rows_left_out": len(log) - len(encoded),
         **support,
     }
@@ -216,9 +218,10 @@ def _made(
 def _described(
     simulator: ContinuousSimulator, model: Discretization, floor: float, support: Mapping[str, float]
 ) -> str:
-    text = f"{simulator.name} on {model.cells.extent()}, looked at in the log's own places: {model.mdp!r}"
+    places = ", looked at in the log's own places" if simulator.at_log else ""
+    text = f"{simulator.name} on {model.cells.extent()}{places}: {model.mdp!r}"
     if floor > 0:
-        text += f"; defensive: with probability {floor:g} a step ends anywhere near (plain: without)"
+        text += f"; defensive: with probability {floor:g} {simulator.defence} (plain: without)"
     closure = model.diagnostics.get("closure")
     if closure is not None:
         text += f"; closure error of the uniform policy {closure.error:+.1%} (+-{closure.standard_error:.1%})"
@@ -243,6 +246,20 @@ def _rows(made: _Made, mc: MonteCarloValue, kind: str, names: Sequence[str] | No
         if kind != "none":
             rows["oee (calibrated)"] = Calibrated(raw, mc, kind)
     return rows
+
+
+def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
+    """What the cells make of the simulator's own values, which no interval covers."""
+    lost = []
+    for name, table in tables.items():
+        there = mc(table)
+        lost.append(
+            f"{policy_value(plain.mdp, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
+        )
+    return (
+        "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
+        f"they make {', '.join(lost)}, and another environment's may suffer more"
+    )
 
 
 def _fits(log: ContinuousTransitions, task: ContinuousTask) -> None:

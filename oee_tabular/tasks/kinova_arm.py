@@ -131,8 +131,12 @@ class KinovaArm(ContinuousTask):
         joints, speeds = self._follow(joints, speeds, references)
         seen = end_effector(joints + self.encoder_noise * disturbance)
         following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
-        reward = -np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1)
-        return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
+        paid = self.reward_between(states, actions, following)
+        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        """-|x - goal| in m, of the states before the moves."""
+        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest near the home pose, N(0, 0.01^2) rad in each joint."""

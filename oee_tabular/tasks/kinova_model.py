@@ -113,6 +113,10 @@ class KinovaHand(ContinuousTask):
         """(n,) r(x) = -|x - goal| in m."""
         return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
 
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        """The costs of the states before the moves."""
+        return self.costs(states)
+
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""
         return np.asarray(self.starts[rng.integers(len(self.starts), size=n)])

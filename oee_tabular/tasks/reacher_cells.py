@@ -99,6 +99,23 @@ class ArmCells:
         """The same cells and moves with the reward of another ``task``."""
         return replace(self, task=task)
 
+    def among(self, lengths: Sequence[float]) -> ArmCells:
+        """The same cells with the simulators of these lengths alone, and of the log's moves those that one of them allows.
+
+        ``uncovered`` of the whole, for the new ``mixture()``, is the share of the moves that is left out.
+
+        Raises
+        ------
+        ValueError
+            A length without a simulator here; no length.
+        """
+        unknown = [length for length in lengths if length not in self.transitions]
+        if unknown or not lengths:
+            raise ValueError(f"lengths must be among {', '.join(map(str, self.transitions))}; got {list(lengths)}")
+        part = replace(self, transitions={length: self.transitions[length] for length in lengths})
+        allowed = canonical(sparse.csr_array(self.counts.multiply(part.mixture() > 0)), drop_zeros=True)
+        return replace(part, counts=allowed)
+
     def mixture(self, weights: Sequence[float] | None = None) -> sparse.csr_array:
         """sum_k w_k P_k over the lengths, in their order; by default all alike: the averaged-length simulator.
 

@@ -14,10 +14,11 @@ from typing import Any
 from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.continuous_simulator import ContinuousSimulator
 from oee_tabular.tasks.discretize import Discretization
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.named_arguments import arguments
-from oee_tabular.tasks.named_continuous import CONTINUOUS, ContinuousSimulator, continuous_simulator
+from oee_tabular.tasks.named_continuous import CONTINUOUS, continuous_simulator
 from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
 

@@ -35,7 +35,7 @@ def table():
 
 def test_every_curve_is_there(table):
     shown = {reacher.WEIGHTED, reacher.AVERAGED, reacher.PLAIN, reacher.MODEL, reacher.LINEAR, reacher.ORACLE,
-             reacher.SIMULATOR, reacher.OWN_REWARD, reacher.AVERAGE}  # fmt: skip
+             reacher.SIMULATOR, reacher.OWN_REWARD, reacher.AVERAGE, reacher.UNKNOWN, reacher.UNKNOWN_AVERAGED}  # fmt: skip
     assert shown <= set(table.series)
     assert f"{reacher.WEIGHTED}, calibrated" in set(table.series)
     assert table.series.is_unique
@@ -43,6 +43,10 @@ def test_every_curve_is_there(table):
     assert np.isfinite(values).all()
     assert_allclose(table.error, np.abs(values - right).mean(axis=1))
     assert (table[table.series == reacher.AVERAGED].uncovered == 0.0).all()
+    left_out = table[table.series.isin([reacher.UNKNOWN, reacher.UNKNOWN_AVERAGED])]
+    assert (left_out.uncovered > 0.0).all()  # without the target's own length, and with its log's moves
+    assert left_out.weight_of_true_length.isna().all()
+    assert (table[table.series == reacher.WEIGHTED].weight_of_true_length > 0.9).all()
     assert (table[table.series == reacher.SIMULATOR].uncovered > 0.3).all()
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
-from oee_tabular.ratio import true_ratio
+from oee_tabular.ratio import transition_ratio, true_ratio
 from oee_tabular.ratio.ties import tied_ratio
 
 
@@ -95,3 +95,44 @@ def test_no_mass_left_in_a_row():
     counts = on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"strength must be positive here: no key of row \(s=1, a=0\)"):
         tied_ratio(counts, simulator, np.array([0, 1, 1]), strength=0.0)
+
+
+def test_transition_ratio_takes_a_tie():
+    """As an array or a function, with or without the method's name; a discount weights the log's moves."""
+    counts = 100 * TARGET.transitions
+    expected = tied_ratio(counts, SIMULATOR, displacement, strength=3.0)
+    for options in ({"tie": displacement}, {"tie": displacement, "method": "tied", "strength": 3.0}):
+        found = transition_ratio(counts, SIMULATOR, **options)
+        assert found.method == "tied"
+        assert_allclose(found.values.data, expected.values.data, rtol=0, atol=0)
+    log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 50, 20, seed=0)
+    fit = transition_ratio(log, SIMULATOR, tie=displacement, discount=0.5)
+    by_hand = tied_ratio(
+        log.counts(SIMULATOR.n_states, SIMULATOR.n_actions, discount=0.5), SIMULATOR, displacement, strength=3.0
+    )
+    assert_allclose(fit.values.data, by_hand.values.data, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"method": "tied"}, "^tie must be given with method 'tied': a key for each entry"),
+        (
+            {"tie": displacement, "method": "linear"},
+            "^tie must not be given with method 'linear', which does not use it",
+        ),
+        (
+            {"tie": displacement, "ridge": 1.0},
+            "^ridge must not be given with method 'tied', which does not use it; got 1.0",
+        ),
+        (
+            {"tie": displacement, "upper": 2.0},
+            "^upper must not be given with method 'tied', which does not use it; got 2.0",
+        ),
+        ({"tie": displacement, "prior": "tilt"}, "^prior must not be given with method 'tied'"),
+        ({"tie": displacement, "strength": "loo"}, "^strength must be a number with method 'tied'; got 'loo'"),
+    ],
+)
+def test_what_a_tie_goes_with(options, text):
+    with pytest.raises(ValueError, match=text):
+        transition_ratio(100 * TARGET.transitions, SIMULATOR, **options)
