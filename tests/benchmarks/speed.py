@@ -68,7 +68,7 @@ def markdown(rows):
         others = [f"{r['program']} {r['seconds'] / ours['seconds']:.3g}" for r in peers[1:]]
         others += [f"{r['program']} {r['seconds'] / ours['seconds']:.3g}" for r in timed
                    if r["program"].startswith("ours") and r is not ours]  # fmt: skip
-        others += [f"{r['program']}: {r['note']}" for r in found if r["seconds"] != r["seconds"]]
+        others += [f"{r['program']}: {r['note']}" for r in found if r["note"]]
         best = peers[0] if peers else None
         lines.append(
             f"| {task} | {case} | {ours['seconds']:.3g} | {ours['error']:.1g} | "
