@@ -67,8 +67,13 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             "coverage",
             fallback,
             f"{fallback:.0%}",
-            "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. Nothing there is "
-            f"learned from the target, and the standard error does not cover it. Record first: {facts['unseen']}.",
+            "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
+            + (
+                "What is said of them comes from moves of the same kind elsewhere (the tie). "
+                if "n_keys" in facts
+                else "Nothing there is learned from the target, and the standard error does not cover it. "
+            )
+            + f"Record first: {facts['unseen']}.",
         )
     uncovered = facts.get("uncovered_mass", 0.0)
     if uncovered > 0.01:
@@ -78,8 +83,8 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             f"{uncovered:.1%}",
             "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "
             f"rests on the defensive share (largest zeta {facts['largest_zeta']:.3g}, D_inf {facts['d_inf']:.2g} nats). "
-            "A mixture of the simulator under parameters that bracket the target (tasks.defensive_mixture), process noise "
-            "or wider cells would cover them.",
+            "A simulator under parameters that bracket the target (tasks.defensive_mixture), process noise or wider cells "
+            "would cover them.",
         )
     row_sum = facts.get("row_sum_error", 0.0)
     if row_sum > 1e-3:

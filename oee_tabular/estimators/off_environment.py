@@ -169,7 +169,7 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
         error = zeta.log_standard_error(gradient)
         diagnostics |= _one_step(zeta, gradient, found.value)
     diagnostics["standard_error_of"] = "log" if error is not None else None
-    diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning") if name in zeta.details}
+    diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
     return Estimate(found.value, error, diagnostics=diagnostics)
 
 

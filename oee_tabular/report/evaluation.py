@@ -66,7 +66,7 @@ def evaluate(
     >>> report.sureness.sentences[0].split(":")[0]
     'The target differs from the simulator'
     """
-    from tqdm.auto import tqdm
+    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")

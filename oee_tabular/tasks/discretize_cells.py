@@ -255,7 +255,7 @@ def _moves(
     task: ContinuousTask, cells: VoronoiCells, states: Array, here: IntArray, rng: np.random.Generator
 ) -> tuple[IntArray, IntArray, Array]:
     """Rows s*A + a, columns and rewards of one step from every state under every action."""
-    from tqdm.auto import tqdm
+    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     rows, columns, paid = [], [], []
     for low in tqdm(range(0, len(states), STATES_AT_A_TIME), desc="stepping", disable=None, delay=2.0, leave=False):

@@ -176,7 +176,7 @@ class GridInterpolation:
         self, task: ContinuousTask, grid: Grid, nodes: tuple[Array, Array]
     ) -> tuple[sparse.csr_array, Array, dict[str, Any]]:
         """Rows s*A + a, rewards (S, A) and diagnostics of the task on the vertices; the state that is over has no row yet."""
-        from tqdm.auto import tqdm
+        from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
         n = grid.n_cells
         at_a_time = max(1, ENTRIES_AT_A_TIME // (len(nodes[1]) * 2 ** len(self.shape) * task.n_actions))

@@ -58,7 +58,7 @@ def record_episodes(
         raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
     _checks.require_nonnegative(pi, "policy")
     _checks.require_sums_to_one(pi.sum(axis=1), "policy")
-    from tqdm.auto import tqdm
+    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     generator = _checks.generator(seed)
     cumulative = np.cumsum(pi, axis=1)
