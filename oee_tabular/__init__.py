@@ -40,6 +40,7 @@ _EXPORTS = {
     "ContinuousTransitions": "data",
     "Transitions": "data",
     "sample_episodes": "simulate",
+    "sample_returns": "simulate",
     "sample_transitions": "simulate",
     "record_episodes": "tasks",
     "density_ratio": "ratio",
@@ -102,7 +103,7 @@ if TYPE_CHECKING:
         true_ratio,
     )
     from oee_tabular.report import Report, evaluate
-    from oee_tabular.simulate import sample_episodes, sample_transitions
+    from oee_tabular.simulate import sample_episodes, sample_returns, sample_transitions
     from oee_tabular.tasks import record_episodes
 
 __all__ = [
@@ -142,6 +143,7 @@ __all__ = [
     "report",
     "return_moments",
     "sample_episodes",
+    "sample_returns",
     "sample_transitions",
     "simulate",
     "state_values",

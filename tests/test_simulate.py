@@ -11,7 +11,7 @@ from scipy import stats
 
 import oee_tabular as oee
 from oee_tabular.kernels import rollout
-from oee_tabular.simulate import running_sums
+from oee_tabular.simulate.logs import running_sums
 
 
 @pytest.mark.parametrize(

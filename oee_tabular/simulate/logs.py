@@ -1,8 +1,4 @@
-"""Sampled episodes and transitions of a finite MDP.
-
-Monte Carlo is here to make logs and to show what sampling costs; what dynamic programming can give is in ``exact``.
-The same seed gives the same bits for any number of threads.
-"""
+"""Sampled episodes and transitions, written out as logs."""
 
 from __future__ import annotations
 
@@ -81,10 +77,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     lengths = rollout.episode_lengths(key, n, steps, initial, table, indptr, indices, cumulative, over)
     starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     rows, entries = rollout.episodes(key, starts, initial, table, indptr, indices, cumulative)
-    terminated = np.zeros(len(rows), dtype=np.bool_)
-    last = starts[1:] - 1
-    terminated[last] = over[indices[entries[last]]]
-    return _as_log(mdp, rows, entries, terminated=terminated, episode=np.repeat(np.arange(n), lengths), policy=pi)
+    return episode_log(mdp, rows, entries, starts, pi)
 
 
 def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) -> Transitions:
@@ -126,6 +119,15 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     cumulative = running_sums(mdp.transitions.data, indptr)
     rows, entries = rollout.transitions(stream_key(seed), size, np.cumsum(weights.reshape(-1)), indptr, cumulative)
     return _as_log(mdp, rows, entries)
+
+
+def episode_log(mdp: FiniteMDP, rows: Any, entries: Any, starts: Any, policy: Array) -> Transitions:
+    """Episodes as rows s*A + a and entries of P, in the ragged places ``starts``."""
+    terminated = np.zeros(len(rows), dtype=np.bool_)
+    last = starts[1:] - 1
+    terminated[last] = mdp.absorbing()[mdp.transitions.indices[entries[last]]]
+    episode = np.repeat(np.arange(len(last)), np.diff(starts))
+    return _as_log(mdp, rows, entries, terminated=terminated, episode=episode, policy=policy)
 
 
 def _as_log(

@@ -1,0 +1,205 @@
+"""Alias tables [1] in whole numbers: one random word gives one of a state's outcomes, in O(1).
+
+Outcomes of a state are its (a, s'), with probability policy(a | s) P(s' | s, a); the first state's draw is one state more.
+A state with n outcomes has 2^k >= n slots. The low k bits of a word x of b bits choose a slot; its other b - k bits are
+compared with the slot's threshold: below it the outcome is the slot's own, else that of the slot's alias. Probabilities are
+whole numbers of units 2^-b, distributed over the slots without rounding (b = 64; b = 32 for the short words). Threshold and
+alias share one word, threshold * 2^k + alias; a state's place in the table and its k share another, first slot * 2^6 + k.
+
+Reference: [1] A. J. Walker, An efficient method for generating discrete random variables with general distributions, ACM
+TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from oee_tabular._checks import Array, IntArray
+
+_PLACE = np.uint64(6)  # bits that hold k
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+_RECORDS_FROM = 1 << 22  # bytes of thresholds, successors and rewards: measured, tests/benchmarks/rollouts.py
+
+
+def chances(state: Any, indptr: Any, prob: Any, policy: Any, initial: Any, chance: Any, row: Any) -> Any:
+    """Fill in probability and row s*A + a of a state's outcomes (after the last state: of first states); how many.
+
+    Rows of P sum to 1 only to 1e-8, so each is divided by its own sum (``units`` does so for the policy's).
+    """
+    n_states, n_actions = policy.shape
+    if state == n_states:
+        for x in range(len(initial)):
+            chance[x], row[x] = initial[x], 0
+        return len(initial)
+    n = 0
+    for a in range(n_actions):
+        here = state * n_actions + a
+        total = 0.0
+        for x in range(indptr[here], indptr[here + 1]):
+            total += prob[x]
+        share = policy[state, a] / total
+        for x in range(indptr[here], indptr[here + 1]):
+            chance[n], row[n] = share * prob[x], here
+            n += 1
+    return n
+
+
+chances = njit(cache=True)(chances)
+
+
+def units(chance: Any, n: Any, bits: Any, out: Any) -> Any:
+    """Whole numbers of 2^-bits nearest to chance / sum, of n outcomes: how many are not 0, and the most probable outcome.
+
+    That one takes what the others leave, so that they sum to 2^bits (in a word of 64 bits, 0).
+    """
+    total, most = 0.0, 0
+    for x in range(n):
+        total += chance[x]
+        if chance[x] > chance[most]:
+            most = x
+    scale, others, kept = 2.0**bits, _NONE, 1
+    for x in range(n):
+        if x != most:
+            out[x] = np.uint64(chance[x] / total * scale + 0.5)  # at most 1/2: it fits
+            others += out[x]
+            kept += out[x] > _NONE
+    out[most] = (_NONE if bits == 64 else _ONE << np.uint64(bits)) - others
+    return kept, most
+
+
+units = njit(cache=True)(units)
+
+
+def sizes(indptr: Any, prob: Any, policy: Any, initial: Any, widest: Any, bits: Any, out: Any) -> None:
+    """k of each state: the least with 2^k slots for its outcomes."""
+    chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
+    for s in range(len(out)):
+        kept, _ = units(chance, chances(s, indptr, prob, policy, initial, chance, row), bits, unit)
+        k = 0
+        while (1 << k) < kept:
+            k += 1
+        out[s] = k
+
+
+sizes = njit(cache=True)(sizes)
+
+
+def pair(mass: Any, k: Any, bits: Any, word: Any, small: Any, large: Any) -> None:
+    """The words of 2^k slots, from the units of their own outcomes, which are used up."""
+    room = _ONE << (np.uint64(bits) - np.uint64(k))
+    n_small, n_large = 0, 0
+    for i in range(1 << k):
+        if mass[i] < room:
+            small[n_small] = i
+            n_small += 1
+        else:
+            large[n_large] = i
+            n_large += 1
+    while n_small > 0:  # all sum to 2^k * room: while one has less than room, another has more
+        n_small -= 1
+        i, j = small[n_small], large[n_large - 1]
+        word[i] = mass[i] << np.uint64(k) | np.uint64(j)
+        mass[j] -= room - mass[i]
+        if mass[j] < room:
+            n_large -= 1
+            small[n_small] = j
+            n_small += 1
+    for i in range(n_large):  # exactly full: no number is below the threshold 0, and the alias is the slot itself
+        word[large[i]] = np.uint64(large[i])
+
+
+pair = njit(cache=True)(pair)
+
+
+def fill(
+    indptr: Any, indices: Any, prob: Any, policy: Any, initial: Any, pay: Any, by_move: Any, ratio: Any, widest: Any,
+    bits: Any, size: Any, code: Any, word: Any, following: Any, reward: Any, factor: Any, entry: Any,
+) -> None:  # fmt: skip
+    """All slots, state by state; ``ratio`` may be empty."""
+    n_states, n_actions = policy.shape
+    chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
+    most_slots = 1 << np.max(size)
+    mass, own = np.empty(most_slots, np.uint64), np.empty(most_slots, np.int64)
+    small, large = np.empty(most_slots, np.int64), np.empty(most_slots, np.int64)
+    for s in range(n_states + 1):
+        n = chances(s, indptr, prob, policy, initial, chance, row)
+        kept, most = units(chance, n, bits, unit)
+        slots, base, used = 1 << size[s], np.int64(code[s] >> _PLACE), 0
+        for x in range(n):
+            if unit[x] > _NONE and kept > 1:
+                mass[used], own[used] = unit[x], x
+                used += 1
+        if kept == 1:  # all 2^bits units are one outcome's
+            word[base], own[0] = _NONE, most
+        else:
+            for i in range(used, slots):  # no word stops at these
+                mass[i], own[i] = _NONE, own[0]
+            pair(mass, size[s], bits, word[base : base + slots], small, large)
+        for i in range(slots):
+            x = indptr[s * n_actions] + own[i]
+            entry[base + i] = x
+            moves = s < n_states  # else a first state, before anything is paid
+            following[base + i] = code[indices[x]] if moves else code[own[i]]
+            reward[base + i] = 0.0 if not moves else pay[x] if by_move else pay[row[own[i]]]
+            if len(ratio) > 0:
+                factor[base + i] = ratio[x] if moves else 1.0
+
+
+fill = njit(cache=True)(fill)
+
+
+@dataclass(frozen=True, eq=False)
+class AliasTable:
+    """One table for all states: ``word``, ``following`` (the code of s'), ``reward`` and ``factor`` by slot.
+
+    ``entry`` is the entry of P that a slot stands for; ``code`` (S + 1,) says where a state's slots are, the last one where
+    those of the first state's draw are. Codes from ``over`` on are those of states in which an episode is over.
+    """
+
+    word: Any
+    following: Any
+    reward: Array
+    factor: Array
+    entry: IntArray
+    code: Any
+    over: np.uint64
+
+
+def build(
+    indptr: Any, indices: Any, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
+    short: bool = False, records: bool | None = None,
+) -> AliasTable:  # fmt: skip
+    """The table of all states under a policy, with rewards by row or by entry, and factors by entry, or none.
+
+    ``short``: for words of 32 bits. ``records``: each slot's four numbers side by side in 32 bytes, of which a step needs one
+    cache line or two, instead of four arrays; None: where the table is larger than a cache.
+    """
+    bits = 32 if short else 64
+    n_states, n_actions = policy.shape
+    widest = max(len(initial), int(np.diff(indptr[::n_actions]).max()))
+    size = np.empty(n_states + 1, np.int64)
+    sizes(indptr, prob, policy, initial, widest, bits, size)
+    order = np.argsort(np.append(over, True), kind="stable")  # so that one comparison tells what is over
+    first, ends = np.empty(n_states + 1, np.int64), np.cumsum(1 << size[order])
+    first[order] = np.concatenate([[0], ends[:-1]])
+    slots = int(ends[-1])
+    code = (first << int(_PLACE) | size).astype(np.uint64)
+    if records or (records is None and 24 * slots >= _RECORDS_FROM):
+        room = np.empty(4 * slots + 8, np.uint64)
+        ahead = -room.ctypes.data % 64 // 8  # no record lies across two cache lines
+        whole = room[ahead : ahead + 4 * slots].reshape(slots, 4)
+        numbers = whole.view(np.float64)
+        word, following, reward, factor = whole[:, 0], whole[:, 1], numbers[:, 2], numbers[:, 3]
+    else:
+        word, following = np.empty((2, slots), np.uint64)
+        reward, factor = np.empty(slots), np.empty(slots if len(ratio) else 0)
+    entry = np.empty(slots, np.int64)
+    fill(
+        indptr, indices, prob, policy, initial, pay, len(pay) == len(prob), ratio, widest,
+        bits, size, code, word, following, reward, factor, entry,
+    )  # fmt: skip
+    return AliasTable(word, following, reward, factor, entry, code, code[order[int(np.sum(~over))]])

@@ -1,0 +1,200 @@
+"""Returns and weights of sampled episodes that are not written down: alias tables, many episodes at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from oee_tabular import _checks, _printing
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.data import Transitions
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.simulate.logs import episode_log, stream_key
+
+if TYPE_CHECKING:
+    from oee_tabular.kernels.alias import AliasTable
+
+KINDS = ("per_decision", "trajectory")
+SHORT_OUTCOMES = 1 << 16  # of one state, where words have 32 bits
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledReturns:
+    """What ``sample_returns`` draws: a number for each of n episodes.
+
+    Attributes
+    ----------
+    values : (n,) X, whose mean estimates J; without zeta the returns
+    returns : (n,) G = sum_t gamma^t r_t, unweighted
+    weights : (n,) W of the whole episode; without zeta 1
+    lengths : (n,) steps
+    final_state : (n,) the state after the last step
+    log : the same episodes written out, where asked for
+    kind : what X is
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mdp = oee.tasks.gridworld(3, slip=0.1)
+    >>> drawn = oee.sample_returns(mdp, oee.tasks.gridworld_expert(3), 1000, horizon=20, seed=0)
+    >>> drawn.lengths.min(), bool((drawn.final_state == 8).all())
+    (np.int64(4), True)
+    """
+
+    values: Array
+    returns: Array
+    weights: Array
+    lengths: IntArray
+    final_state: IntArray
+    log: Transitions | None = field(default=None)
+    kind: str = "per_decision"
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        what = "" if self.values is self.returns else f", weighted {self.kind}"
+        return (
+            f"SampledReturns({len(self)} episodes, {int(self.lengths.sum())} transitions: "
+            f"mean {self.mean:.6g}, standard error {self.standard_error:.2g}{what})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("episodes", len(self)), ("transitions", int(self.lengths.sum())),
+            ("mean", f"{self.mean:.6g}"), ("standard error", f"{self.standard_error:.2g}"),
+            ("largest weight", f"{self.weights.max():.4g}"),
+        ]  # fmt: skip
+        return _printing.facts(f"Sampled returns: {_printing.SUM}", rows)
+
+    @property
+    def mean(self) -> float:
+        """Of ``values``."""
+        return float(self.values.mean())
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean, from the values' spread; nan for a single episode. Heavy weights make it too small."""
+        n = len(self.values)
+        return float(self.values.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
+
+
+def sample_returns(
+    mdp: FiniteMDP,
+    policy: Any,
+    n_episodes: int,
+    horizon: int,
+    *,
+    seed: Any,
+    zeta: Any = None,
+    kind: Literal["per_decision", "trajectory"] = "per_decision",
+    exact: bool = True,
+    n_lanes: int = 64,
+    record: bool = False,
+) -> SampledReturns:
+    """Returns of sampled episodes and, with ``zeta``, their products of ratios, without writing the episodes down.
+
+    W_t = zeta_1 ... zeta_t. per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G; where rewards are
+    r(s, a, s'), W_{t+1} and W_T: the X of ``weighted_return_moments``. Episodes begin and end as in ``sample_episodes``.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP; with ``zeta`` the simulator
+    policy : (S, A)
+    n_episodes, horizon : positive int
+    seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
+    zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``; None: no weights
+    kind : "per_decision" | "trajectory"
+    exact : whether a step is drawn with 64 random bits (thresholds of 53 bits and more, probabilities to 2^-53) or with
+        32 (probabilities to 2^-32 times the number of a state's outcomes; a fifth faster)
+    n_lanes : how many episodes take turns; it changes the time, not the result
+    record : whether the episodes are also given as a log
+
+    Returns
+    -------
+    SampledReturns
+
+    Raises
+    ------
+    ValueError
+        Bad arguments; ``exact=False`` where a state has more than 65536 outcomes (a, s').
+
+    Notes
+    -----
+    A step is one alias draw over its state's (a, s'): some 3 ns, 4 with weights, 6 to write the record (in a second pass),
+    30 to 45 where tables are far larger than the caches. The tables cost O(nnz) before the first step (some 40 to 150 ns an
+    entry); the powers of the discount need 8 bytes a step of the horizon.
+    A seed draws other episodes than for ``sample_episodes``, and than for the other ``exact``; but the same ones for every
+    zeta, ``kind``, ``record``, number of lanes and of threads.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mdp = oee.tasks.gridworld(10, slip=0.3)
+    >>> policy = oee.uniform_policy(mdp)
+    >>> sample_returns(mdp, policy, 20_000, horizon=200, seed=0)
+    SampledReturns(20000 episodes, 3685078 transitions: mean -197.959, standard error 0.28)
+    >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
+    -197.914
+    """
+    from oee_tabular.exact.walks import require_mdp, walk_of  # not at import: logs do without
+    from oee_tabular.kernels import rollout
+
+    require_mdp(mdp)
+    _checks.one_of(kind, "kind", KINDS)
+    n = _checks.positive_integer(n_episodes, "n_episodes")
+    steps = _checks.positive_integer(horizon, "horizon")
+    lanes = min(_checks.positive_integer(n_lanes, "n_lanes"), n)
+    pi = check_policy(policy, mdp)
+    ratio = np.zeros(0) if zeta is None else walk_of(mdp, pi, ratio=zeta).w
+    table = _alias_table(mdp, pi, ratio, short=not exact)
+    sums = np.empty((3, n))
+    lengths, last = np.empty((2, n), dtype=np.uint64)
+    chunk = max(16 * lanes, -(-n // 64))  # long enough to keep lanes busy to its end, short enough for a few threads
+
+    powers = mdp.discount ** np.arange(steps, dtype=np.float64)
+
+    def run(places: Any, path: Any) -> None:
+        rollout.returns(
+            stream, n, chunk, np.uint64(steps), bool(exact), lanes, table.word, table.following, table.reward,
+            table.factor, table.code[-1], table.over, powers, zeta is not None, by_move, len(path) > 0, table.entry, places,
+            path, sums, lengths, last,
+        )  # fmt: skip
+
+    stream, by_move = stream_key(seed), mdp.reward_data is not None
+    run(np.zeros(1, dtype=np.uint64), np.zeros(0, dtype=np.int64))
+    log = None
+    if record:
+        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint64)
+        entries = np.empty(int(starts[-1]), dtype=np.int64)
+        run(starts, entries)  # the same episodes again, now that their lengths are known
+        log = episode_log(mdp, row_of_entry(mdp.transitions)[entries], entries, starts.astype(np.int64), pi)
+    by_code = np.argsort(table.code[:-1])
+    final = by_code[np.searchsorted(table.code[:-1], last, sorter=by_code)]
+    plain, per_decision, weights = sums
+    values = plain if zeta is None else per_decision if kind == "per_decision" else weights * plain
+    return SampledReturns(values, plain, weights, lengths.astype(np.int64), final, log, kind)
+
+
+def _alias_table(
+    mdp: FiniteMDP, policy: Array, ratio: Array, *, short: bool, records: bool | None = None
+) -> AliasTable:
+    """Of every state's (a, s') under the policy, and of the first state."""
+    from oee_tabular.kernels import alias
+
+    matrix = mdp.transitions
+    outcomes = np.append(np.diff(matrix.indptr[:: mdp.n_actions]), np.count_nonzero(mdp.initial))
+    if short and outcomes.max() > SHORT_OUTCOMES:
+        where = int(outcomes.argmax())
+        name = f"state {where}" if where < mdp.n_states else "the first state's draw"
+        raise ValueError(
+            f"exact must be True where there are more than {SHORT_OUTCOMES} outcomes; {name} has {outcomes[where]}"
+        )
+    pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data
+    return alias.build(
+        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(),
+        short=short, records=records,
+    )  # fmt: skip

@@ -1,0 +1,259 @@
+"""Sampled returns: the bits, the paths, the sums along them, and exact moments within standard errors."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given, settings
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse, stats
+
+import oee_tabular as oee
+from oee_tabular.kernels import alias, rollout
+
+FIELDS = ("values", "returns", "weights", "lengths", "final_state")
+GRID = oee.tasks.gridworld(4, 0.3)
+UNIFORM = oee.uniform_policy(GRID)
+ZETA = oee.true_ratio(oee.tasks.gridworld(4, 0.2), GRID)
+
+
+def same(one, two, rows=slice(None)):
+    for name in FIELDS:
+        assert_array_equal(getattr(one, name)[rows], getattr(two, name)[rows], err_msg=name)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_words_of_many_lanes_are_philox_words(exact):
+    """Known answers reach the lanes: philox itself is held to the published vectors in test_simulate.py."""
+    key, n = np.uint64(0x0123456789ABCDEF), 5
+    trajectory = np.array([0, 1, 7, 2**32 - 1, 2**40 + 3], dtype=np.uint64)
+    t = np.array([0, 4, 8, 400, 2**33], dtype=np.uint64)
+    words = np.zeros((4, 8), dtype=np.uint64)
+    rollout.step_words(key, trajectory, t, exact, words, n)
+    for i in range(n):
+        for k in range(4):
+            step, low = int(t[i]) + k, int(trajectory[i])
+            block = step // 2 if exact else step // 4
+            counter = (block, 1, low & 0xFFFFFFFF, low >> 32)
+            x = [
+                int(w)
+                for w in rollout.philox(*(np.uint64(c) for c in counter), np.uint64(0x89ABCDEF), np.uint64(0x01234567))
+            ]
+            expected = x[step % 4] if not exact else x[1] << 32 | x[0] if step % 2 == 0 else x[3] << 32 | x[2]
+            assert int(words[k, i]) == expected
+            assert int(rollout.word_of(key, np.uint64(1), trajectory[i], np.uint64(step), exact)) == expected
+
+
+SCRIPT = """
+import hashlib, oee_tabular as oee
+mdp = oee.tasks.gridworld(7, 0.3)
+zeta = oee.true_ratio(oee.tasks.gridworld(7, 0.2), mdp)
+a = oee.sample_returns(mdp, oee.uniform_policy(mdp), 3001, 61, seed=11, zeta=zeta, record=True)
+b = oee.sample_returns(mdp, oee.uniform_policy(mdp), 3001, 61, seed=11, exact=False)
+columns = [getattr(x, name) for x in (a, b) for name in ("values", "returns", "weights", "lengths", "final_state")]
+print(hashlib.sha256(b"".join(x.tobytes() for x in (*columns, *a.log.columns().values()))).hexdigest())
+"""
+
+
+def test_the_same_bits_for_any_number_of_threads():
+    hashes = set()
+    for threads in ("1", "2"):
+        environment = os.environ | {"NUMBA_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True
+        )
+        hashes.add(done.stdout.strip())
+    assert len(hashes) == 1
+
+
+@pytest.mark.parametrize("options", [{}, {"zeta": ZETA}, {"exact": False}])
+@pytest.mark.parametrize("n", [1, 63, 300])
+def test_the_same_bits_for_any_number_of_lanes(options, n):
+    drawn = [oee.sample_returns(GRID, UNIFORM, n, 31, seed=5, n_lanes=lanes, **options) for lanes in (1, 8, 64, 1000)]
+    for other in drawn[1:]:
+        same(drawn[0], other)
+
+
+def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_computed():
+    few, many = (oee.sample_returns(GRID, UNIFORM, n, 25, seed=3) for n in (40, 500))
+    same(few, many, slice(40))
+    for options in ({"zeta": ZETA}, {"zeta": ZETA, "kind": "trajectory"}, {"record": True}):
+        other = oee.sample_returns(GRID, UNIFORM, 500, 25, seed=3, **options)
+        assert_array_equal(other.returns, many.returns)
+        assert_array_equal(other.final_state, many.final_state)
+
+
+def test_records_past_the_cache_give_the_same_bits(monkeypatch):
+    options = {"seed": 3, "zeta": ZETA, "record": True}
+    arrays = oee.sample_returns(GRID, UNIFORM, 200, 25, **options)
+    monkeypatch.setattr(alias, "_RECORDS_FROM", 0)
+    records = oee.sample_returns(GRID, UNIFORM, 200, 25, **options)
+    same(arrays, records)
+    assert_array_equal(arrays.log.state, records.log.state)
+
+
+@settings(max_examples=40)
+@given(rngs)
+def test_sums_along_the_recorded_paths(rng):
+    """Every form of rewards, every kind, horizons within and beyond whole passes: recomputed step by step from the log."""
+    mdp = random_mdp(rng)
+    model = random_mdp(rng, like=mdp)
+    policy, horizon = random_policy(rng, mdp), int(rng.integers(1, 14))
+    zeta = oee.true_ratio(model, mdp)
+    for kind in ("per_decision", "trajectory"):
+        drawn = oee.sample_returns(mdp, policy, 17, horizon, seed=rng, zeta=zeta, kind=kind, n_lanes=3, record=True)
+        log, over, by_move = drawn.log, mdp.absorbing(), mdp.transition_rewards is not None
+        starts = log.episode_starts
+        assert_array_equal(np.diff(starts), drawn.lengths)
+        assert_array_equal(log.next_state[starts[1:] - 1], drawn.final_state)
+        assert_array_equal(log.terminated[starts[1:] - 1], over[drawn.final_state])
+        assert (mdp.initial[log.state[starts[:-1]]] > 0).all()
+        assert (policy[log.state, log.action] > 0).all()
+        ratio = zeta.values.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
+        for i in range(17):
+            plain = weighted = 0.0
+            w, whole = 1.0, 1.0
+            for t, row in enumerate(range(starts[i], starts[i + 1])):
+                s, a, following = log.state[row], log.action[row], log.next_state[row]
+                after = w * (1.0 if over[s] else ratio[s, a, following])
+                plain += mdp.discount**t * log.reward[row]
+                weighted += mdp.discount**t * (after if by_move else w) * log.reward[row]
+                whole = w if not by_move and t == horizon - 1 else after
+                w = after
+            assert_allclose(drawn.returns[i], plain, rtol=1e-12, atol=1e-12)
+            assert_allclose(drawn.weights[i], whole, rtol=1e-12)
+            expected = weighted if kind == "per_decision" else whole * plain
+            assert_allclose(drawn.values[i], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_first_states_and_moves_follow_initial_policy_and_transitions():
+    rng = np.random.default_rng(8)
+    mdp = random_mdp(rng, n_states=5, n_actions=3, form=2)
+    policy = random_policy(rng, mdp)
+    for exact in (True, False):
+        log = oee.sample_returns(mdp, policy, 50_000, 1, seed=2, exact=exact, record=True).log
+        expected = (mdp.initial[:, None] * policy).reshape(-1)[:, None] * mdp.transitions.toarray() * 50_000
+        found = log.counts(5, 3).toarray()
+        assert found[expected == 0].sum() == 0
+        assert stats.chisquare(found[expected > 0], expected[expected > 0]).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("horizon", [1, 3, 4, 50])
+def test_returns_have_the_exact_moments(horizon, exact):
+    n = 40_000
+    drawn = oee.sample_returns(GRID, UNIFORM, n, horizon, seed=horizon, exact=exact)
+    known = oee.return_moments(GRID, UNIFORM, horizon=horizon)
+    assert abs(drawn.mean - known.mean) < 4.5 * known.standard_deviation / np.sqrt(n) + 1e-12
+    assert_allclose(drawn.values.var(), known.variance, rtol=0.06, atol=1e-12)
+    assert_array_equal(drawn.weights, np.ones(n))
+
+
+@pytest.mark.parametrize("kind", ["per_decision", "trajectory"])
+@pytest.mark.parametrize("pay", ["next", "current"])
+def test_weighted_returns_have_the_exact_moments(kind, pay):
+    simulator, target = (oee.tasks.gridworld(4, slip, pay=pay) for slip in (0.3, 0.27))  # weights within 1.05^5 or so
+    zeta, n, horizon = oee.true_ratio(target, simulator), 40_000, 6
+    drawn = oee.sample_returns(simulator, UNIFORM, n, horizon, seed=1, zeta=zeta, kind=kind)
+    known = oee.weighted_return_moments(simulator, zeta, UNIFORM, kind=kind, horizon=horizon)
+    assert abs(drawn.mean - known.mean) < 4.5 * known.standard_deviation / np.sqrt(n)
+    assert_allclose(drawn.values.var(), known.variance, rtol=0.06)
+    assert abs(drawn.weights.mean() - 1) < 4.5 * drawn.weights.std() / np.sqrt(n)
+    assert_allclose(drawn.standard_error, known.standard_deviation / np.sqrt(n), rtol=0.03)
+
+
+def test_episodes_end_where_they_are_over():
+    drawn = oee.sample_returns(survival_chain(1.0), np.ones((2, 1)), 20_000, 7, seed=0)
+    steps = np.arange(1, 8)
+    share = np.where(steps < 7, 0.3 * 0.7 ** (steps - 1), 0.7**6)
+    assert stats.chisquare(np.bincount(drawn.lengths)[1:], 20_000 * share).pvalue > 1e-4
+    assert_array_equal(drawn.returns, drawn.lengths)  # 1 for each step that begins alive
+    assert (drawn.final_state[drawn.lengths < 7] == 1).all()
+    assert set(drawn.final_state[drawn.lengths == 7]) == {0, 1}
+
+
+def test_an_episode_that_begins_where_it_is_over_has_one_step():
+    over = oee.FiniteMDP(np.array([[[0.7, 0.3]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), np.array([0.0, 1.0]), 0.9)
+    for horizon in (1, 9):
+        drawn = oee.sample_returns(over, np.ones((2, 1)), 5, horizon, seed=0, record=True)
+        assert_array_equal(drawn.lengths, np.ones(5))
+        assert_array_equal(drawn.returns, np.zeros(5))
+        assert drawn.log.terminated.all()
+        log = oee.sample_episodes(over, np.ones((2, 1)), 5, horizon, seed=0)
+        assert_array_equal(log.next_state, drawn.log.next_state)
+
+
+def test_many_first_states():
+    """More than 2^11 outcomes, where thresholds have fewer than 53 bits of the 64."""
+    n = 5000
+    chain = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    mdp = oee.FiniteMDP(chain, np.arange(n) + 1.0, np.full(n, 1 / n), 1.0)
+    drawn = oee.sample_returns(mdp, np.ones((n, 1)), 200_000, 1, seed=0)
+    counts = np.bincount(drawn.returns.astype(int) - 1, minlength=n)
+    assert stats.chisquare(counts).pvalue > 1e-4
+    assert_array_equal(drawn.final_state, drawn.returns.astype(int) % n)
+
+
+def test_a_generator_is_advanced_and_a_refused_call_leaves_it():
+    generator, other = np.random.default_rng(0), np.random.default_rng(0)
+    first, second = (oee.sample_returns(GRID, UNIFORM, 20, 10, seed=generator) for _ in range(2))
+    assert not np.array_equal(first.returns, second.returns)
+    with pytest.raises(ValueError, match="horizon"):
+        oee.sample_returns(GRID, UNIFORM, 20, 0, seed=other)
+    same(first, oee.sample_returns(GRID, UNIFORM, 20, 10, seed=other))
+
+
+def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
+    return oee.sample_returns(mdp, policy, n_episodes, horizon, seed=seed, **options)
+
+
+def crowd():
+    n = 70_000
+    stay = sparse.csr_array((np.ones(n), np.arange(n), np.arange(n + 1)), shape=(n, n))
+    return oee.FiniteMDP(stay, np.ones(n), np.full(n, 1 / n), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (lambda: call(mdp=3), "mdp must be a FiniteMDP; got int"),
+        (lambda: call(policy=UNIFORM[:3]), r"policy must have shape \(16, 4\) \(states, actions\); it has shape \(3, 4\)"),
+        (lambda: call(policy=UNIFORM * 2), r"policy\[0\] must sum to 1 .*; it sums to 2"),
+        (lambda: call(n_episodes=0), "n_episodes must be a positive integer; it is 0"),
+        (lambda: call(horizon=None), "horizon must be a positive integer; got None"),
+        (lambda: call(horizon=2.5), "horizon must be a positive integer; got 2.5"),
+        (lambda: call(n_lanes=0), "n_lanes must be a positive integer; it is 0"),
+        (lambda: call(seed="x"), "seed must be what numpy.random.default_rng takes; got 'x'"),
+        (lambda: call(kind="whole"), "kind must be one of 'per_decision', 'trajectory'; got 'whole'"),
+        (lambda: call(zeta=np.ones((64, 16))), r"zeta must be sparse of shape \(64, 16\), row s\*A \+ a; got \(64, 16\)"),
+        (lambda: call(zeta=-ZETA.values), "zeta must be finite and nonnegative; entry 0 is -"),
+        (lambda: call(crowd(), np.ones((70_000, 1)), exact=False),
+         "exact must be True where there are more than 65536 outcomes; the first state's draw has 70000"),
+    ],
+)  # fmt: skip
+def test_bad_calls(bad, words):
+    with pytest.raises(ValueError, match=words):
+        bad()
+
+
+def test_a_state_with_too_many_outcomes_for_short_words_is_named():
+    n, actions = 300, 220  # 66 000 outcomes in state 0, 220 in each of the others
+    matrix = np.zeros((n, actions, n))
+    matrix[0] = 1 / n
+    matrix[1:, :, 0] = 1.0
+    mdp = oee.FiniteMDP(sparse.csr_array(matrix.reshape(-1, n)), np.zeros(n), np.eye(n)[0], 0.5)
+    with pytest.raises(ValueError, match="more than 65536 outcomes; state 0 has 66000"):
+        call(mdp, oee.uniform_policy(mdp), exact=False)
+
+
+def test_it_prints_what_it_holds():
+    drawn = call(n_episodes=50, horizon=20)
+    assert repr(drawn).startswith(f"SampledReturns(50 episodes, {drawn.lengths.sum()} transitions: mean ")
+    assert "weighted" not in repr(drawn)
+    assert repr(call(zeta=ZETA, kind="trajectory")).endswith("weighted trajectory)")
+    assert "discounted sum of rewards" in drawn._repr_html_()
+    assert len(drawn) == 50
+    assert np.isnan(call(n_episodes=1).standard_error)
