@@ -5,6 +5,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several wo
 
 from hypothesis import Phase, settings
 
+collect_ignore = ["benchmarks"]  # run by hand, from their own folder; they import each other and peers
+
 settings.register_profile("dev", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=100, derandomize=True, print_blob=True)
 settings.register_profile(  # no shrinking: a mutant is dead with its first failure

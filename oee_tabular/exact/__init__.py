@@ -1,11 +1,13 @@
 """What can be known exactly: values, occupancies, moments, efficiency bounds, gradients, optimal policies."""
 
+from oee_tabular.exact.batch import BatchValues, ModelStack, evaluate_batch, stack_models
 from oee_tabular.exact.efficiency import (
     efficiency_bound,
     leading_bias,
     ratio_of_ratios_variance,
     trajectory_efficiency_bound,
 )
+from oee_tabular.exact.finite import policy_values_by_horizon
 from oee_tabular.exact.gradient import transition_gradient
 from oee_tabular.exact.linear import LinearSolution, solve_policy_system
 from oee_tabular.exact.moments import (
@@ -23,23 +25,28 @@ from oee_tabular.exact.values import action_values, evaluate_policy, policy_valu
 from oee_tabular.exact.walks import Moments
 
 __all__ = [
+    "BatchValues",
     "LinearSolution",
     "Model",
+    "ModelStack",
     "Moments",
     "ReweightedModel",
     "action_values",
     "doubly_robust_moments",
     "efficiency_bound",
+    "evaluate_batch",
     "evaluate_policy",
     "leading_bias",
     "occupancy",
     "optimal_policy",
     "policy_is_moments",
     "policy_value",
+    "policy_values_by_horizon",
     "ratio_of_ratios_variance",
     "return_moments",
     "reweight",
     "solve_policy_system",
+    "stack_models",
     "state_values",
     "trajectory_efficiency_bound",
     "transition_gradient",

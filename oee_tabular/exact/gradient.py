@@ -10,6 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
+from oee_tabular.exact.finite import locked, rows_of
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
@@ -55,15 +56,13 @@ def transition_gradient(
         values = state_values(valued, pi)
         visits = occupancy(model, pi, of="state") / (1.0 - gamma)
         return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
-    kernel, rewards = policy_kernel(valued, pi), policy_rewards(valued, pi)
-    transposed = sparse.csr_array(policy_kernel(model, pi).T)
-    to_go = np.zeros((steps + 1, model.n_states))
-    for t in range(steps - 1, -1, -1):
-        to_go[t] = rewards + gamma * (kernel @ to_go[t + 1])
-    total = np.zeros(len(rows))
-    states, weight = model.initial, 1.0
-    for t in range(steps):
-        total += weight * states[start] * (pay + gamma * to_go[t + 1][columns])
-        states = transposed @ states
-        weight *= gamma
+    from oee_tabular.kernels import horizon as kernel
+
+    forward = rows_of(sparse.csr_array(policy_kernel(model, pi).T))
+    to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(len(rows))
+    paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
+    kernel.gradient_flows(
+        *rows_of(policy_kernel(valued, pi)), locked(policy_rewards(valued, pi)), to_go, *forward, locked(model.initial), gamma,
+        *rows_of(valued.transitions)[:2], locked(pi), locked(paid), total,
+    )  # fmt: skip
     return np.asarray(total * action_share)

@@ -21,10 +21,12 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._sparse import row_sums
 from oee_tabular.exact.linear import spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
     Walk,
+    entries,
     forward_measure,
     infinite,
     per_decision,
@@ -281,12 +283,11 @@ def doubly_robust_moments(
     _checks.require_finite(u, "baseline")
     u = u.copy()
     u[steps] = 0.0
-    rows = np.repeat(np.arange(walk.act.shape[1]), np.diff(walk.indptr))
-    moved = walk.prob * walk.w
-    pairs = walk.act.shape[1]
-    known = np.stack([walk.discount * np.bincount(rows, moved * u[t + 1][walk.indices], pairs) for t in range(steps)])
-    paid = np.bincount(rows, moved * walk.pay, pairs) if walk.by_move else walk.pay
-    known = np.asarray(known + paid, dtype=np.float64)  # all of the step that the baseline knows
+    weighted = entries(walk, walk.prob * walk.w)
+    paid = row_sums(weighted, weighted.data * walk.pay) if walk.by_move else walk.pay
+    known = np.empty((steps, walk.act.shape[1]))  # all of the step that the baseline knows
+    for t in range(steps):
+        known[t] = walk.discount * (weighted @ u[t + 1]) + paid
     quiet = replace(walk, pay=np.zeros(len(walk.pay)))
     if action_baseline:
         mean = (walk.act * known).reshape(steps, simulator.n_states, -1).sum(axis=2)
@@ -297,13 +298,11 @@ def doubly_robust_moments(
 def values_to_go(walk: Walk, steps: int) -> Array:
     """(T + 1, S): the unweighted expected return from t on."""
     values = np.zeros((steps + 1, walk.n_states))
-    pairs = walk.act.shape[1]
-    rows = np.repeat(np.arange(pairs), np.diff(walk.indptr))
-    paid = np.bincount(rows, walk.prob * walk.pay, pairs) if walk.by_move else walk.pay
+    plain = entries(walk, walk.prob)
+    paid = row_sums(plain, walk.prob * walk.pay) if walk.by_move else walk.pay
     for t in range(steps - 1, -1, -1):
         act = walk.act[t if walk.act.shape[0] > 1 else 0]
-        ahead = np.bincount(rows, walk.prob * values[t + 1][walk.indices], pairs)
-        values[t] = (act * (paid + walk.discount * ahead)).reshape(walk.n_states, -1).sum(axis=1)
+        values[t] = (act * (paid + walk.discount * (plain @ values[t + 1]))).reshape(walk.n_states, -1).sum(axis=1)
     return values
 
 

@@ -10,6 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern, row_of_entry
+from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.values import policy_kernel
@@ -58,7 +59,7 @@ def occupancy(
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = _checks.optional_horizon(horizon)
-    pi = check_policy(policy, mdp, horizon=steps)
+    pi = check_policy(policy, mdp) if steps is None else policy_to_read(policy, mdp, steps)
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
     if steps is None:
@@ -78,21 +79,8 @@ def occupancy(
 
 def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
     """sum_{t<T} gamma^t Pr(s_t = s, a_t = a) / sum_{t<T} gamma^t."""
-    total = np.zeros((mdp.n_states, mdp.n_actions))
     weight, mass = 1.0, 0.0
-    states = mdp.initial
-    transposed = None if policy.ndim == 3 else sparse.csr_array(policy_kernel(mdp, policy).T)
-    accumulated = np.zeros(mdp.n_states)
-    for t in range(horizon):
+    for _ in range(horizon):
         mass += weight
-        if transposed is not None:
-            accumulated += weight * states
-            states = transposed @ states
-        else:
-            pairs = states[:, None] * policy[t]
-            total += weight * pairs
-            states = mdp.transitions.T @ pairs.reshape(-1)
         weight *= mdp.discount
-    if transposed is not None:
-        total = accumulated[:, None] * policy
-    return total / mass
+    return visits(mdp, policy, horizon) / mass

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import row_sums
-from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
+from oee_tabular._checks import Array
+from oee_tabular.exact import finite
+from oee_tabular.exact.infinite import infinite_values, kernel_parts
 from oee_tabular.exact.reweighted import Model, require_model
+from oee_tabular.exact.systems import readable
 from oee_tabular.mdp import check_policy
 
 
@@ -26,23 +26,22 @@ class PolicyValues:
     """V and J of a policy.
 
     ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a finite horizon, where the sums
-    are carried out as they stand); ``method`` names the solver.
+    are carried out as they stand); ``method`` names the solver; ``certified`` is, where it was asked for, the share of
+    states whose value is proved to be the float nearest to the exact one.
     """
 
     values: Array
     value: float
     error_bound: float
     method: str
+    certified: float | None = None
 
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
     """(S, S): sum_a policy[s, a] K(s' | s, a)."""
-    n_states, n_actions = model.n_states, model.n_actions
-    averaging = sparse.csr_array(
-        (policy.reshape(-1), np.arange(n_states * n_actions), np.arange(n_states + 1) * n_actions),
-        shape=(n_states, n_states * n_actions),
-    )
-    return sparse.csr_array(averaging @ model.transitions)
+    indptr, columns, values = kernel_parts(model, policy, True)
+    signed = (part.view(np.int32) for part in (columns, indptr))
+    return sparse.csr_array((values, *signed), shape=(model.n_states, model.n_states))
 
 
 def policy_rewards(model: Model, policy: Array) -> Array:
@@ -50,7 +49,7 @@ def policy_rewards(model: Model, policy: Array) -> Array:
     return np.asarray(np.einsum("sa,sa->s", policy, model.rewards))
 
 
-def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) -> PolicyValues:
+def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> PolicyValues:
     """V, J and a bound on their error.
 
     Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
@@ -60,11 +59,13 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) ->
     model : FiniteMDP (or a ReweightedModel, whose rows may have any sum)
     policy : (S, A), or (T, S, A) with a horizon T
     horizon : positive int or None
+    certify : whether V is refined until it is the exact solution correctly rounded, and proved to be (no horizon)
 
     Returns
     -------
     PolicyValues
-        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf, and ``method``.
+        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf, ``method`` and ``certified``. V* is the exact
+        solution for the numbers as they are stored.
 
     Raises
     ------
@@ -87,60 +88,27 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None) ->
     require_model(model)
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, model, horizon=steps)
+    if certify and steps is not None:
+        raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
     if steps is not None:
-        values = _backward(model, pi, steps)[0]
-        return PolicyValues(values, float(model.initial @ values), 0.0, "backward recursion")
-    kernel, rewards = policy_kernel(model, pi), policy_rewards(model, pi)
-    if model.discount < 1.0:
-        solution = solve_policy_system(kernel, rewards, model.discount)
-        values, bound, method = solution.x, solution.error_bound, solution.method
-    else:
-        values, bound, method = _undiscounted(kernel, rewards)
-    return PolicyValues(values, float(model.initial @ values), bound, method)
+        values = _backward(model, pi, steps)
+        return PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
+    return PolicyValues(*infinite_values(model, pi, certify))
 
 
-def _backward(model: Model, policy: Array, horizon: int) -> tuple[Array, Array]:
-    """V_0 and V_1 of a T-step problem."""
-    value = following = np.zeros(model.n_states)
-    if policy.ndim == 2:
-        kernel, rewards = policy_kernel(model, policy), policy_rewards(model, policy)
-        for _ in range(horizon):
-            value, following = rewards + model.discount * (kernel @ value), value
-        return value, following
-    for t in range(horizon - 1, -1, -1):
-        value, following = np.einsum("sa,sa->s", policy[t], _backup(model, value)), value
-    return value, following
+def _backward(model: Model, policy: Array, steps: int) -> Array:
+    """V with the last ``steps`` of a policy's steps to go."""
+    if policy.ndim == 3:
+        return finite.backward_in_time(model, policy, steps)
+    from oee_tabular.kernels.policy_rows import average_rewards
+
+    indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
+    rewards, _ = average_rewards(finite.locked(policy), readable(model.rewards))
+    return finite.sweep((indptr, columns, data), rewards, model.discount, steps)
 
 
 def _backup(model: Model, value: Array) -> Array:
     return np.asarray(model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape))
-
-
-def _undiscounted(kernel: sparse.csr_array, rewards: Array) -> tuple[Array, float, str]:
-    """Discount 1: the states of closed classes must pay nothing; the others are solved for."""
-    _, component = csgraph.connected_components(kernel, directed=True, connection="strong")
-    entries = kernel.tocoo()
-    flows = entries.data > 0
-    crossing = flows & (component[entries.row] != component[entries.col])
-    closed = np.ones(component.max() + 1, dtype=np.bool_)
-    closed[component[entries.row[crossing]]] = False
-    closed[component[row_sums(kernel) < 1.0 - 2.0 * _checks.SUM_TOLERANCE]] = False  # a kernel may lose mass
-    recurrent = closed[component]
-    paying: IntArray = np.flatnonzero(recurrent & (rewards != 0.0))
-    if paying.size:
-        raise DivergentKernelError(
-            "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
-            f"that pay nothing; it stays for ever in {paying.size} states that do, the first: {paying[0]} "
-            f"(reward {rewards[paying[0]]:g})"
-        )
-    values = np.zeros(len(rewards))
-    transient = np.flatnonzero(~recurrent)
-    if transient.size == 0:
-        return values, 0.0, "absorbed"
-    inner = sparse.csr_array(kernel[transient][:, transient])
-    solution = solve_policy_system(inner, rewards[transient], 1.0)
-    values[transient] = solution.x
-    return values, solution.error_bound, solution.method
 
 
 def _normalise(model: Model, normalized: bool) -> float:
@@ -157,7 +125,8 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     Parameters
     ----------
     mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost; with a horizon only the states that
+        are reached within it cost anything
     normalized : whether J is multiplied by (1 - discount); an error at discount 1
 
     Examples
@@ -171,16 +140,20 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     2.0
     """
     factor = _normalise(mdp, normalized)
-    return factor * evaluate_policy(mdp, policy, horizon=horizon).value
+    if horizon is None:
+        return factor * evaluate_policy(mdp, policy).value
+    require_model(mdp)
+    steps = _checks.positive_integer(horizon, "horizon")
+    return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
 
 
-def state_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
+def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:
     """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised.
 
     Parameters
     ----------
     mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+    policy, horizon, certify : as in ``evaluate_policy``, whose errors and cost are these
 
     Examples
     --------
@@ -189,7 +162,7 @@ def state_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arra
     >>> state_values(coin, [[1.0]] * 2).round(6).tolist(), state_values(coin, [[1.0]] * 2, horizon=2).tolist()
     ([0.5, 1.5], [0.25, 1.25])
     """
-    return evaluate_policy(mdp, policy, horizon=horizon).values
+    return evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values
 
 
 def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
@@ -210,4 +183,4 @@ def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arr
     steps = _checks.optional_horizon(horizon)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
-    return _backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps)[1])
+    return _backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))

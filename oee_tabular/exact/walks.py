@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, row_of_entry
+from oee_tabular._sparse import align, canonical
+from oee_tabular.exact.finite import CACHED, locked, rows_of
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
 from oee_tabular.mdp import FiniteMDP
+
+# offsets, columns, numbers, masses and residuals, order of the states, band of kernels.merged
+Strips: TypeAlias = tuple[Array, Array, Array, Array, IntArray, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +64,8 @@ class Moments:
 class Walk:
     """How paths are drawn and weighted, as the kernels read it: policies (1 or T, S*A), moves aligned with the entries."""
 
-    indptr: IntArray
-    indices: IntArray
+    indptr: Any
+    indices: Any
     prob: Array
     w: Array
     act: Array
@@ -93,8 +97,11 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
 
     The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
     """
+    from oee_tabular.kernels.frontier import absorbing
+
     matrix = mdp.transitions
-    over = mdp.absorbing()
+    rows = rows_of(matrix)
+    over = absorbing(*rows[:2], locked(mdp.rewards))
     w = np.ones(matrix.nnz)
     if ratio is not None:
         values = getattr(ratio, "values", ratio)
@@ -102,10 +109,10 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
             found = getattr(values, "shape", type(values).__name__)
             raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
         w, _ = align(canonical(values, drop_zeros=False), matrix)
-        bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
-        if bad.size:
+        if not 0.0 <= w.min() <= w.max() < np.inf:
+            bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
             raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
-        w = np.where(over[row_of_entry(matrix) // mdp.n_actions], 1.0, w)
+        w[np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions]))] = 1.0
     act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
     u = np.ones_like(act)
     if policy is not None:
@@ -115,15 +122,13 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
     by_move = mdp.reward_data is not None
     pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
     return Walk(
-        matrix.indptr.astype(np.int64),
-        matrix.indices.astype(np.int64),
-        matrix.data,
-        np.ascontiguousarray(w),
-        np.ascontiguousarray(act),
-        np.ascontiguousarray(u),
+        *rows,
+        locked(w),
+        locked(act),
+        locked(u),
         by_move,
-        np.ascontiguousarray(pay),
-        mdp.initial,
+        locked(pay),
+        locked(mdp.initial),
         mdp.discount,
     )
 
@@ -140,21 +145,12 @@ def per_decision(
     sources: bool = False,
 ) -> Moments:
     """The kernel's X over ``steps`` steps; what is not given is 0 (``scale``: 1)."""
-    from oee_tabular.kernels import moments as kernel
-
-    n, pairs = walk.n_states, walk.act.shape[1]
-    shift = np.zeros(steps) if shift is None else shift
-    scale = np.ones(steps) if scale is None else scale
-    extra: list[Any] = [
-        np.zeros((1, size)) if x is None else np.ascontiguousarray(np.atleast_2d(x))
-        for x, size in ((c, pairs), (h, n), (k, n))
-    ]
-    mean, var = np.empty(n), np.empty(n)
-    local = np.empty((steps if sources else 1, n))
-    base, at_start, ahead = extra
-    kernel.per_decision(
-        steps, *walk.shape, shift, scale, base, at_start, ahead, walk.discount, mean, var, local, sources
-    )
+    shifted = shift is not None and not walk.by_move
+    constant = len(walk.act) == len(walk.u) == 1 and c is None
+    if constant and (not shifted or _all_one(walk.u) or _all_one(walk.w)):
+        mean, var, local = merged(walk, strips_of(walk), steps, shift, scale, h, k, sources)
+    else:
+        mean, var, local = centred(walk, steps, shift, scale, c, h, k, sources)
     value = float(walk.initial @ mean)
     start = float(walk.initial @ (mean - value) ** 2)
     found = Moments(value, start + float(walk.initial @ var))
@@ -163,6 +159,78 @@ def per_decision(
     second = forward_measure(walk, steps, power=2)[:steps, 0]
     parts = walk.discount ** (2.0 * np.arange(steps))[:, None] * second * local
     return Moments(value, found.variance, 0.0, np.concatenate([[start], parts.sum(axis=1)]), parts.sum(axis=0))
+
+
+def centred(
+    walk: Walk, steps: int, shift: Array | None, scale: Array | None, c: Array | None, h: Array | None, k: Array | None,
+    keep: bool,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Mean and variance of X by state, and each step's share of the variance, from the entries as they stand."""
+    from oee_tabular.kernels import moments as kernel
+
+    n = walk.n_states
+    base, at_start, ahead = (
+        locked(np.zeros((1, size)) if x is None else np.atleast_2d(x))
+        for x, size in ((c, walk.act.shape[1]), (h, n), (k, n))
+    )
+    mean, var, local = np.empty(n), np.empty(n), np.empty((steps if keep else 1, n))
+    shift = np.zeros(steps) if shift is None else shift
+    scale = np.ones(steps) if scale is None else scale
+    times = locked(shift), locked(scale)
+    kernel.per_decision(steps, *walk.shape, *times, base, at_start, ahead, walk.discount, mean, var, local, keep)
+    return mean, var, local
+
+
+def strips_of(walk: Walk) -> Strips:
+    """What ``merged`` reads, for a policy that does not depend on time."""
+    from oee_tabular.kernels.merged import merge
+
+    act, u = walk.act[0], walk.u[0]
+    found: Strips = merge(walk.indptr, walk.indices, walk.prob, walk.w, act, u, walk.by_move, walk.pay, walk.n_states)
+    return found
+
+
+def merged(
+    walk: Walk, strips: Strips, steps: int, shift: Array | None, scale: Array | None, h: Array | None, k: Array | None,
+    keep: bool,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """What ``centred`` gives for a policy and pays that do not depend on time: one sweep over entries merged over actions."""
+    from oee_tabular.kernels import merged as kernel
+
+    n = walk.n_states
+    offsets, columns, numbers, fixed, order, band = strips
+    places, based = len(order), h is not None or k is not None
+    at_start, ahead = (np.zeros((length, places) if based else (0, 0)) for length in (steps, steps + 1))
+    for room, x in ((at_start, h), (ahead, k)):
+        if x is not None:
+            room[:, :n] = np.atleast_2d(x)[:, order[:n]]
+    mean, var, local = np.empty(places), np.empty(places), np.empty((steps if keep else 1, places))
+    kernel.merged_moments(
+        steps, offsets, columns, numbers, fixed, not walk.by_move and _all_one(walk.u),
+        np.zeros(steps) if shift is None else shift, np.ones(steps) if scale is None else scale, based, at_start, ahead,
+        walk.discount, mean, var, local, keep, *_blocks(columns.nbytes + numbers.nbytes, len(offsets) - 1, band),
+    )  # fmt: skip
+    found = []
+    for part in (mean, var, local):
+        states = np.empty((*part.shape[:-1], n))
+        states[..., order[:n]] = part[..., :n]
+        found.append(states)
+    return found[0], found[1], found[2]
+
+
+def _blocks(size: int, strips: int, band: int) -> tuple[int, int, int]:
+    """Band, height and width of blocks that stay in the cache, of strips whose entries have ``size`` bytes; one if they may."""
+    from oee_tabular.kernels.merged import LANES
+
+    one = size / strips + 48 * LANES
+    band, fitting = max(int(band), 1), CACHED / one
+    width = max(band, min(3 * band, int(fitting / 3)))
+    height = int((fitting - width) / band)
+    return (band, height, width) if one * strips > CACHED and height >= 2 else (0, 1, strips)
+
+
+def _all_one(values: Array) -> bool:
+    return bool(np.all(values == 1.0))
 
 
 def forward_measure(walk: Walk, steps: int, *, power: int, returns: bool = False) -> Array:
@@ -203,6 +271,13 @@ def infinite(walk: Walk, sources: bool) -> Moments:
         return found
     reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x
     return Moments(total, found.variance, 0.0, None, reached * own)
+
+
+def entries(walk: Walk, data: Array) -> sparse.csr_array:
+    """(S*A, S) with these values on the moves."""
+    kind = np.int32 if walk.indptr.dtype == np.uint32 else np.int64
+    shape = walk.act.shape[1], walk.n_states
+    return sparse.csr_array((data, walk.indices.view(kind), walk.indptr.view(kind)), shape=shape)
 
 
 def weighted_kernel(walk: Walk, power: int) -> sparse.csr_array:

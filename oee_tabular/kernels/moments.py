@@ -6,7 +6,8 @@ per decision    X = h(s) + u [pay(s, a) + c(s, a) + sum over the move of w (pay(
                 (one of the two pays is 0), v(s) = E[u^2 w^2 gamma^2 v'] + Var_{a, s'}(u [pay + c + w (pay' + gamma (m' - k'))])
 trajectory      L = u w L', L R = u w L' (r + gamma R'): means of L and L R, variances and covariance likewise
 
-(law of total variance: every term is a variance or a positive multiple of one; E X^2 - (E X)^2 would lose digits).
+(law of total variance: every term is a variance or a positive multiple of one; E X^2 - (E X)^2 would lose digits). For a
+policy and pays that do not depend on time ``merged`` has the same, faster; this is what it is tested against.
 """
 
 from __future__ import annotations

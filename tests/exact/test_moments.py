@@ -5,11 +5,11 @@ import pytest
 from helpers import dense, paths, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.exact import weight_growth, weight_moments
+from oee_tabular.exact import walks, weight_growth, weight_moments
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 
@@ -252,6 +252,67 @@ def test_25_the_law_of_total_variance(rng):
         reached = np.einsum("s,sa,sat->t", reached, policy, transitions)
     found = oee.return_moments(mdp, policy, horizon=horizon)
     assert_allclose(found.variance, total, rtol=1e-9, atol=1e-10)
+
+
+@settings(max_examples=150)
+@given(rngs, st.sampled_from(["zeta", "policies", "none"]), st.booleans(), st.booleans())
+def test_merged_sweeps_are_the_centred_form(rng, weights, timed, based):
+    """One sweep over entries merged over actions; strips that fill and that do not; blocks of any size to the same bits."""
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5)))
+    steps = int(rng.integers(1, 7))
+    options = {
+        "zeta": lambda: {"ratio": ratio_of(rng, mdp)}, "policies": lambda: {"policy": random_policy(rng, mdp)},
+        "none": dict,
+    }[weights]()  # fmt: skip
+    walk = walk_of(mdp, random_policy(rng, mdp), **options)
+    shift, scale = (rng.normal(size=steps), np.exp(rng.normal(size=steps))) if timed else (None, None)
+    h, k = (rng.normal(size=(n, mdp.n_states)) for n in (steps, steps + 1)) if based else (None, None)
+    old = walks.centred(walk, steps, shift, scale, None, h, k, True)
+    new = walks.merged(walk, walks.strips_of(walk), steps, shift, scale, h, k, True)
+    for name, a, b in zip(("mean", "var", "local"), new, old, strict=True):
+        assert_allclose(a, b, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(b).max()), err_msg=name)
+    height, width = int(rng.integers(1, 5)), int(rng.integers(1, 4))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(walks, "_blocks", lambda size, strips, band: (max(int(band), 1), height, width))
+        for a, b in zip(walks.merged(walk, walks.strips_of(walk), steps, shift, scale, h, k, True), new, strict=True):
+            assert_array_equal(a, b)
+
+
+def test_rows_of_very_different_lengths_are_sorted_into_strips():
+    """One state of 200 that leads everywhere, the others to two: equal to the centred form, with no more room than needed."""
+    rng = np.random.default_rng(0)
+    transitions = np.zeros((200, 1, 200))
+    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
+    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
+    transitions[77] = 1 / 200
+    mdp = oee.FiniteMDP(transitions, rng.normal(size=(200, 1, 200)), np.full(200, 1 / 200), 0.9)
+    walk = walk_of(mdp, np.ones((200, 1)), ratio=ratio_of(rng, mdp))
+    strips = walks.strips_of(walk)
+    old, new = walks.centred(walk, 5, *[None] * 5, True), walks.merged(walk, strips, 5, *[None] * 4, True)
+    for a, b in zip(new, old, strict=True):
+        assert_allclose(a, b, rtol=1e-11, atol=1e-12)
+    offsets, *_, order, _ = strips
+    assert offsets[-1] <= 200 + 2 * 6
+    assert order[199] == 77
+    assert sorted(order[:200]) == list(range(200))
+    assert (order[200:] == 200).all()
+
+
+def test_blocks_fit_the_cache_or_are_one():
+    assert walks._blocks(10 * 1000, 10, 2) == (0, 1, 10)  # all of it fits
+    assert walks._blocks(10_000 * 10_000, 10_000, 5000) == (0, 1, 10_000)  # the band does not
+    band, height, width = walks._blocks(10_000 * 6000, 10_000, 10)
+    assert (band, height >= 2, width + height * band <= walks.CACHED / 6000) == (10, True, True)
+
+
+@given(rngs)
+def test_digits_are_kept_where_rewards_are_large(rng):
+    """Rewards of 1e8 plus small ones: merged and centred agree to the small ones' digits, which squares would have lost."""
+    mdp = random_mdp(rng, n_states=5, n_actions=2, form=3, discount=0.5)
+    high = oee.FiniteMDP(mdp.transitions, mdp.transition_rewards.toarray().reshape(5, 2, 5) + 1e8, mdp.initial, 0.5)
+    policy = random_policy(rng, mdp)
+    small, large = (oee.return_moments(m, policy, horizon=4).variance for m in (mdp, high))
+    assert_allclose(large, small, rtol=0, atol=1e-4)
 
 
 def test_worked_example_the_survival_chain():

@@ -12,7 +12,8 @@ import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact import leading_bias, ratio_of_ratios_variance, weight_growth, weight_moments
 from oee_tabular.exact.efficiency import require_action_support
-from oee_tabular.exact.linear import _inverse_norm, _iterate, solve_policy_system, spectral_radius
+from oee_tabular.exact.linear import inverse_norm, solve_policy_system, spectral_radius
+from oee_tabular.exact.systems import System
 
 KINDS = ("per_decision", "trajectory")
 
@@ -231,9 +232,13 @@ def test_the_spectral_radius_of_simple_kernels():
 
 def test_the_norm_of_the_inverse_of_kernels_below_one():
     """1 / (1 - gamma * largest row sum), exactly."""
-    assert_allclose(_inverse_norm(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9), 10.0, rtol=1e-12)
-    assert_allclose(_inverse_norm(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5), 1 / 0.6, rtol=1e-12)
-    assert _inverse_norm(sparse.csr_array((2, 2)), 0.9) == 1.0
+    assert_allclose(
+        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0, rtol=1e-12
+    )
+    assert_allclose(
+        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5)), 1 / 0.6, rtol=1e-12
+    )
+    assert_allclose(inverse_norm(System.of(sparse.csr_array((2, 2)), 0.9)), 1.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("n", [30, 500])
@@ -258,8 +263,8 @@ def test_rows_below_one_need_no_certificate(monkeypatch):
     """The bound is known from the row sums: no second system is solved for it."""
     from oee_tabular.exact import linear
 
-    monkeypatch.setattr(linear, "_solve", None)
-    assert_allclose(_inverse_norm(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9), 10.0)
+    monkeypatch.setattr(linear, "solve", None)
+    assert_allclose(inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0)
 
 
 def test_the_certificate_counts_its_own_residual(monkeypatch):
@@ -268,58 +273,61 @@ def test_the_certificate_counts_its_own_residual(monkeypatch):
 
     kernel = sparse.csr_array(np.array([[0.0, 2.0], [0.1, 0.0]]))
     for residual, h in (([0.2, -0.4], [3.0, 1.0]), ([0.2, -0.6], [3.0, 1.0]), ([0.0, 0.0], [3.0, 0.0])):
-        answer = np.array(h), np.array(residual), "dense LU"
-        monkeypatch.setattr(linear, "_solve", lambda matrix, b, answer=answer: answer)
+        largest = np.abs(residual).max()
+        answer = np.array(h), (np.array(residual), largest, largest, 0.0), "dense LU"
+        monkeypatch.setattr(linear, "solve", lambda system, b, answer=answer: answer)
         if min(residual) == -0.4:
-            assert_allclose(_inverse_norm(kernel, 0.9), 3.0 / 0.6)
+            assert_allclose(inverse_norm(System.of(kernel, 0.9)), 3.0 / 0.6)
         else:
             with pytest.raises(ValueError, match=r"spectral radius of 0\.402492"):
-                _inverse_norm(kernel, 0.9)
+                inverse_norm(System.of(kernel, 0.9))
 
 
 @pytest.mark.parametrize("transpose", [False, True])
 def test_the_error_bound_is_residual_and_rounding_times_the_norm_of_the_inverse(transpose):
-    """(|b - M x| + eps (entries of the row + 3) (|M| |x| + |b|)) / (1 - gamma): its sum, or its largest."""
+    """(|b - M x| + u (entries of the row + 4) (gamma K |x| + |x| + |b|)) / (1 - gamma): its sum, or its largest."""
     rows = np.array([[0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [0.2, 0.3, 0.5]])
     b = np.array([1.0, -2.0, 3.0])
     found = solve_policy_system(sparse.csr_array(rows), b, 0.9, transpose=transpose)
-    matrix = np.eye(3) - 0.9 * rows
-    matrix = matrix.T if transpose else matrix
-    entries = (matrix != 0).sum(axis=1) + 3
-    missed = np.abs(b - matrix @ found.x) + np.finfo(float).eps * entries * (
-        np.abs(matrix) @ np.abs(found.x) + np.abs(b)
-    )
+    kernel = 0.9 * (rows.T if transpose else rows)
+    entries = (kernel != 0).sum(axis=1) + 4
+    sizes = kernel @ np.abs(found.x) + np.abs(found.x) + np.abs(b)
+    missed = np.abs(b + kernel @ found.x - found.x) + 0.5 * np.finfo(float).eps * entries * sizes
     assert_allclose(found.error_bound, 10.0 * (missed.sum() if transpose else missed.max()), rtol=0.3)
 
 
 def test_a_direct_solver_answers_a_singular_system_with_nan():
-    """Dense and sparse: nan, and the name of the method, from which divergence is concluded."""
-    from oee_tabular.exact.linear import _solve
+    """Without pivoting, dense and sparse: nan, and the name of the method, from which divergence is concluded."""
+    from oee_tabular.exact.systems import elimination, library, solve
 
-    for n, name in ((3, "dense LU"), (500, "sparse LU")):
-        x, residual, method = _solve(sparse.csr_array((n, n)), np.ones(n))
-        assert np.isnan(x).all()
-        assert x.shape == residual.shape == (n,)
-        assert np.isnan(residual).all()
+    for n, name in ((3, "dense LU"), (200, "dense LU"), (500, "sparse LU")):
+        singular = System.of(sparse.csr_array(sparse.eye_array(n)), 1.0)
+        solver, method = library(singular)
         assert method == name
+        assert np.isnan(solver(np.ones(n), 0.0)).all()
+    for n, method in ((3, "dense LU"), (500, "banded LU")):
+        singular = System.of(sparse.csr_array(sparse.eye_array(n)), 1.0)
+        x, missed, found = solve(singular, np.ones(n))
+        assert np.isnan(x).all()
+        assert np.isnan(missed[1])
+        assert found == method
+    assert np.isnan(elimination(singular, 3, 3, True)(np.ones(500), 0.0)).all()
 
 
 def test_the_iteration_refines_to_rounding_and_leaves_zero_alone():
+    from oee_tabular.exact.systems import krylov, refine
+
     grid = oee.tasks.gridworld(25, 0.3)
-    kernel = exact.values.policy_kernel(grid, oee.uniform_policy(grid))
-    matrix = sparse.csr_array(sparse.eye_array(625) - 0.99 * kernel)
-    matrix.sort_indices()
+    system = System.of(exact.values.policy_kernel(grid, oee.uniform_policy(grid)), 0.99)
     b = np.random.default_rng(0).random(625)
-    x, residual = _iterate(matrix, b)
-    assert_array_equal(residual, b - matrix @ x)
-    assert np.abs(residual).max() < 1e-12 * np.abs(x).max()
-    x, residual = _iterate(matrix, np.zeros(625))
+    x, (missed, largest, bound, rounding) = refine(system, b, krylov(system))
+    assert_allclose(missed, b + 0.99 * (system.kernel() @ x) - x, rtol=0, atol=1e-15 * np.abs(x).max())
+    assert largest == np.abs(missed).max() < 1e-14 * np.abs(x).max()
+    assert largest < bound <= largest + rounding
+    x, (missed, largest, *_) = refine(system, np.zeros(625), krylov(system))
     assert_array_equal(x, np.zeros(625))
-    assert_array_equal(residual, np.zeros(625))
-    negative = sparse.csr_array(-sparse.eye_array(4))
-    x, residual = _iterate(negative, np.ones(4))  # no sweep without a positive diagonal
-    assert_array_equal(x, np.zeros(4))
-    assert_array_equal(residual, np.ones(4))
+    assert_array_equal(missed, np.zeros(625))
+    assert largest == 0.0
 
 
 def test_a_singular_system_at_either_size_is_divergence():

@@ -726,7 +726,7 @@ def test_options_that_a_method_does_not_use(method, name):
 
 
 WRONG = {
-    "method": (zeta(method="q"), r"^method must be one of 'conditional', 'linear', .*, 'joint'; got 'q'$"),
+    "method": (zeta(method="q"), r"^method must be one of 'conditional', 'tied', 'linear', .*, 'joint'; got 'q'$"),
     "simulator": (lambda: oee.transition_ratio(LOG, 3), r"^simulator must be a FiniteMDP; got int$"),
     "prior": (zeta(prior="q"), r"^prior must be one of 'tilt', 'simulator', 'none'; got 'q'$"),
     "strength": (zeta(strength="q"), r"^strength must be one of 'evidence', 'loo'; got 'q'$"),

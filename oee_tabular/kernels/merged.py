@@ -1,0 +1,271 @@
+"""Moments of weighted returns per decision for a policy that does not depend on time, with the actions merged.
+
+In state s, the moves to s' by several actions pay X = e + b Y: b the weight and e the pay of the action and move, Y the mean of
+what follows s'. Over the actions that lead there, of mass q together, X has the mean z = bm Y + em and the variance
+
+    (c (Y + rho)^2 + the residual of e on b) / q,     c = q Var b, rho = Cov(b, e) / Var b;
+
+between the s' it has sum q (z - total)^2. All are squares. The last is had from the differences d to the z of largest mass,
+sum q d^2 - (sum q d)^2, of which at most a share 1 - max q cancels.
+
+States are taken LANES at a time, those with equally many s' together, and an entry's numbers stand side by side for such a
+strip: so its arithmetic is done by vector instructions, with every sum in the order of its state.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+LANES = 32  # states of a strip
+SMALL = 1e-280
+PARTS = 5  # numbers of an entry: q, bm, em, c, rho
+
+
+def merge_state(
+    s: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, place: Any, to: Any,
+    numbers: Any, single: Any, entry: Any,
+) -> Any:  # fmt: skip
+    """Fill ``to`` and ``numbers`` (., PARTS) with the merged entries of s, that of largest mass first.
+
+    Returns how many they are, their mass, and the residual variance. ``place`` (S,) is zeros before and after; ``single``
+    (., 3) and ``entry`` have room for q, b, e and the merged entry of each one.
+    """
+    n_actions = len(act) // len(place)
+    i: Any = 0
+    size, count, mass, rest = 0, 0, 0.0, 0.0
+    for row in range(s * n_actions, (s + 1) * n_actions):
+        share, f = act[row], u[row]
+        if share == 0.0:
+            continue
+        for x in range(indptr[row], indptr[row + 1]):
+            j = indices[x]
+            i = np.int64(place[j]) - 1
+            if i < 0:
+                i = size
+                size += 1
+                place[j] = size
+                to[i] = j
+                for part in range(PARTS):
+                    numbers[i, part] = 0.0
+            q, b = share * prob[x], f * w[x]
+            e = b * pay[x] if by_move else f * pay[row]
+            numbers[i, 0] += q
+            numbers[i, 1] += q * b
+            numbers[i, 2] += q * e
+            mass += q
+            entry[count] = i
+            single[count, 0], single[count, 1], single[count, 2] = q, b, e
+            count += 1
+    largest = 0
+    for i in range(size):
+        place[to[i]] = 0
+        if numbers[i, 0] > 0.0:
+            numbers[i, 1] /= numbers[i, 0]
+            numbers[i, 2] /= numbers[i, 0]
+        if numbers[i, 0] > numbers[largest, 0]:
+            largest = i
+    for x in range(count):
+        i, q, b, e = entry[x], single[x, 0], single[x, 1] - numbers[entry[x], 1], single[x, 2] - numbers[entry[x], 2]
+        numbers[i, 3] += q * b * b
+        numbers[i, 4] += q * b * e
+    for i in range(size):
+        if numbers[i, 3] > SMALL:
+            numbers[i, 4] /= numbers[i, 3]
+        else:  # what is next to nothing has lost its digits: then all of e is residual
+            numbers[i, 3] = numbers[i, 4] = 0.0
+    for x in range(count):
+        i, q, b, e = entry[x], single[x, 0], single[x, 1] - numbers[entry[x], 1], single[x, 2] - numbers[entry[x], 2]
+        off = e - numbers[i, 4] * b
+        rest += q * off * off
+    for part in range(PARTS):
+        numbers[0, part], numbers[largest, part] = numbers[largest, part], numbers[0, part]
+    to[0], to[largest] = to[largest], to[0]
+    return size, mass, rest
+
+
+merge_state = njit(cache=True)(merge_state)
+
+
+def strip_offsets(length: Any, order: Any, n_states: Any) -> Any:
+    """Where each strip's entries begin: it has as many as the longest of its states."""
+    offsets = np.zeros(len(order) // LANES + 1, np.int64)
+    for strip in range(len(offsets) - 1):
+        longest: Any = 0
+        for i in range(strip * LANES, min(n_states, (strip + 1) * LANES)):
+            longest = max(longest, length[order[i]])
+        offsets[strip + 1] = offsets[strip] + longest
+    return offsets
+
+
+strip_offsets = njit(cache=True)(strip_offsets)
+
+
+def merge(indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, n_states: Any) -> Any:
+    """Strips of merged entries of a policy (S*A,): offsets, columns (places in the order), numbers,
+    masses and residuals, the order of the states, with S in the places that stay empty,
+    and how many strips away an entry leads at most.
+    """
+    n_actions = len(act) // n_states
+    place = np.zeros(n_states, np.uint32)
+    length = np.zeros(n_states + 1, np.int64)
+    for s in range(n_states):
+        count = 0
+        for row in range(s * n_actions, (s + 1) * n_actions):
+            if act[row] == 0.0:
+                continue
+            for x in range(indptr[row], indptr[row + 1]):
+                if place[indices[x]] != s + 1:
+                    place[indices[x]] = s + 1
+                    count += 1
+        length[s] = count
+    place[:] = 0
+    longest = length.max()
+    strips = (n_states + LANES - 1) // LANES
+    order = np.full(strips * LANES, n_states, np.int64)
+    order[:n_states] = np.arange(n_states)
+    offsets = strip_offsets(length, order, n_states)
+    if offsets[strips] * LANES > 1.25 * length[:n_states].sum():  # too much padding: states of one length go together
+        behind = np.zeros(longest + 2, np.int64)
+        for s in range(n_states):
+            behind[length[s] + 1] += 1
+        for size in range(1, longest + 2):
+            behind[size] += behind[size - 1]
+        for s in range(n_states):
+            order[behind[length[s]]] = s
+            behind[length[s]] += 1
+        offsets = strip_offsets(length, order, n_states)
+    lane_of = np.zeros(n_states, np.uint32)
+    for i in range(n_states):
+        lane_of[order[i]] = i
+    columns = np.full(offsets[strips] * LANES, strips * LANES, np.uint32)
+    numbers = np.zeros(offsets[strips] * LANES * PARTS)
+    band: Any = 0
+    fixed = np.zeros(2 * strips * LANES)  # mass and residual
+    to, own = np.zeros(longest, np.uint32), np.zeros((longest, PARTS))
+    most: Any = 0
+    for s in range(n_states):
+        most = max(most, np.int64(indptr[(s + 1) * n_actions]) - np.int64(indptr[s * n_actions]))
+    single, entry_of = np.zeros((most, 3)), np.zeros(most, np.int64)
+    for i in range(n_states):
+        s, first, lane = order[i], offsets[i // LANES], i % LANES
+        size, mass, rest = merge_state(
+            s, indptr, indices, prob, w, act, u, by_move, pay, place, to, own, single, entry_of
+        )
+        fixed[(i - lane) * 2 + lane], fixed[(i - lane) * 2 + LANES + lane] = mass, rest
+        for entry in range(size):
+            place_of = np.int64(lane_of[to[entry]])
+            columns[(first + entry) * LANES + lane] = place_of
+            band = max(band, abs(place_of // LANES - i // LANES))
+            for part in range(PARTS):
+                numbers[((first + entry) * PARTS + part) * LANES + lane] = own[entry, part]
+    return offsets, columns, numbers, fixed, order, band
+
+
+merge = njit(cache=True, error_model="numpy")(merge)
+
+
+def advance(
+    t: Any, first: Any, last: Any, y: Any, v: Any, new_y: Any, new_v: Any, room: Any, offsets: Any, columns: Any,
+    numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any, h: Any, k: Any, gamma: Any, mean: Any,
+    var: Any, local: Any, keep: Any,
+) -> Any:  # fmt: skip
+    """The strips first .. last - 1 at step t: y, v of what follows -> those of the step before, or mean, var at t = 0."""
+    lanes = np.uint64(LANES)
+    two, three, four, five = lanes * np.uint64(2), lanes * np.uint64(3), lanes * np.uint64(4), lanes * np.uint64(5)
+    six, seven = lanes * np.uint64(6), lanes * np.uint64(7)
+    unit = scale[t]
+    lowered = shift[t] if shift_all else 0.0
+    factor, lower = 0.0, 0.0  # of the step before
+    if t > 0:
+        factor, lower = gamma / scale[t - 1], 0.0 if shift_all else shift[t - 1]
+    for strip in range(first, last):
+        for entry in range(offsets[strip], offsets[strip + 1]):
+            at = np.uint64(entry) * lanes
+            for i in range(lanes):
+                j = columns[at + i]
+                room[i] = y[j]
+                room[lanes + i] = v[j]
+            at *= np.uint64(PARTS)
+            if entry == offsets[strip]:
+                for i in range(lanes):
+                    b, off = numbers[at + lanes + i], room[i] + numbers[at + four + i]
+                    c = numbers[at + three + i]
+                    room[two + i] = b * room[i] + numbers[at + two + i]
+                    room[three + i] = 0.0
+                    room[four + i] = c * off * off
+                    room[five + i] = (numbers[at + i] * b * b + c) * room[lanes + i]
+                continue
+            for i in range(lanes):
+                q, b, c = numbers[at + i], numbers[at + lanes + i], numbers[at + three + i]
+                off = room[i] + numbers[at + four + i]
+                d = b * room[i] + numbers[at + two + i] - room[two + i]
+                room[three + i] += q * d
+                room[four + i] += q * d * d + c * off * off
+                room[five + i] += (q * b * b + c) * room[lanes + i]
+        at = np.uint64(strip) * lanes
+        both = at * np.uint64(2)
+        for i in range(lanes):
+            weight, d = fixed[both + i], room[three + i]
+            own = room[four + i] - (2.0 - weight) * d * d + fixed[both + lanes + i]
+            room[four + i] = max(own, 0.0) * unit * unit
+            room[six + i] = unit * (weight * room[two + i] + d - weight * lowered)
+            room[seven + i] = room[four + i] + room[five + i]
+        if based:
+            for i in range(lanes):
+                room[six + i] += h[t, at + i]
+        if keep:
+            for i in range(lanes):
+                local[t, at + i] = room[four + i]
+        if t == 0:
+            for i in range(lanes):
+                mean[at + i] = room[six + i]
+                var[at + i] = room[seven + i]
+            continue
+        for i in range(lanes):
+            new_y[at + i] = factor * room[six + i] - lower
+            new_v[at + i] = gamma * gamma * room[seven + i]
+        if based:
+            for i in range(lanes):
+                new_y[at + i] -= factor * k[t, at + i]
+
+
+advance = njit(cache=True, error_model="numpy")(advance)
+
+
+def merged_moments(
+    steps: Any, offsets: Any, columns: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any,
+    h: Any, k: Any, gamma: Any, mean: Any, var: Any, local: Any, keep: Any, band: Any, height: Any, width: Any,
+) -> Any:  # fmt: skip
+    """What ``moments.per_decision`` fills in, by places: mean, var (N,), local (T, N), h (T, N), k (T + 1, N).
+
+    ``shift_all``: the shift is of X, not of what b multiplies; ``based``: whether h and k are read; the last three (strips,
+    steps, strips): blocks as in ``horizon.sweep``.
+    """
+    size, strips = len(mean), len(offsets) - 1
+    # of what follows, in units of the step's scale: mean and variance; the last is read by padding
+    y, v, new_y, new_v = np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1)
+    if not shift_all:
+        y[:size] = -shift[steps - 1]
+    room = np.zeros(8 * LANES)  # y, v; z of largest mass; sums of q d, of squares, of what v carries; mean, variance
+    left = steps
+    while left > 0:
+        now = min(height, left)
+        for low in range(0, strips + (now - 1) * band, width):
+            here, here_v, there, there_v = y, v, new_y, new_v
+            for i in range(now):
+                first, last = max(0, low - i * band), min(strips, low + width - i * band)
+                if first < last:
+                    advance(
+                        left - 1 - i, first, last, here, here_v, there, there_v, room, offsets, columns, numbers, fixed,
+                        shift_all, shift, scale, based, h, k, gamma, mean, var, local, keep,
+                    )  # fmt: skip
+                here, here_v, there, there_v = there, there_v, here, here_v
+        if now % 2:
+            y, v, new_y, new_v = new_y, new_v, y, v
+        left -= now
+
+
+merged_moments = njit(cache=True, error_model="numpy")(merged_moments)

@@ -1,0 +1,262 @@
+"""What a policy makes of the rows s*A + a: the kernel of its states, its rewards, and residuals of its linear system.
+
+Index arrays are unsigned 32-bit: signed ones cost twice the time in these loops.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+
+def average_rows(indptr: Any, indices: Any, data: Any, policy: Any, columns: Any, values: Any, ordered: Any) -> Any:
+    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros, each row sorted if ``ordered``; the row pointers.
+
+    ``columns`` and ``values``, which it is written to, have room for all entries of K. Actions whose rows share one
+    pattern (a simulator with noise) are added in place; others through a dense row.
+    """
+    n_states, n_actions = policy.shape
+    starts = np.empty(n_states + 1, dtype=np.uint32)
+    starts[0] = 0
+    sums = np.zeros(n_states)
+    mark = np.zeros(n_states, dtype=np.uint32)
+    filled = 0
+    for state in range(n_states):
+        begin = filled
+        used = 0
+        origin = np.uint32(0)
+        shared = True
+        for action in range(n_actions):
+            weight = policy[state, action]
+            if weight == 0.0:
+                continue
+            low, high = indptr[state * n_actions + action], indptr[state * n_actions + action + 1]
+            if used == 0:
+                origin = low
+                for k in range(low, high):
+                    columns[filled] = indices[k]
+                    values[filled] = weight * data[k]
+                    filled += 1
+            else:
+                length = high - low
+                shared = length == np.uint32(filled - begin)
+                if shared:
+                    for k in range(length):
+                        if indices[low + k] != indices[origin + k]:
+                            shared = False
+                            break
+                if not shared:
+                    break
+                at = np.uint32(begin) - low
+                for k in range(low, high):
+                    values[at + k] += weight * data[k]
+            used += 1
+        if not shared:
+            filled = begin
+            for action in range(n_actions):
+                weight = policy[state, action]
+                if weight == 0.0:
+                    continue
+                for k in range(indptr[state * n_actions + action], indptr[state * n_actions + action + 1]):
+                    j = indices[k]
+                    if mark[j] != np.uint32(state + 1):
+                        mark[j] = state + 1
+                        sums[j] = 0.0
+                        columns[filled] = j
+                        filled += 1
+                    sums[j] += weight * data[k]
+            if not ordered:
+                pass
+            elif filled - begin > 32:
+                columns[begin:filled].sort()
+            else:
+                for k in range(begin + 1, filled):
+                    j = columns[k]
+                    i = k - 1
+                    while i >= begin and columns[i] > j:
+                        columns[i + 1] = columns[i]
+                        i -= 1
+                    columns[i + 1] = j
+            for k in range(begin, filled):
+                values[k] = sums[columns[k]]
+        kept = begin
+        for k in range(begin, filled):
+            if values[k] != 0.0:
+                if kept != k:
+                    columns[kept] = columns[k]
+                    values[kept] = values[k]
+                kept += 1
+        filled = kept
+        starts[state + 1] = filled
+    return starts
+
+
+average_rows = njit(cache=True)(average_rows)
+
+
+def average_rewards(policy: Any, rewards: Any) -> Any:
+    """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its rounding is measured by."""
+    n_states, n_actions = policy.shape
+    total = np.empty(n_states)
+    largest = 0.0
+    for state in range(n_states):
+        value, size = 0.0, 0.0
+        for action in range(n_actions):
+            term = policy[state, action] * rewards[state, action]
+            value += term
+            size += abs(term)
+        total[state] = value
+        largest = max(largest, size)
+    return total, largest
+
+
+average_rewards = njit(cache=True)(average_rewards)
+
+
+def range_of_sums(indptr: Any, data: Any) -> Any:
+    """The smallest and the largest sum of a row, and the most entries of one."""
+    smallest, largest, entries = np.inf, 0.0, np.uint32(0)
+    for i in range(len(indptr) - 1):
+        total = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            total += data[k]
+        smallest = min(smallest, total)
+        largest = max(largest, total)
+        entries = max(entries, indptr[i + 1] - indptr[i])
+    return smallest, largest, entries
+
+
+range_of_sums = njit(cache=True)(range_of_sums)
+
+
+def residual(indptr: Any, indices: Any, data: Any, discount: Any, b: Any, x: Any, formed: Any) -> Any:
+    """b - (I - discount K) x, its largest magnitude, the largest with its rounding, and the largest rounding.
+
+    Each term of an entry meets at most (entries of the row + 4) roundings, and ``formed`` more in the kernel itself.
+    """
+    n = len(b)
+    missed = np.empty(n)
+    unit = 0.5 * np.finfo(np.float64).eps * (1.0 + 1e-9)
+    largest, bound, rounding = 0.0, 0.0, 0.0
+    for i in range(n):
+        total, size = 0.0, 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            term = data[k] * x[indices[k]]
+            total += term
+            size += abs(term)
+        value = b[i] + (discount * total - x[i])
+        missed[i] = value
+        here = (
+            unit * (np.float64(indptr[i + 1] - indptr[i]) + (4.0 + formed)) * (discount * size + abs(x[i]) + abs(b[i]))
+        )
+        value = abs(value)
+        if not value <= largest:  # nan as well
+            largest = value
+        if not value + here <= bound:
+            bound = value + here
+        rounding = max(rounding, here)
+    return missed, largest, bound, rounding
+
+
+residual = njit(cache=True)(residual)
+
+
+def residual_transposed(indptr: Any, indices: Any, data: Any, discount: Any, b: Any, x: Any, formed: Any) -> Any:
+    """The same for (I - discount K)^T, where the bound is of the sum of the magnitudes."""
+    n = len(b)
+    missed = np.zeros(n)
+    size = np.zeros(n)
+    count = np.zeros(n)
+    unit = 0.5 * np.finfo(np.float64).eps * (1.0 + 1e-9)
+    for i in range(n):
+        value = x[i]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            term = data[k] * value
+            missed[j] += term
+            size[j] += abs(term)
+            count[j] += 1.0
+    largest, bound, rounding = 0.0, 0.0, 0.0
+    for i in range(n):
+        value = b[i] + (discount * missed[i] - x[i])
+        missed[i] = value
+        here = unit * (count[i] + (4.0 + formed)) * (discount * size[i] + abs(x[i]) + abs(b[i]))
+        value = abs(value)
+        if not value <= largest:
+            largest = value
+        bound += value + here
+        rounding = max(rounding, here)
+    return missed, largest, bound * (1.0 + 1e-9), rounding
+
+
+residual_transposed = njit(cache=True)(residual_transposed)
+
+
+def transposed(indptr: Any, indices: Any, data: Any) -> Any:
+    """The CSR of the transposed matrix."""
+    n = len(indptr) - 1
+    starts = np.zeros(n + 1, dtype=np.uint32)
+    for k in range(len(indices)):
+        starts[indices[k] + np.uint32(1)] += np.uint32(1)
+    for i in range(n):
+        starts[i + 1] += starts[i]
+    columns = np.empty(len(indices), dtype=np.uint32)
+    values = np.empty(len(indices))
+    free = starts[:-1].copy()
+    for i in range(n):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            at = free[j]
+            columns[at] = i
+            values[at] = data[k]
+            free[j] = at + np.uint32(1)
+    return starts, columns, values
+
+
+transposed = njit(cache=True)(transposed)
+
+
+def span_iteration(
+    indptr: Any, indices: Any, data: Any, discount: Any, mass: Any, b: Any, ratio: Any, floor: Any, steps: Any
+) -> Any:
+    """Value iteration until the change is the same in all states, which is then summed; (x, whether it got there).
+
+    For rows with the sum ``mass``: x* is the last x plus discount mass / (1 - discount mass) times the change [1, 6.6.3].
+    It gives up where the spread of the change does not fall like ratio^sweeps, or after ``steps``.
+
+    Reference: [1] Puterman, Markov Decision Processes, 1994.
+    """
+    n = len(b)
+    x, new = b.copy(), np.empty(n)
+    allowed = np.inf
+    carried = discount * mass
+    for _ in range(steps):
+        low, high, largest = np.inf, -np.inf, 0.0
+        for i in range(n):
+            total = 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                total += data[k] * x[indices[k]]
+            value = b[i] + discount * total
+            new[i] = value
+            change = value - x[i]
+            low = min(low, change)
+            high = max(high, change)
+            largest = max(largest, abs(value))
+        x, new = new, x
+        spread = high - low
+        shift = carried / (1.0 - carried) * (0.5 * (low + high))
+        failing = not spread <= allowed
+        near = floor * max(largest, abs(shift))
+        if spread <= near or (failing and spread <= 64.0 * near):  # rounding keeps it from falling any more
+            for i in range(n):
+                x[i] += shift
+            return x, True
+        if failing:
+            return x, False
+        allowed = ratio * (4.0 * spread if allowed == np.inf else allowed)
+    return x, False
+
+
+span_iteration = njit(cache=True)(span_iteration)

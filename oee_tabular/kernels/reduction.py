@@ -1,0 +1,167 @@
+"""Half of the states out of (I - gamma K) x = b before it is iterated: those of an independent set, exactly.
+
+With E a set of states without an entry between them, x_e = (b_e + gamma sum_c K_ec x_c) / (1 - gamma K_ee), and what is
+left is a system I - K' of the same kind (a Schur complement of an M-matrix) [1]. On a grid E is every other cell, K' has
+as many entries as K, and the iteration takes a third of the steps.
+
+Reference: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 12.5 (independent set orderings; ILUM).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+
+def independent(indptr: Any, indices: Any, data: Any, discount: Any, order: Any) -> Any:
+    """1 for the states of E, found greedily in the given order, else 0; the inverse diagonal of E; room that K' may need."""
+    n = len(order)
+    mark = np.zeros(n, dtype=np.uint8)
+    inverse = np.zeros(n)
+    for q in range(n):
+        state = order[q]
+        if mark[state] != 0:
+            continue
+        diagonal = 1.0
+        free = True
+        for k in range(indptr[state], indptr[state + np.uint32(1)]):
+            j = indices[k]
+            if j == state:
+                diagonal -= discount * data[k]
+            elif mark[j] == 1:
+                free = False
+        if free and diagonal > 0.0:
+            mark[state] = 1
+            inverse[state] = 1.0 / diagonal
+            for k in range(indptr[state], indptr[state + np.uint32(1)]):
+                if indices[k] != state:
+                    mark[indices[k]] = 2
+    room = np.int64(0)
+    for state in range(n):
+        if mark[state] == 1:
+            continue
+        mark[state] = 0
+        for k in range(indptr[state], indptr[state + 1]):
+            j = indices[k]
+            if mark[j] == 1:
+                room += np.int64(indptr[j + np.uint32(1)] - indptr[j])
+            else:
+                room += 1
+    return mark, inverse, room
+
+
+independent = njit(cache=True)(independent)
+
+
+def eliminate(
+    indptr: Any, indices: Any, data: Any, discount: Any, order: Any, mark: Any, inverse: Any, columns: Any, values: Any
+) -> Any:
+    """K' in the given order of what is left, written to ``columns`` and ``values``; row pointers, states, their numbers."""
+    n = len(order)
+    number = np.zeros(n, dtype=np.uint32)
+    left = 0
+    for q in range(n):
+        if mark[order[q]] == 0:
+            number[order[q]] = left
+            left += 1
+    starts = np.empty(left + 1, dtype=np.uint32)
+    states = np.empty(left, dtype=np.uint32)
+    where = np.zeros(left, dtype=np.uint32)
+    starts[0] = 0
+    filled = np.uint64(0)
+    for q in range(n):
+        state = order[q]
+        if mark[state] != 0:
+            continue
+        row = number[state]
+        begin = filled
+        states[row] = state
+        for k in range(indptr[state], indptr[state + np.uint32(1)]):
+            j = indices[k]
+            value = discount * data[k]
+            if mark[j] == 0:
+                i = number[j]
+                at = where[i]
+                if begin <= at and at < filled and columns[at] == i:
+                    values[at] += value
+                else:
+                    where[i] = filled
+                    columns[filled] = i
+                    values[filled] = value
+                    filled += np.uint64(1)
+                continue
+            value *= discount * inverse[j]
+            for m in range(indptr[j], indptr[j + np.uint32(1)]):
+                if indices[m] == j:
+                    continue
+                i = number[indices[m]]
+                at = where[i]
+                if begin <= at and at < filled and columns[at] == i:
+                    values[at] += value * data[m]
+                else:
+                    where[i] = filled
+                    columns[filled] = i
+                    values[filled] = value * data[m]
+                    filled += np.uint64(1)
+        starts[row + np.uint32(1)] = filled
+    return starts, states, number
+
+
+eliminate = njit(cache=True)(eliminate)
+
+
+def reduce_right(
+    indptr: Any, indices: Any, data: Any, discount: Any, mark: Any, inverse: Any, states: Any, number: Any, b: Any,
+    transpose: Any,
+) -> Any:  # fmt: skip
+    """The right side of what is left."""
+    reduced = np.empty(len(states))
+    for row in range(len(states)):
+        state = states[row]
+        total = 0.0
+        if not transpose:
+            for k in range(indptr[state], indptr[state + np.uint32(1)]):
+                j = indices[k]
+                if mark[j] == 1:
+                    total += data[k] * inverse[j] * b[j]
+        reduced[row] = b[state] + discount * total
+    if transpose:
+        for state in range(len(b)):
+            if mark[state] == 1:
+                value = discount * inverse[state] * b[state]
+                for k in range(indptr[state], indptr[state + 1]):
+                    if mark[indices[k]] == 0:
+                        reduced[number[indices[k]]] += data[k] * value
+    return reduced
+
+
+reduce_right = njit(cache=True)(reduce_right)
+
+
+def extend(
+    indptr: Any, indices: Any, data: Any, discount: Any, mark: Any, inverse: Any, states: Any, b: Any, y: Any,
+    transpose: Any,
+) -> Any:  # fmt: skip
+    """The whole solution from that of what is left."""
+    x = np.zeros(len(b))
+    for row in range(len(states)):
+        state = states[row]
+        x[state] = y[row]
+        if transpose:
+            for k in range(indptr[state], indptr[state + np.uint32(1)]):
+                if mark[indices[k]] == 1:
+                    x[indices[k]] += data[k] * y[row]
+    for state in range(len(b)):
+        if mark[state] == 1:
+            total = x[state]
+            if not transpose:
+                for k in range(indptr[state], indptr[state + 1]):
+                    if mark[indices[k]] == 0:
+                        total += data[k] * x[indices[k]]
+            x[state] = (b[state] + discount * total) * inverse[state]
+    return x
+
+
+extend = njit(cache=True)(extend)

@@ -1,0 +1,225 @@
+"""T = 200 steps of the n x n gridworld (slip .3, uniform policy): V of all states, J from one corner, mean and variance.
+
+Inside our clock: the public call, with the check of the policy and all that it makes of the rows; "ours, sweeps alone" is the
+recursion on what was made before. So are the peers', on matrices in the form that they like best; for moments also "scipy,
+with its matrices". ``error``: the largest difference to the same sums in long doubles (moments: to the centred form), over the
+largest value.
+
+Moments are of the product of ratios, P' of slip .1. scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] +
+2 gamma E[w^2 r m] + gamma^2 K2 q, three sparse products a step, and q - m^2 at the end.
+"""
+
+import numpy as np
+from common import interleaved, rows_of
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import exact
+from oee_tabular.exact import finite, walks
+from oee_tabular.exact.values import policy_kernel, policy_rewards
+from oee_tabular.kernels import horizon as kernels
+
+STEPS = 200
+
+
+def scipy_sweeps(kernel, rewards, discount):
+    """In place, with 32-bit indices."""
+
+    def call():
+        value = np.zeros(len(rewards))
+        for _ in range(STEPS):
+            value = kernel @ value
+            value *= discount
+            value += rewards
+        return value
+
+    return call
+
+
+def numpy_sweeps(kernel, rewards, discount):
+    """Dense."""
+    dense = discount * kernel.toarray()
+
+    def call():
+        value = np.zeros(len(rewards))
+        for _ in range(STEPS):
+            value = rewards + dense @ value
+        return value
+
+    return call
+
+
+def quantecon(kernel, rewards, discount):
+    """``backward_induction`` of a DiscreteDP with one action."""
+    from quantecon.markov import DiscreteDP, backward_induction
+
+    states = np.arange(len(rewards))
+    ddp = DiscreteDP(rewards, sparse.csr_matrix(kernel), discount, states, np.zeros_like(states))
+    return lambda: backward_induction(ddp, STEPS)[0][0]
+
+
+def hiive(kernel, rewards, discount):
+    """mdptoolbox's FiniteHorizon with one action."""
+    from hiive.mdptoolbox.mdp import FiniteHorizon
+
+    def call():
+        problem = FiniteHorizon([sparse.csr_matrix(kernel)], rewards[:, None], discount, STEPS, skip_check=True)
+        problem.run()
+        return np.asarray(problem.V[:, 0])
+
+    return call
+
+
+def jax(kernel, rewards, discount):
+    """A jitted scan of segment sums, in double precision."""
+    import jax
+    from jax import numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    n = len(rewards)
+    states, columns, data = (jnp.asarray(x) for x in (np.repeat(np.arange(n), np.diff(kernel.indptr)),
+                                                     kernel.indices, discount * kernel.data))  # fmt: skip
+    paid = jnp.asarray(rewards)
+
+    @jax.jit
+    def sweeps():
+        def step(value, _):
+            moved = jax.ops.segment_sum(data * value[columns], states, n, indices_are_sorted=True)
+            return paid + moved, None
+
+        return jax.lax.scan(step, jnp.zeros(n), length=STEPS)[0]
+
+    return lambda: np.asarray(sweeps().block_until_ready())
+
+
+def made(makers, *arguments):
+    """{name: call} of the peers; one that is not there is a call that says so."""
+    found = {}
+    for name, maker in makers.items():
+        try:
+            found[name] = maker(*arguments)
+        except Exception as error:
+
+            def absent(error=error):
+                raise error
+
+            found[name] = absent
+    return found
+
+
+def values(size):
+    """Rows of V and of J."""
+    grid = oee.tasks.gridworld(size, 0.3)
+    policy = oee.uniform_policy(grid)
+    kernel, rewards, discount = policy_kernel(grid, policy), policy_rewards(grid, policy), grid.discount
+    rows, pay = finite.rows_of(kernel), finite.locked(rewards)
+    makers = {"scipy": scipy_sweeps, "quantecon": quantecon, "jax": jax}
+    if size <= 10:
+        makers["numpy, dense"] = numpy_sweeps
+    if size <= 100:
+        makers["mdptoolbox"] = hiive
+    peers = made(makers, kernel, rewards, discount)
+    truth = scipy_sweeps(kernel.astype(np.longdouble), rewards, np.longdouble(discount))().astype(float)
+    seconds = 0.5 if size < 1000 else 4.0
+    calls = {
+        "ours": lambda: exact.state_values(grid, policy, horizon=STEPS),
+        "ours, sweeps alone": lambda: finite.sweep(rows, pay, discount, STEPS),
+    }
+    scale = np.abs(truth).max()
+    timed = interleaved({**calls, **peers}, seconds)
+    yield from rows_of("V, T = 200", f"grid {size}", timed, lambda v: np.abs(v - truth).max() / scale)
+    calls = {
+        "ours": lambda: oee.policy_value(grid, policy, horizon=STEPS),
+        "ours, without the check": lambda: finite.value_to_horizon(grid, policy, STEPS),
+        "ours, all J_t": lambda: exact.policy_values_by_horizon(grid, policy, horizon=STEPS)[-1],
+        "ours, occupancy": lambda: (
+            (exact.occupancy(grid, policy, horizon=STEPS) * grid.rewards).sum() * (1 - 0.99**STEPS) / (1 - 0.99)
+        ),
+    }
+    peers = {name: (lambda call=call: grid.initial @ call()) for name, call in peers.items() if name != "mdptoolbox"}
+    timed = interleaved({**calls, **peers}, seconds)
+    value = grid.initial @ truth
+    yield from rows_of("J, T = 200", f"grid {size}", timed, lambda j: abs(j - value) / abs(value))
+
+
+def scipy_moments(mdp, zeta, policy):
+    """What the recursion of three products needs: K1, (K1; 2 gamma E[w^2 r .]) in one matrix, K2, and the two pays."""
+    n, discount = mdp.n_states, mdp.discount
+    share = np.repeat(policy.reshape(-1), np.diff(mdp.transitions.indptr)) * mdp.transitions.data
+    averaging = sparse.csr_array(
+        (np.ones(policy.size), np.arange(policy.size), np.arange(n + 1) * mdp.n_actions), shape=(n, policy.size)
+    )
+    w, r = zeta.values.data, mdp.reward_data
+
+    def merged(data):
+        found = averaging @ sparse.csr_array((share * data, mdp.transitions.indices, mdp.transitions.indptr))
+        found.indices, found.indptr = found.indices.astype(np.int32), found.indptr.astype(np.int32)
+        return found
+
+    first, cross, second = merged(discount * w), merged(2 * discount * w**2 * r), merged(discount**2 * w**2)
+    pays = [merged(data) @ np.ones(n) for data in (w * r, w**2 * r**2)]
+    return sparse.csr_array(sparse.vstack([first, cross])), second, np.concatenate(pays)
+
+
+def scipy_recursion(both, second, pays):
+    """Mean and variance by state."""
+    n = second.shape[0]
+    mean, square = np.zeros(n), np.zeros(n)
+    for _ in range(STEPS):
+        step = both @ mean
+        step += pays
+        square = second @ square
+        square += step[n:]
+        mean = step[:n]
+    return mean, square - mean**2
+
+
+def moments(size):
+    """Rows of the mean and variance of the product estimator."""
+    grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
+    policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
+    walk = walks.walk_of(grid, policy, ratio=zeta)
+    strips = walks.strips_of(walk)
+    made_before = scipy_moments(grid, zeta, policy)
+    variance = walks.centred(walk, STEPS, *[None] * 5, False)[1]
+    calls = {
+        "ours": lambda: oee.weighted_return_moments(grid, zeta, policy, horizon=STEPS).variance,
+        "ours, zeta checked before": lambda: walks.merged(walk, walks.strips_of(walk), STEPS, *[None] * 4, False)[1][0],
+        "ours, sweeps alone": lambda: walks.merged(walk, strips, STEPS, *[None] * 4, False)[1][0],
+        "ours, the centred form": lambda: walks.centred(walk, STEPS, *[None] * 5, False)[1][0],
+        "scipy": lambda: scipy_recursion(*made_before)[1][0],
+        "scipy, with its matrices": lambda: scipy_recursion(*scipy_moments(grid, zeta, policy))[1][0],
+    }
+    timed = interleaved(calls, 0.5 if size < 1000 else 4.0)
+    yield from rows_of("moments, T = 200", f"grid {size}", timed, lambda v: abs(v / variance[0] - 1.0))
+
+
+def kinds(size=10):
+    """Rows of all kinds of moments, beside the compiled recursion of V, which they may be measured by."""
+    grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
+    policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
+    rows = finite.rows_of(policy_kernel(grid, policy))
+    pay = finite.locked(policy_rewards(grid, policy))
+    calls = {"a recursion of V": lambda: kernels.sweep(*rows, pay, grid.discount, STEPS, 0, 1, grid.n_states)}
+    for kind in ("per_decision", "trajectory"):
+        for options in ({}, {"self_normalized": True}, {"sources": True}):
+            calls[f"ours, {kind} {' '.join(options)}".strip()] = lambda kind=kind, options=options: (
+                oee.weighted_return_moments(grid, zeta, policy, kind=kind, horizon=STEPS, **options)
+            )
+    yield from rows_of("kinds of moments, T = 200", f"grid {size}", interleaved(calls, 0.5))
+
+
+def rows(*, quick=False):
+    """Every case, smallest first."""
+    for size in (10, 40) if quick else (10, 40, 100, 300, 1000):
+        yield from values(size)
+    for size in (10, 40) if quick else (10, 40, 100, 300, 500):
+        yield from moments(size)
+    yield from kinds()
+
+
+if __name__ == "__main__":
+    import sys
+
+    for found in rows(quick="--quick" in sys.argv):
+        print("{task} | {case} | {program} | {seconds:.3g} s | {error:.1g} | {note}".format(**found), flush=True)

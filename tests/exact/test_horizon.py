@@ -1,0 +1,239 @@
+"""Finite horizons: light cone, frontier, blocks of rows and plain sweeps give one answer, that of the definition."""
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs, survival_chain
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import exact
+from oee_tabular.exact import finite
+from oee_tabular.exact.values import evaluate_policy, policy_kernel, policy_rewards
+from oee_tabular.kernels import frontier, horizon
+
+horizons = st.integers(1, 9)
+
+
+def backward(model, policy, steps):
+    """V_0, V_1: the definition, with library products on the rows as they stand."""
+    value = following = np.zeros(model.n_states)
+    for t in range(steps - 1, -1, -1):
+        pairs = model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape)
+        value, following = ((policy if policy.ndim == 2 else policy[t]) * pairs).sum(axis=1), value
+    return value, following
+
+
+def forward(model, policy, steps):
+    """sum_t gamma^t Pr(s_t = s, a_t = a)."""
+    states, total = model.initial, np.zeros((model.n_states, model.n_actions))
+    for t in range(steps):
+        pairs = states[:, None] * (policy if policy.ndim == 2 else policy[t])
+        total += model.discount**t * pairs
+        states = model.transitions.T @ pairs.reshape(-1)
+    return total
+
+
+def some_model(rng, **options):
+    """An MDP, in half of the cases with its kernel multiplied by anything, zeros among it."""
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 30)), **options)
+    if rng.random() < 0.5:
+        return mdp
+    data = rng.integers(0, 4, mdp.transitions.nnz) / 2.0
+    return exact.reweight(mdp, sparse.csr_array((data, mdp.transitions.indices, mdp.transitions.indptr)))
+
+
+def some_policy(rng, model, steps, stationary):
+    if stationary:
+        return random_policy(rng, model)
+    return np.stack([random_policy(rng, model) for _ in range(steps)])
+
+
+@given(rngs, horizons, st.booleans())
+def test_all_ways_give_the_sum_of_the_definition(rng, steps, stationary):
+    model = some_model(rng)
+    policy = some_policy(rng, model, steps, stationary)
+    values, following = backward(model, policy, steps)
+    scale = 1e-12 * max(1.0, np.abs(values).max())
+    assert_allclose(exact.state_values(model, policy, horizon=steps), values, rtol=0, atol=scale)
+    pairs = model.rewards + model.discount * (model.transitions @ following).reshape(model.rewards.shape)
+    assert_allclose(exact.action_values(model, policy, horizon=steps), pairs, rtol=0, atol=scale)
+    value = model.initial @ values
+    assert_allclose(exact.policy_value(model, policy, horizon=steps), value, rtol=0, atol=scale)
+    visits = forward(model, policy, steps)
+    assert_allclose((visits * model.rewards).sum(), value, rtol=0, atol=scale * steps)
+    mass = sum(model.discount**t for t in range(steps))
+    assert_allclose(exact.occupancy(model, policy, horizon=steps), visits / mass, rtol=1e-12, atol=1e-13)
+
+
+@given(rngs, horizons, st.booleans())
+def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
+    """J_0 = 0; J_t - J_{t-1} = gamma^(t-1) E[r_{t-1}]; and J_t has the bits of policy_value and evaluate_policy."""
+    model = some_model(rng)
+    policy = some_policy(rng, model, steps, stationary)
+    found = exact.policy_values_by_horizon(model, policy, horizon=steps)
+    assert found.shape == (steps + 1,)
+    assert found[0] == 0.0
+    for t in range(1, steps + 1):
+        first = policy if stationary else policy[:t]
+        value = exact.policy_value(model, first, horizon=t)
+        assert value == evaluate_policy(model, first, horizon=t).value
+        assert found[t] == value
+    paid = np.diff([(forward(model, policy, t) * model.rewards).sum() for t in range(steps + 1)])
+    assert_allclose(np.diff(found), paid, rtol=0, atol=1e-11 * max(1.0, np.abs(found).max()))
+
+
+@given(rngs, horizons)
+def test_a_policy_that_does_not_change_is_the_stationary_one(rng, steps):
+    """The frontier's forward sums are those of the cone's backward sweep."""
+    model = some_model(rng)
+    policy = random_policy(rng, model)
+    both = [exact.policy_values_by_horizon(model, p, horizon=steps) for p in (policy, np.stack([policy] * steps))]
+    assert_allclose(both[1], both[0], rtol=1e-12, atol=1e-12 * max(1.0, np.abs(both[0]).max()))
+
+
+@given(rngs, st.integers(1, 12), st.integers(1, 6), st.integers(1, 20), st.integers(0, 3))
+def test_blocks_give_the_bits_of_plain_sweeps(rng, steps, height, width, more):
+    """Of any height and width, while no entry is further from the diagonal than the band."""
+    model = some_model(rng)
+    policy = random_policy(rng, model)
+    rows, rewards = finite.rows_of(policy_kernel(model, policy)), finite.locked(policy_rewards(model, policy))
+    plain = horizon.sweep(*rows, rewards, model.discount, steps, 0, 1, model.n_states)
+    band = horizon.bandwidth(*rows[:2]) + more
+    assert_array_equal(horizon.sweep(*rows, rewards, model.discount, steps, band, height, width), plain)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 37])
+def test_what_outgrows_the_cache_has_the_same_bits(monkeypatch, steps):
+    grid = oee.tasks.gridworld(40, 0.3)
+    policy = oee.uniform_policy(grid)
+    plain = exact.state_values(grid, policy, horizon=steps)
+    monkeypatch.setattr(finite, "CACHED", 40_000)
+    assert_array_equal(exact.state_values(grid, policy, horizon=steps), plain)
+    uniform = oee.FiniteMDP(grid.transitions, grid.rewards, np.full(1600, 1 / 1600), 0.99)
+    assert_allclose(exact.policy_value(uniform, policy, horizon=steps), plain.mean(), rtol=1e-13)
+
+
+def test_the_bandwidth_is_the_widest_entry():
+    kernel = sparse.csr_array(([0.5, 0.5, 1.0, 1.0], [0, 3, 1, 0, ], [0, 2, 3, 4, 4]), shape=(4, 4))  # fmt: skip
+    assert horizon.bandwidth(*finite.rows_of(kernel)[:2]) == 3
+    assert horizon.bandwidth(*finite.rows_of(kernel.T.tocsr())[:2]) == 3
+
+
+def test_only_what_is_reached_in_time_is_read():
+    """From state 3 of a line, two moves: states 3, 4, 5 and their numbers; what lies beyond may be anything."""
+    size, steps = 50, 3
+    moves = sparse.eye_array(size, k=1, format="lil")
+    moves[size - 1, size - 1] = 1.0
+    initial = np.eye(size)[3]
+    line = oee.FiniteMDP(moves.tocsr(), np.arange(size, dtype=float), initial, 0.5)
+    policy = np.ones((size, 1))
+    states, ends, indptr, indices, data, rewards, begin = finite.light_cone(line, policy, steps)
+    assert states.tolist() == [3, 4, 5]
+    assert ends.tolist() == [1, 2, 3]
+    assert (indptr.tolist(), indices.tolist(), data.tolist()) == ([0, 1, 2], [1, 2], [1.0, 1.0])
+    assert (rewards.tolist(), begin.tolist()) == ([3.0, 4.0, 5.0], [1.0])
+    assert exact.policy_values_by_horizon(line, policy, horizon=steps).tolist() == [0.0, 3.0, 5.0, 6.25]
+
+
+def test_chance_that_leads_nowhere_new_ends_the_cone():
+    """A horizon longer than anything: the chain's two states, and the sum of its geometric series."""
+    chain = survival_chain(1.0)
+    found = exact.policy_values_by_horizon(chain, np.ones((2, 1)), horizon=2000)
+    assert_allclose(found[-1], 1 / 0.3, rtol=1e-13)
+    assert_allclose(found[:4], [0, 1, 1.7, 2.19], rtol=1e-15)
+
+
+def test_one_state():
+    alone = oee.FiniteMDP(np.ones((1, 1, 1)), [2.0], [1.0], 0.5)
+    assert exact.policy_values_by_horizon(alone, [[1.0]], horizon=3).tolist() == [0.0, 2.0, 3.0, 3.5]
+    assert exact.occupancy(alone, [[1.0]], horizon=3).tolist() == [[1.0]]
+
+
+def test_first_states_that_nothing_else_leads_to():
+    """Each of them, with its probability; a state of probability 0 does not count."""
+    transitions = np.zeros((4, 1, 4))
+    transitions[:, 0, 3] = 1.0
+    mdp = oee.FiniteMDP(transitions, [1.0, 10.0, 100.0, 1000.0], [0.25, 0.75, 0.0, 0.0], 0.5)
+    assert exact.policy_values_by_horizon(mdp, np.ones((4, 1)), horizon=2).tolist() == [0.0, 7.75, 507.75]
+    assert finite.light_cone(mdp, np.ones((4, 1)), 2)[0].tolist() == [0, 1, 3]
+
+
+@given(rngs)
+def test_dots_of_long_vectors(rng):
+    size = int(rng.integers(1, 1000))
+    x, y = rng.normal(size=size), rng.normal(size=size)
+    assert_allclose(horizon.dot(x, y, size), x @ y, rtol=1e-12, atol=1e-12)
+
+
+GOOD = np.array([[0.5, 0.5], [0.25, 0.75]])
+ODD = [
+    [[-0.5, 1.5], [0.5, 0.5]], [[0.5, 0.5], [0.5, 0.4]], [[np.nan, 1.0], [0.5, 0.5]], [[np.inf, 0.0], [0.5, 0.5]],
+    [[0.5, 0.5 + 1e-7], [0.5, 0.5]],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("table", ODD)
+def test_a_policy_that_is_read_as_it_stands_is_checked(table):
+    """The compiled look sends what is odd to ``check_policy``, whose words these are."""
+    mdp = random_mdp(np.random.default_rng(0), n_states=2, n_actions=2)
+    policy = np.array(table)
+    assert not frontier.stochastic(finite.locked(policy), 1e-9)
+    with pytest.raises(ValueError, match=r"policy\[\d(, \d)?\] must (be nonnegative|sum to 1|be finite)"):
+        oee.policy_value(mdp, policy, horizon=2)
+    with pytest.raises(ValueError, match="policy"):
+        exact.policy_values_by_horizon(mdp, np.stack([GOOD, policy]), horizon=2)
+
+
+def test_a_policy_is_copied_only_where_it_must_be():
+    mdp = random_mdp(np.random.default_rng(0), n_states=2, n_actions=2)
+    assert finite.policy_to_read(GOOD, mdp, 3) is GOOD
+    nearly = GOOD.copy()
+    nearly[0, 0] += 5e-9  # within the tolerance, and not what the quick look lets through
+    for other in (GOOD.tolist(), np.asfortranarray(GOOD), GOOD.astype(np.float32), nearly):
+        found = finite.policy_to_read(other, mdp, 3)
+        assert found is not other
+        assert_allclose(found, GOOD, atol=1e-8)
+        assert_allclose(
+            oee.policy_value(mdp, other, horizon=3), oee.policy_value(mdp, GOOD, horizon=3), rtol=1e-6, atol=1e-6
+        )
+
+
+BAD = {
+    "values of what": (lambda mdp: exact.policy_values_by_horizon(3, GOOD, horizon=2), "mdp must be a FiniteMDP"),
+    "no horizon": (
+        lambda mdp: exact.policy_values_by_horizon(mdp, GOOD, horizon=None),
+        "horizon must be a positive integer; got None",
+    ),
+    "horizon 0": (lambda mdp: oee.policy_value(mdp, GOOD, horizon=0), "horizon must be a positive integer; it is 0"),
+    "policies of another length": (
+        lambda mdp: exact.policy_values_by_horizon(mdp, np.stack([GOOD] * 3), horizon=2),
+        r"policy must have shape \(2, 2\) or \(2, 2, 2\) .*it has shape \(3, 2, 2\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_calls(name):
+    call, text = BAD[name]
+    with pytest.raises(ValueError, match=text):
+        call(random_mdp(np.random.default_rng(0), n_states=2, n_actions=2))
+
+
+@given(rngs, st.integers(1, 5))
+def test_the_gradient_with_a_horizon_is_the_sum_of_its_definition(rng, steps):
+    model, valued = (random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2))
+    policy = random_policy(rng, model)
+    rows = np.repeat(np.arange(10), np.diff(valued.transitions.indptr))
+    columns = valued.transitions.indices
+    pay = 0.0 if valued.reward_data is None else valued.reward_data
+    states, expected = model.initial, np.zeros(len(rows))
+    for t in range(steps):
+        share = (states[:, None] * policy).reshape(-1)
+        left = backward(valued, policy, steps - t)[1]
+        expected += model.discount**t * share[rows] * (pay + model.discount * left[columns])
+        states = model.transitions.T @ share
+    found = exact.transition_gradient(model, policy, horizon=steps, values_of=valued)
+    assert_allclose(found, expected, rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max()))

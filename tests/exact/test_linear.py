@@ -1,0 +1,301 @@
+"""The solvers of a policy's linear system: one answer from all, bounds that bound, values right to the last bit."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, exact
+from oee_tabular.exact import systems
+from oee_tabular.exact.linear import DivergentKernelError, inverse_norm, solve_policy_system
+from oee_tabular.exact.systems import System
+from oee_tabular.exact.values import policy_kernel, policy_rewards
+
+
+def rational(matrix, b, gamma):
+    """(I - gamma K)^-1 b in fractions, by Gauss and Jordan."""
+    n, g = len(b), Fraction(gamma)
+    rows = [[(i == j) - g * Fraction(matrix[i][j]) for j in range(n)] + [Fraction(b[i])] for i in range(n)]
+    for k in range(n):
+        pivot = next(i for i in range(k, n) if rows[i][k] != 0)
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(n):
+            if i != k and rows[i][k] != 0:
+                f = rows[i][k]
+                rows[i] = [value - f * other for value, other in zip(rows[i], rows[k], strict=True)]
+    return [row[n] for row in rows]
+
+
+def rational_values(mdp, policy):
+    """The exact solution for the numbers as they are stored."""
+    p, n = mdp.transitions.toarray(), mdp.n_states
+    chance = [[Fraction(x) for x in row] for row in p.tolist()]
+    act = [[Fraction(x) for x in row] for row in policy.tolist()]
+    pay = [[Fraction(x) for x in row] for row in mdp.rewards.tolist()]
+    actions = range(mdp.n_actions)
+    kernel = [[sum(act[s][a] * chance[s * mdp.n_actions + a][t] for a in actions) for t in range(n)] for s in range(n)]
+    return rational(kernel, [sum(act[s][a] * pay[s][a] for a in actions) for s in range(n)], mdp.discount)
+
+
+def cycle(n):
+    """A ring with a step back now and then."""
+    at = np.arange(n)
+    rows = np.concatenate([at, at])
+    columns = np.concatenate([(at + 1) % n, (at - 1) % n])
+    return sparse.csr_array((np.repeat([0.9, 0.1], n), (rows, columns)), shape=(n, n))
+
+
+def grid(n):
+    mdp = oee.tasks.gridworld(n, 0.3)
+    return policy_kernel(mdp, oee.uniform_policy(mdp))
+
+
+def layered(layers, width):
+    rng = np.random.default_rng(0)
+    n = layers * width
+    kernel = sparse.lil_array((n, n))
+    for s in range(n - width):
+        layer = s // width + 1
+        kernel[s, layer * width + rng.permutation(width)[:3]] = rng.dirichlet(np.ones(3))
+    for s in range(n - width, n):
+        kernel[s, s] = 1.0
+    return sparse.csr_array(kernel)
+
+
+def random_rows(n, entries):
+    rng = np.random.default_rng(n)
+    rows = np.repeat(np.arange(n), entries)
+    data = rng.dirichlet(np.ones(entries), n).reshape(-1)
+    return sparse.csr_array((data, (rows, rng.integers(0, n, n * entries))), shape=(n, n))
+
+
+STRUCTURES = {
+    "one state": sparse.csr_array([[1.0]]),
+    "two that never meet": sparse.csr_array(np.eye(2)),
+    "grid": grid(22),
+    "layered": layered(12, 40),
+    "expander": random_rows(600, 8),
+    "ring": cycle(500),
+    "disconnected": sparse.csr_array(sparse.block_diag([grid(15), random_rows(200, 3), cycle(100)])),
+    "reducible": sparse.csr_array(
+        sparse.block_array([[grid(12) * 0.7, random_rows(144, 2) * 0.3], [None, cycle(144)]])
+    ),
+    "lossy": grid(20) * 0.9,
+    "rows above 1": sparse.csr_array(sparse.diags_array(np.where(np.arange(400) % 7 == 1, 1.2, 0.8)) @ grid(20)),
+    "empty": sparse.csr_array((50, 50)),
+    "dense": sparse.csr_array(np.random.default_rng(5).dirichlet(np.ones(60), 60)),
+}
+
+
+def solvers(system):
+    """Every solver that can be asked for this system."""
+    n = system.n_states
+    found = {"library": systems.library(system)[0], "BiCGSTAB": systems.krylov(system)}
+    found["LU"] = systems.elimination(system, n - 1, n - 1, False)
+    found["band"] = systems.elimination(system, n - 1, n - 1, True)
+    if not system.transpose and system.sums[1] * system.discount < 1:
+        found["value iteration"] = lambda b, relative: systems.sweeps(system, b, relative, 1.0)[0]
+    return found
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("discount", [0.0, 0.9, 0.9999])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_all_solvers_give_one_answer_within_their_bounds(name, discount, transpose):
+    kernel = STRUCTURES[name]
+    b = np.random.default_rng(1).normal(size=kernel.shape[0])
+    matrix = np.eye(len(b)) - discount * kernel.toarray()
+    truth = np.linalg.solve(matrix.T if transpose else matrix, b)
+    scale = np.abs(truth).sum() if transpose else np.abs(truth).max()
+    size = 1e-12 / (1.0 - discount) * scale
+    found = solve_policy_system(kernel, b, discount, transpose=transpose)
+    proved = solve_policy_system(kernel, b, discount, transpose=transpose, certify=True)
+    assert_allclose(found.x, truth, rtol=0, atol=size)
+    assert proved.certified > 0.99  # all, but for a small entry beside large ones
+    missed = np.abs(found.x - proved.x)
+    assert (missed.sum() if transpose else missed.max()) <= found.error_bound + np.spacing(scale)
+    assert found.error_bound < 1e-11 / (1 - discount) * scale + 1e-300
+    assert proved.error_bound <= 0.51 * np.spacing(np.abs(proved.x).max())
+    system = System.of(kernel, discount, transpose)
+    norm = inverse_norm(system)
+    for solver_name, solver in solvers(system).items():
+        x, (_, _, bound, _) = systems.refine(system, b, solver)
+        missed = np.abs(x - proved.x)
+        missed = missed.sum() if transpose else missed.max()
+        slow = solver_name in systems.ITERATIVE  # its residual says so, and another solver is asked
+        assert missed <= norm * bound + np.spacing(scale), solver_name
+        assert slow or missed < size, solver_name
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [("one state", "dense LU"), ("grid", "BiCGSTAB"), ("layered", "banded LU"), ("expander", "value iteration"),
+     ("ring", "banded LU"), ("dense", "value iteration"), ("rows above 1", "BiCGSTAB"), ("empty", "banded LU")],
+)  # fmt: skip
+def test_the_choice(name, method):
+    kernel = STRUCTURES[name]
+    b = np.random.default_rng(0).random(kernel.shape[0])
+    assert solve_policy_system(kernel, b, 0.95).method == method
+
+
+def test_no_direct_solver_is_asked_about_an_expander(monkeypatch):
+    monkeypatch.setattr(systems, "library", None)
+    for entries in (2, 3, 6, 20):
+        kernel = random_rows(3000, entries)
+        for discount in (0.9, 0.9999):
+            for transpose in (False, True):
+                found = solve_policy_system(kernel, np.ones(3000) / 3000, discount, transpose=transpose)
+                assert found.method in ("BiCGSTAB", "value iteration")
+
+
+def test_a_layered_kernel_is_solved_in_one_step():
+    """In breadth-first order it is upper triangular, whatever the order of its states, and the preconditioner exact."""
+    from oee_tabular.kernels import krylov
+
+    kernel = STRUCTURES["layered"]
+    shuffled = np.random.default_rng(3).permutation(480)
+    for rows in (kernel, sparse.csr_array(kernel[shuffled][:, shuffled])):
+        system = System.of(rows, 0.999)
+        order, place = system.order
+        assert_array_equal(np.sort(order), np.arange(480))
+        assert_array_equal(order[place], np.arange(480))
+        parts = system.indptr, system.indices, system.data, 0.999
+        modified = krylov.modified_diagonal(*parts, 0.9, order, place)
+        factors = krylov.split(*parts, order, place, modified)
+        _, steps = krylov.bicgstab(*factors, np.ones(480) / modified, 1e-12, 0.0, 50)
+        assert steps <= 1 + 2 * (rows is not kernel)
+
+
+@given(rngs)
+@settings(max_examples=60)
+def test_certified_values_are_the_exact_ones_correctly_rounded(rng):
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 6)), discount=float(rng.choice([0.0, 0.3, 0.9, 0.99, 0.9999])))
+    policy = random_policy(rng, mdp)
+    truth = rational_values(mdp, policy)
+    found = exact.evaluate_policy(mdp, policy, certify=True)
+    right = np.array([float(x) for x in truth])
+    # around 0 a bound has two signs, and half way between floats no bound is small enough
+    hard = np.array(
+        [
+            t == 0 or abs(Fraction(x) - t) * 4 >= Fraction(np.spacing(abs(x)))
+            for x, t in zip(right.tolist(), truth, strict=True)
+        ]
+    )
+    assert found.certified >= 1.0 - hard.mean() - 1e-12
+    assert_array_equal(found.values[~hard], right[~hard])
+    assert_allclose(found.values[hard], right[hard], rtol=3e-16, atol=1e-25)
+    assert max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True)) <= found.error_bound
+    value = sum(Fraction(m) * t for m, t in zip(mdp.initial.tolist(), truth, strict=True))
+    assert abs(Fraction(found.value) - value) <= Fraction(np.spacing(abs(float(value)))) + Fraction(1, 10**25)
+    plain = exact.evaluate_policy(mdp, policy)
+    assert plain.certified is None
+    worst = max(abs(Fraction(v) - t) for v, t in zip(plain.values.tolist(), truth, strict=True))
+    assert worst <= Fraction(plain.error_bound)
+    assert_array_equal(oee.state_values(mdp, policy, certify=True), found.values)
+
+
+@given(rngs)
+@settings(max_examples=30)
+def test_the_bound_of_a_compiled_small_system_bounds(rng):
+    """Kernels of any row sums, against fractions; the rounding of the policy's kernel and rewards is in the bound."""
+    mdp = random_mdp(rng, n_states=4, n_actions=3, discount=float(rng.choice([0.5, 0.95])))
+    ratio = mdp.transitions.copy()
+    ratio.data = rng.random(ratio.nnz) * 1.3
+    model, policy = exact.reweight(mdp, ratio), random_policy(rng, mdp)
+    try:
+        found = exact.evaluate_policy(model, policy)
+    except DivergentKernelError:
+        return
+    truth = rational_values(model, policy)
+    worst = max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True))
+    assert worst <= Fraction(found.error_bound)
+    batched = exact.evaluate_batch([model], [policy])
+    worst = max(abs(Fraction(v) - t) for v, t in zip(batched.values[0].tolist(), truth, strict=True))
+    assert worst <= Fraction(float(batched.error_bound[0]))
+
+
+def test_certified_at_discount_1_and_where_nothing_is_paid():
+    rows = np.array([[[0.1, 0.7, 0.2]], [[0.3, 0.3, 0.4]], [[0.0, 0.0, 1.0]]])
+    mdp = FiniteMDP(rows, [1.0, 1 / 3, 0.0], [1, 0, 0], 1.0)
+    found = exact.evaluate_policy(mdp, np.ones((3, 1)), certify=True)
+    inner = rational(rows[:2, 0, :2].tolist(), [1.0, 1 / 3], 1.0)
+    assert found.certified == 1.0
+    assert_array_equal(found.values, [*(float(x) for x in inner), 0.0])
+    free = mdp.with_rewards(np.zeros(3)).with_discount(0.9)
+    found = exact.evaluate_policy(free, np.ones((3, 1)), certify=True)
+    assert (found.values.tolist(), found.certified, found.value) == ([0.0] * 3, 1.0, 0.0)
+    over = FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 1.0)
+    assert exact.evaluate_policy(over, np.ones((1, 1)), certify=True).certified == 1.0
+
+
+def test_what_cannot_be_certified_is_said():
+    """2 (1 - 1/2) - 1 = 0 without the graph telling so, and a value half way between two floats."""
+    cancels = sparse.csr_array([[0.0, 1.0], [0.0, 0.0]])
+    found = solve_policy_system(cancels, np.array([-0.5, 1.0]), 0.5, certify=True)
+    assert_allclose(found.x, [0.0, 1.0], atol=1e-25)
+    assert found.certified == 0.5
+    half_way = sparse.csr_array([[0.0, 2.0**-53], [0.0, 0.0]])
+    found = solve_policy_system(half_way, np.array([1.0, 1.0]), 1.0, certify=True)
+    assert found.certified == 0.5
+    assert abs(found.x[0] - 1.0) <= np.spacing(1.0)
+
+
+def test_certify_is_for_the_infinite_sum():
+    mdp = oee.tasks.gridworld(3, 0.3)
+    with pytest.raises(ValueError, match="certify must be False with a horizon"):
+        exact.evaluate_policy(mdp, oee.uniform_policy(mdp), horizon=3, certify=True)
+
+
+@given(rngs)
+def test_the_policy_kernel_is_the_product(rng):
+    """Merged, sorted, without zeros: bit for bit what the sparse product gives."""
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 50)), zeros=float(rng.choice([0.0, 0.3, 0.9])))
+    policy = random_policy(rng, mdp)
+    n, m = mdp.n_states, mdp.n_actions
+    averaging = sparse.csr_array((policy.reshape(-1), np.arange(n * m), np.arange(n + 1) * m), shape=(n, n * m))
+    product = sparse.csr_array(averaging @ mdp.transitions)
+    product.sort_indices()
+    product.eliminate_zeros()
+    kernel = policy_kernel(mdp, policy)
+    assert kernel.has_canonical_format
+    for part in ("data", "indices", "indptr"):
+        assert_array_equal(getattr(kernel, part), getattr(product, part))
+    assert_allclose(policy_rewards(mdp, policy), np.einsum("sa,sa->s", policy, mdp.rewards), rtol=1e-14)
+
+
+def test_wide_index_arrays_and_unsorted_rows_are_taken():
+    kernel = STRUCTURES["grid"]
+    parts = kernel.data[::-1].copy(), kernel.indices[::-1].astype(np.int64), kernel.nnz - kernel.indptr[::-1]
+    wide = sparse.csr_array((*parts[:2], parts[2].astype(np.int64)), shape=kernel.shape)
+    b = np.random.default_rng(0).random(484)
+    flipped = sparse.csr_array(kernel.toarray()[::-1])
+    assert_allclose(
+        solve_policy_system(wide, b, 0.9).x, np.linalg.solve(np.eye(484) - 0.9 * flipped.toarray(), b), rtol=1e-11
+    )
+
+
+def test_policies_in_fortran_order_are_taken():
+    for size in (3, 12):
+        mdp = oee.tasks.gridworld(size, 0.3)
+        policy = random_policy(np.random.default_rng(0), mdp)
+        expected = exact.evaluate_policy(mdp, policy).values
+        assert_array_equal(exact.evaluate_policy(mdp, np.asfortranarray(policy)).values, expected)
+        assert_array_equal(exact.evaluate_batch(mdp, [np.asfortranarray(policy)]).values[0], expected if size > 5 else
+                           exact.evaluate_batch(mdp, [policy]).values[0])  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["one state", "grid", "layered", "expander", "ring", "dense", "disconnected"])
+def test_without_a_discount_a_closed_class_diverges(name):
+    kernel = STRUCTURES[name]
+    for transpose in (False, True):
+        for certify in (False, True):
+            with pytest.raises(DivergentKernelError, match=r"spectral radius of (1|0\.9999)"):
+                solve_policy_system(kernel, np.ones(kernel.shape[0]), 1.0, transpose=transpose, certify=certify)
+    with pytest.raises(DivergentKernelError, match=r"spectral radius of 1\."):
+        solve_policy_system(kernel * 1.5, np.ones(kernel.shape[0]), 0.9)
