@@ -13,6 +13,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 SUM_TOLERANCE = 1e-8
+SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
 
 def place(name: str, index: tuple[int, ...]) -> str:
@@ -69,12 +70,23 @@ def require_sums_to_one(sums: Array, name: str) -> None:
         )
 
 
+def scaled_if_single(array: Array, given: object) -> Array:
+    """The rows of an array that was given in single precision, scaled to sum to 1 where they nearly do."""
+    if getattr(given, "dtype", None) != np.float32:
+        return array
+    sums = array.sum(axis=-1, keepdims=True)
+    near = np.abs(sums - 1.0) <= SINGLE_TOLERANCE
+    return np.asarray(np.where(near, array / np.where(near, sums, 1.0), array))
+
+
 def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
     """``value`` as an array of ``shape``, nonnegative, with a total of 1."""
     array = float_array(value, name)
     if array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}; it has shape {array.shape}")
     require_nonnegative(array, name)
+    if array.ndim == 1:
+        array = scaled_if_single(array, value)
     require_sums_to_one(np.asarray(array.sum()), name)
     return array
 

@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.inference import Interval
+
+
+class Result(Protocol):
+    """One estimator's value of one policy."""
+
+    @property
+    def policy(self) -> str:
+        """Its name."""
+
+    @property
+    def estimator(self) -> str:
+        """Its name."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The value."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +157,30 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
     error_bound = facts.get("error_bound", 0.0)
     if error_bound > 1e-6 * max(1.0, abs(estimate.value)):
         add("linear algebra", error_bound, f"{error_bound:.1e}", "the linear algebra is certain only to {}.")
+    return found
+
+
+def about_intervals(
+    results: Sequence[Result], intervals: Mapping[str, Mapping[str, Interval]], scale: float
+) -> list[Finding]:
+    """Values of off-environment evaluation that the log by itself does not support; ``scale`` multiplies what is shown."""
+    found = []
+    for result in results:
+        sure = intervals.get(result.policy, {}).get("likelihood")
+        value = result.estimate.value
+        if result.estimator != "oee" or sure is None or sure.status != "ok" or sure.lower <= value <= sure.upper:
+            continue
+        found.append(
+            Finding(
+                "outside",
+                "oee",
+                result.policy,
+                max(sure.lower - value, value - sure.upper),
+                f"{sure.lower * scale:.4g} to {sure.upper * scale:.4g}",
+                "the value lies outside the likelihood interval, {}, which rests on the log alone: the simulator's shape, to "
+                "which the ratio is shrunk, pulls it further than the log supports. Quote the interval.",
+            )
+        )
     return found
 
 

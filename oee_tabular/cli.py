@@ -201,7 +201,9 @@ def plan(
     policy: Annotated[
         list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable; SPEC: {POLICY_HELP}.")
     ] = None,
-    output: Annotated[Path | None, typer.Option(help="The behaviour policy to record with: .npy.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="The behaviour policy to record with (--free: each (s, a)'s share): .npy.")
+    ] = None,
     free: Annotated[
         bool, typer.Option("--free", help="Any (s, a) can be set up and recorded, not only episodes.")
     ] = False,
@@ -227,8 +229,8 @@ def plan(
     typer.echo(str(found))
     if output is not None:
         with whole_file(output, (".npy",)) as handle:
-            np.save(handle, found.behavior_policy, allow_pickle=False)
-        typer.echo(f"{output}: policy to record with")
+            np.save(handle, found.distribution if free else found.behavior_policy, allow_pickle=False)
+        typer.echo(f"{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}")
 
 
 @app.command()

@@ -101,7 +101,10 @@ def _width(name: str, found: Mapping[str, Interval], confidence: float, scale: f
     shown = found["likelihood"]
     if shown.status != "ok":
         return f"{name}: {shown.status}."
-    text = f"{name}: between {shown.lower * scale:.4g} and {shown.upper * scale:.4g} with {confidence:.0%} confidence"
+    text = (
+        f"{name}: between {shown.lower * scale:.4g} and {shown.upper * scale:.4g} with {confidence:.0%} confidence by the "
+        "likelihood interval, the one to quote"
+    )
     unseen = int(shown.diagnostics["unvisited_rows"])
     if unseen:
         text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"

@@ -27,7 +27,8 @@ class ModelBased(ExactLimit):
     Parameters
     ----------
     fallback : "stay" | "simulator"
-        What a row never visited does: stay where it is (paying the simulator's expected r(s, a)), or as the simulator.
+        What a row never visited does: stay where it is (paying r(s, a, s) where the simulator defines it, else its
+        expected r(s, a)), or as the simulator.
 
     Notes
     -----
@@ -78,11 +79,11 @@ class ModelBased(ExactLimit):
         )
         keep, rest = (np.where(mask, 1.0, 0.0) for mask in (people.support, ~people.support))
         model = sparse.csr_array(sparse.diags_array(keep) @ people.target.transitions + sparse.diags_array(rest) @ stay)
-        paid = np.where(
-            people.support,
-            expected_rewards(people.simulator, people.target.transitions),
-            people.simulator.rewards.reshape(-1),
-        )
+        staying = people.simulator.rewards.reshape(-1)
+        if people.simulator.transition_rewards is not None:
+            own, defined = align(people.simulator.transition_rewards, stay)
+            staying = np.where(defined, own, staying)
+        paid = np.where(people.support, expected_rewards(people.simulator, people.target.transitions), staying)
         rewards = paid.reshape(people.simulator.rewards.shape)
         return people.value(FiniteMDP(model, rewards, people.simulator.initial, people.simulator.discount))
 
@@ -106,9 +107,6 @@ class ModelBased(ExactLimit):
             matrix.sort_indices()
             data, defined = align(base.transition_rewards, matrix)
             data = np.where(defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)])
-            if self.fallback == "stay":  # a move that was made up pays what the row pays on average
-                made_up = np.isin(row_of_entry(matrix), unseen)
-                data = np.where(made_up, base.rewards.reshape(-1)[row_of_entry(matrix)], data)
             rewards = sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
         return FiniteMDP(matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state)
 

@@ -219,9 +219,10 @@ def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
         values: IntArray = getattr(log, column)
         bad = np.flatnonzero(values >= limit)
         if bad.size:
+            shifted = values.max() == limit and values.min() >= 1
             raise ValueError(
                 f"{name}.{column}[{bad[0]}] must be in 0..{limit - 1}, the simulator's; it is {values[bad[0]]} "
-                f"({bad.size} such rows in all)"
+                f"({bad.size} such rows in all)" + "; are they numbered from 1? Then subtract 1" * bool(shifted)
             )
     own = len(simulator.terminal_state)
     lead = np.arange(simulator.n_states)
@@ -232,8 +233,10 @@ def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
         row = int(going_on[0])
         raise ValueError(
             f"{name}.terminated[{row}] must be False, or the simulator must be over in state {arrival[row]}, every action "
-            f"leading back to it and paying 0; there it goes on or pays ({going_on.size} such rows). Make that row of the "
-            "transitions lead to itself, or name where termination leads with terminal_state= (FiniteMDP.from_gymnasium does)"
+            f"leading back to it and paying 0; there it goes on or pays ({going_on.size} such rows). If the log's episodes "
+            "were cut there (a time limit), mark them truncated instead; if the task is over there, make it so, "
+            f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or name where termination leads "
+            "with FiniteMDP(..., terminal_state=)"
         )
     if np.array_equal(arrival, log.next_state):
         return log

@@ -104,6 +104,8 @@ def unsigned(index: Any) -> Any:
     """An index array as the kernels read it: uint32, contiguous, read-only."""
     if index.dtype == np.int32 and index.flags.c_contiguous:
         return readable(index.view(np.uint32))
+    if len(index) and int(index[-1]) >= 2**32:  # row pointers end with their largest
+        raise ValueError(f"transitions must have fewer than 2**32 entries; they have {int(index[-1])}")
     return readable(np.ascontiguousarray(index, dtype=np.uint32))
 
 

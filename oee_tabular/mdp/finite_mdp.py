@@ -26,7 +26,8 @@ class FiniteMDP:
     Parameters
     ----------
     transitions : (S, A, S) array, or sparse of shape (S*A, S)
-        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1 (tolerance 1e-8).
+        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1 (tolerance 1e-8; those of a dense
+        single-precision array are scaled). A state in which an episode is over leads to itself and pays 0.
     rewards : (S,), (S, A) or (S, A, S) array, or sparse of shape (S*A, S)
         r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
         In a sparse one an absent entry is 0 on the support and undefined elsewhere.
@@ -303,6 +304,7 @@ def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
         if dense.shape[0] != dense.shape[2]:
             raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
         _checks.require_nonnegative(dense, "transitions")
+        dense = _checks.scaled_if_single(dense, transitions)
         n_states = dense.shape[0]
         rows = dense.reshape(dense.shape[0] * dense.shape[1], n_states)
     if n_states == 0 or rows.shape[0] == 0:

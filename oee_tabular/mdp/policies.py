@@ -34,7 +34,7 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
 
     Parameters
     ----------
-    policy : (S, A), or (T, S, A) with a horizon T; nonnegative
+    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single precision are scaled to sum to 1
     mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
     name : what errors call the policy
     horizon : T; None: stationary policies only
@@ -63,6 +63,7 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
         rule = " or ".join(str(shape) for shape in shapes)
         raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
     _checks.require_nonnegative(array, name)
+    array = _checks.scaled_if_single(array, policy)
     _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
     if array.shape[-2] < mdp.n_states:
         twins = (*array.shape[:-2], mdp.n_states - own, mdp.n_actions)

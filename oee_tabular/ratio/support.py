@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy import sparse
 
@@ -46,10 +48,33 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
     share = moves.data[bad].sum()
     raise ValueError(
-        f"{what} must stay where the simulator has probability: it gives probability 0 to {bad.size} different moves "
-        f"({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. Ways out: "
-        "simulator.with_action_noise(epsilon) (--action-noise), a mixture of simulator parameters, or states that tell such "
-        "moves apart"
+        f"{what} must stay where the simulator has probability: it gives probability 0 to {bad.size} different "
+        f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "
+        + _ways_out(moves, bad, simulator)
+    )
+
+
+def _ways_out(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
+    """What would give these moves probability."""
+    n_actions, rows, to = simulator.n_actions, row_of_entry(moves), moves.indices.astype(np.int64)
+    start, action = np.divmod(rows, n_actions)
+    if min(start.min(), to.min()) >= 1 and find(simulator.transitions, rows - n_actions, to - 1)[1].all():
+        return "With 1 subtracted from every state all moves are possible: states are numbered from 0"
+    someone = np.zeros(len(rows), dtype=np.bool_)  # whether any action of the state leads there
+    for a in range(n_actions):
+        someone |= find(simulator.transitions, start * n_actions + a, to)[1]
+    noise = "simulator.with_action_noise(epsilon) (--action-noise)"
+    rest = "a mixture of simulator parameters, or states that tell such moves apart"
+    if someone[bad].all():
+        return f"Ways out: {noise}, {rest}"
+    k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
+    s, a, j = int(start[k]), int(action[k]), int(to[k])
+    could = int(someone[bad].sum())
+    return (
+        f"No action leads from {s} to {j} in the simulator, so that action noise does not help"
+        + (f" (it would with {could} of the {bad.size})" if could else "")
+        + f". If the target can do this, give it some probability, P[{s}, {a}] *= 0.99; P[{s}, {a}, {j}] += 0.01; if it is a "
+        f"fault of the log, leave those rows out; else {rest}"
     )
 
 

@@ -116,10 +116,13 @@ def headline(found: list[Answer], confidence: float) -> tuple[str, str]:
     if not valued:
         return "No estimator could give the value of a policy in the target.", "The notes below say why."
     best = max(valued, key=lambda answer: answer.value)
-    where = (
-        f"about {number(best.value)}" if best.lower is None
-        else f"about {number(best.value)}, and with {level} confidence between {number(best.lower)} and {number(best.upper)}"
-    )  # fmt: skip
+    span = f"with {level} confidence between {number(best.lower)} and {number(best.upper)}"
+    if best.lower is None or best.upper is None:
+        where = f"about {number(best.value)}"
+    elif best.lower <= best.value <= best.upper:
+        where = f"about {number(best.value)}, and {span}"
+    else:
+        where = f"{span} by the log alone; the estimate that trusts the simulator's shape, {number(best.value)}, lies outside"
     beside = ""
     if best.simulator is not None and best.estimator != "simulator":
         beside = f"The simulator alone says {number(best.simulator)}."

@@ -99,6 +99,9 @@ def evaluate(
             estimate = replace(estimate, interval=interval)
         results.append(Result(policy, estimator, estimate))
         findings += advice.about_estimate(policy, estimator, estimate)
+    scale = 1.0 - problem.simulator.discount if normalized else 1.0
+    sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
+    findings += advice.about_intervals(results, sure.intervals, scale)
     about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
     general = [text for text, _ in about]
     on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
@@ -123,10 +126,7 @@ def evaluate(
         problem.horizon,
         seed,
         known,
-        how_sure(
-            problem, named_policies, level, guaranteed=guaranteed,
-            scale=1.0 - problem.simulator.discount if normalized else 1.0,
-        ),
+        sure,
         problem,
         named_policies,
     )  # fmt: skip

@@ -321,13 +321,14 @@ def test_populations():
 @pytest.mark.parametrize("horizon", [None, 4])
 @pytest.mark.parametrize("form", [2, 3])
 def test_limits_where_the_data_miss_a_row(form, horizon):
-    """The fallbacks of the model: the row stays where it is and pays r(s, a), or moves as the simulator."""
+    """The fallbacks of the model: the row stays where it is and pays r(s, a, s), else r(s, a); or moves as the simulator."""
     simulator, target = environments(form)
     share = FULL.copy()
     share[1, 0], share[1, 1] = 0.0, 0.25
     rows, options = dense(target)[0].copy(), {"data_distribution": share, "horizon": horizon}
     pay = expected_rewards(simulator, target.transitions).reshape(4, 2).copy()
-    pay[1, 0] = simulator.rewards[1, 0]
+    own = simulator.transition_rewards
+    pay[1, 0] = simulator.rewards[1, 0] if own is None else own[[2]].toarray()[0, 1]
     rows[1, 0] = np.eye(4)[1]
     stay = FiniteMDP(rows, pay, simulator.initial, simulator.discount)
     limit = ModelBased().limit(simulator, target, POLICY, **options)
@@ -807,7 +808,7 @@ def test_dualdice_against_dense_equations():
 
 
 def test_models_of_the_log_pay_what_the_simulator_pays():
-    """r(s, a, s') on the moves seen; a move that "stay" makes up pays the row's mean, also where the simulator stays too."""
+    """r(s, a, s') on the moves seen and on staying, which "stay" makes up; the row's mean where staying has no reward."""
     simulator, _ = environments(3)
     problem = Problem(simulator, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))
     own = dense(simulator)[1]
@@ -816,8 +817,13 @@ def test_models_of_the_log_pay_what_the_simulator_pays():
     assert_allclose(rows[0, 0], [0, 0.5, 0.5, 0])
     assert_allclose(rows[1, 0], [0, 1, 0, 0])
     assert_allclose(pay[0, 0, 1:3], own[0, 0, 1:3])
-    assert_allclose(pay[1, 0, 1], simulator.rewards[1, 0])
+    assert_allclose(pay[1, 0, 1], own[1, 0, 1])
     assert_allclose(pay[1, 1, 1], own[1, 1, 1])
+    rows, undefined = dense(simulator)[0], own.copy()
+    rows[1, 0], undefined[1, 0, 1] = [0.5, 0.0, 0.5, 0.0], np.nan
+    without = FiniteMDP(rows, undefined, simulator.initial, simulator.discount)
+    moved = ModelBased().model(Problem(without, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1])))
+    assert_allclose(dense(moved)[1][1, 0, 1], without.rewards[1, 0])
     other = ModelBased("simulator").model(problem)
     assert_allclose(dense(other)[0][1, 0], dense(simulator)[0][1, 0])
     assert_allclose(dense(other)[1][1, 0], own[1, 0])

@@ -1,0 +1,119 @@
+"""What a newcomer's own files run into: each was met by someone who had read the README alone."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.cli import main
+from oee_tabular.estimators import Estimate, ModelBased
+from oee_tabular.report.contents import answers, headline
+
+
+def dock(slip=0.1):
+    """Three places in a row and a dock; forwards or stay; -1 a step, 10 at the dock, where it is over."""
+    P, r = np.zeros((4, 2, 4)), np.full((4, 2, 4), -1.0)
+    for s in range(3):
+        P[s, 0, s + 1], P[s, 0, s], P[s, 1, s] = 1.0 - slip, slip, 1.0
+    P[3, :, 3] = 1.0
+    r[:3, :, 3], r[3] = 10.0, 0.0
+    return oee.FiniteMDP(P, r, [1.0, 0, 0, 0], 0.9)
+
+
+FORWARDS = np.array([[1.0, 0.0]] * 4)
+
+
+def log_of(state, action, next_state, **columns):
+    return oee.Transitions(state, action, next_state, **columns)
+
+
+def test_a_row_without_data_pays_what_staying_pays():
+    """Not the mean reward of a move that reaches the dock, paid again and again: V = -1 - .9 - .81 - ... = -10."""
+    problem = oee.Problem(dock(), log_of([0, 1], [0, 0], [1, 2]))
+    assert_allclose(ModelBased()(problem, FORWARDS).value, -1.0 / (1.0 - 0.9), rtol=1e-12)
+    seen = np.array([[0.5, 0.0], [0.5, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    limit = ModelBased().limit(dock(), dock(0.3), FORWARDS, data_distribution=seen)
+    assert_allclose(limit, -10.0, rtol=1e-12)
+
+
+def test_a_move_that_no_action_makes_has_other_ways_out_than_noise():
+    with pytest.raises(ValueError, match=r"to 1 different move \(1 of 2 in all\)") as told:
+        oee.Problem(dock(), log_of([0, 0], [0, 0], [1, 2]))
+    text = str(told.value)
+    assert "No action leads from 0 to 2 in the simulator, so that action noise does not help." in text
+    assert "P[0, 0] *= 0.99; P[0, 0, 2] += 0.01; if it is a fault of the log, leave those rows out" in text
+    with pytest.raises(ValueError, match=r"it would with 1 of the 2"):
+        oee.Problem(dock(), log_of([0, 0], [0, 1], [2, 1]))
+    with pytest.raises(ValueError, match=r"Ways out: simulator\.with_action_noise"):
+        oee.Problem(dock(), log_of([0], [1], [1]))
+
+
+def test_states_numbered_from_one():
+    with pytest.raises(
+        ValueError, match=r"it is 4 \(1 such rows in all\); are they numbered from 1\? Then subtract 1$"
+    ):
+        oee.Problem(dock(), log_of([1, 2, 3], [0, 0, 0], [2, 3, 4]))
+    swap = oee.FiniteMDP([[[0, 1, 0]], [[1, 0, 0]], [[0, 0, 1]]], [0.0, 1.0, 2.0], [1, 0, 0], 0.9)
+    with pytest.raises(ValueError, match=r"With 1 subtracted from every state all moves are possible"):
+        oee.Problem(swap, log_of([1, 2], [0, 0], [2, 1]))
+    with pytest.raises(ValueError, match=r"it is 7 \(1 such rows in all\)$"):
+        oee.Problem(dock(), log_of([1], [0], [7]))
+
+
+def test_time_limits_that_are_called_ends():
+    with pytest.raises(
+        ValueError, match=r"mark them truncated instead; if the task is over there, make it so, P\[2\] = 0"
+    ):
+        oee.Problem(dock(), log_of([0, 1], [0, 0], [1, 2], terminated=[False, True]))
+
+
+def test_single_precision_is_scaled():
+    """Frequencies of a network or a file in float32 sum to 1 to 1e-7; what misses 1 by more is refused."""
+    rng = np.random.default_rng(0)
+    P = rng.dirichlet(np.ones(7), size=(7, 3))
+    policy = rng.dirichlet(np.ones(3), size=7)
+    single = oee.FiniteMDP(P.astype(np.float32), np.zeros(7), np.full(7, 1 / 7, dtype=np.float32), 0.9)
+    assert_allclose(single.transitions.toarray().sum(axis=1), 1.0, rtol=0, atol=1e-15)
+    assert_allclose(single.transitions.toarray(), P.reshape(21, 7), rtol=1e-6, atol=1e-8)
+    assert np.isfinite(oee.policy_value(single, policy.astype(np.float32)))
+    with pytest.raises(ValueError, match=r"policy\[0\] must sum to 1"):
+        oee.policy_value(single, (0.999 * policy).astype(np.float32))
+    with pytest.raises(ValueError, match=r"must sum to 1"):
+        oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
+
+
+def constant(value):
+    return lambda problem, policy, *, seed=None: Estimate(value, 0.01)
+
+
+@pytest.mark.parametrize("value", [-20.0, 40.0])
+def test_a_value_outside_its_likelihood_interval_is_said_first(value):
+    log = oee.sample_transitions(dock(0.3), [[0.2, 0.1]] * 3 + [[0.05, 0.05]], 2000, seed=0)
+    report = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": constant(value)})
+    sure = report.sureness.intervals["mine"]["likelihood"]
+    assert report.warnings == (
+        f"oee (mine): the value lies outside the likelihood interval, {sure.lower:.4g} to {sure.upper:.4g}, which rests on the "
+        "log alone: the simulator's shape, to which the ratio is shrunk, pulls it further than the log supports. Quote the "
+        "interval.",
+    )
+    assert report.notes["mine", "oee"] == (1,)
+    assert "by the log alone; the estimate that trusts the simulator's shape" in headline(answers(report), 0.95)[0]
+    inside = 0.5 * (sure.lower + sure.upper)
+    calm = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": constant(inside)})
+    assert calm.warnings == ()
+    assert "is worth about" in headline(answers(calm), 0.95)[0]
+
+
+def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
+    dock().save(tmp_path / "dock.npz")
+    log_of([0, 1, 2], [0, 0, 0], [1, 2, 3]).save(tmp_path / "log.csv")
+    np.save(tmp_path / "pi.npy", FORWARDS)
+    words = ["plan", "--simulator", "dock.npz", "--log", "log.csv", "--policy", "pi.npy", "--transitions", "100"]
+    words = [str(tmp_path / word) if (tmp_path / word).is_file() else word for word in words]
+    for free in (True, False):
+        with pytest.raises(SystemExit) as ended:
+            main([*words, *["--free"] * free, "--output", str(tmp_path / "next.npy")])
+        assert not ended.value.code
+        found = np.load(tmp_path / "next.npy")
+        assert_allclose(found.sum() if free else found.sum(axis=1), 1.0)
+        assert ("shares of the moves" in capsys.readouterr().out) == free
