@@ -53,8 +53,9 @@ def solve_certified(
 
     rows = _rows(system, low)
     solver, method, start = choose(system, b)
-    step = 1e-11 if system.discount <= 0.999 else 1e-8  # near 1 an iteration's own residual drifts from the true one
-    x = np.array(solver(b, min(step, 1e-10)) if start is None else start)
+    # near 1 an iteration's own residual drifts from the true one: the first solution is then all that floats can give
+    first, step = (1e-11, 1e-11) if system.discount <= 0.999 else (0.0, 1e-12)
+    x = np.array(solver(b, first) if start is None else start)
     x_low = np.zeros(len(b))
     missed, size, bound, rounding = twofold.residual(*rows, b, b_low, x, x_low, float(system.formed), system.transpose)
     sure = np.zeros(len(b), dtype=np.bool_)
