@@ -68,7 +68,9 @@ def test_the_certificate_bounds_every_feasible_point_with_any_multipliers(rng):
         judged = LinearProgram(**{**program.__dict__, "features": interior.orthonormal(program.features)[0]})
     one = np.linalg.lstsq(program.features, np.ones(len(program.p)))[0]
     tie = found.tie + 1e-3 * rng.normal(size=len(found.tie)) * np.abs(found.tie)
-    gap, violation = interior.certificate(judged, one, np.ones(len(program.p)), tie, found.eta + 1e-3 * program.normalized)
+    gap, violation = interior.certificate(
+        judged, one, np.ones(len(program.p)), tie, found.eta + 1e-3 * program.normalized
+    )
     assert violation < 1e-12
     assert gap >= interior.objective(program, one, np.ones(len(program.p))) - best - 1e-9 - found.gap
 
