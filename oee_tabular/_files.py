@@ -76,7 +76,8 @@ def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict
     found = npz_kind(arrays)
     if found != kind:
         raise ValueError(
-            f"{str(path)!r} must hold a {kind}; it holds {found or 'none of our kinds'}{f' ({hint})' if hint else ''}"
+            f"{str(path)!r} must hold a {kind}; it holds {found or 'the arrays ' + ', '.join(arrays)}"
+            f"{f' ({hint})' if hint else ''}"
         )
     return arrays
 

@@ -155,7 +155,8 @@ def _mdp(file: str, arrays: dict[str, Any]) -> str:
 
     mdp = FiniteMDP.load(file)
     over = int(mdp.absorbing().sum())
-    text = f"{mdp!r}\nrewards {mdp.rewards.min():g} to {mdp.rewards.max():g}, {over} states that are over"
+    text = f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to {mdp.rewards.max():g}, "
+    text += f"{over} state{'s' * (over != 1)} in which an episode is over"
     if "metadata" in arrays:
         facts = json.loads(str(arrays["metadata"]))
         text += "\nmade from a continuous task: " + ", ".join(f"{name} {value}" for name, value in facts.items())

@@ -521,7 +521,7 @@ def test_files_that_hold_something_else(tmp_path):
     table = [
         (FiniteMDP.load, "log.npz", r"must hold a finite_mdp; it holds transitions"),
         (Transitions.load, "mdp.npz", r"must hold a transitions; it holds finite_mdp"),
-        (FiniteMDP.load, "other.npz", r"must hold a finite_mdp; it holds none of our kinds"),
+        (FiniteMDP.load, "other.npz", r"must hold a finite_mdp; it holds the arrays "),
         (FiniteMDP.load, "broken.npz", r"must be an npz or npy file of plain arrays"),
         (Transitions.load, "broken.parquet", r"must be a parquet table"),
         (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),

@@ -105,7 +105,7 @@ def test_sampling_steps_gymnasium(capsys, tmp_path):
 def test_info(capsys, tmp_path):
     oee.tasks.gridworld(3, 0.3).save(tmp_path / "m.npz")
     assert "FiniteMDP(9 states, 4 actions" in run(capsys, "info", tmp_path / "m.npz")
-    assert "1 states that are over" in run(capsys, "info", tmp_path / "m.npz")
+    assert "1 state in which an episode is over" in run(capsys, "info", tmp_path / "m.npz")
     oee.Transitions([0], [0], [3]).save(tmp_path / "l.csv")
     assert "Transitions(1 transitions" in run(capsys, "info", tmp_path / "l.csv")
     np.save(tmp_path / "p.npy", np.ones((9, 4)))

@@ -174,6 +174,7 @@ class Plan:
                 f"{o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}"
             )
         lines.append(
+            "std. errors and widths: of the log's frequencies (maximum likelihood), without the prior that oee shrinks to; "
             "inefficiency: n times the variance over its least, with as many moves chosen for this policy alone; to free: over "
             "the least if any (s, a) could be set up"
         )
