@@ -84,16 +84,16 @@ BUGS = {
     ),
     9: (
         "forward measure discounted twice",
-        "exact/occupancy.py",
-        "states = transposed @ states",
-        "states = mdp.discount * (transposed @ states)",
+        "kernels/horizon.py",
+        "backup(start, column, value, nothing, 1.0, here, there,",
+        "backup(start, column, value, nothing, gamma, here, there,",
         VALUES,
     ),
     10: (
         "finite-horizon value that forgets gamma",
-        "exact/values.py",
-        "value, following = rewards + model.discount * (kernel @ value), value",
-        "value, following = rewards + (kernel @ value), value",
+        "exact/finite.py",
+        "locked(rewards), discount, steps, band",
+        "locked(rewards), 1.0, steps, band",
         VALUES,
     ),
     11: (
