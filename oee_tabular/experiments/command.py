@@ -9,6 +9,7 @@ from pathlib import Path
 
 from oee_tabular.experiments import output as out
 from oee_tabular.experiments.catalogue import EXPERIMENTS
+from oee_tabular.experiments.registry import Experiment
 from oee_tabular.experiments.run import require_modules, run_experiment
 from oee_tabular.experiments.store import Store
 
@@ -40,23 +41,24 @@ def reproduce(
 ) -> None:
     """Run the experiments one after the other; the folder's index is written last.
 
-    An experiment whose extra is not installed is left out with a sentence where all were asked for, and an error where it
-    was named. Folders with other settings are refused before anything runs.
+    An experiment whose extra is not installed is left out with a sentence, and an error where nothing else was asked for.
+    Folders with other settings are refused before anything runs.
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
     if seed < 0:
         raise ValueError(f"--seed must be nonnegative; got {seed}")
-    chosen, left_out = [], []
+    chosen: list[Experiment] = []
+    left_out: list[ImportError] = []
     for experiment in EXPERIMENTS.choose(names, everything=everything):
         try:
             require_modules(experiment)
         except ImportError as error:
-            if not everything:
-                raise
-            left_out.append(str(error))
+            left_out.append(error)
         else:
             chosen.append(experiment)
+    if left_out and not chosen:
+        raise left_out[0]
     folder = output / "smoke" if smoke else output
     settings = {e.id: e.settings(smoke=smoke, repetitions=seeds, seed=seed) for e in chosen}
     if not fresh:
