@@ -22,7 +22,7 @@ from oee_tabular.tasks.named_arms import kinova, reacher
 
 
 def cartpole(**parameters: Any) -> ContinuousSimulator:
-    """CartPole under a gravity, by the configuration of tests/studies/cartpole_check.py.
+    """CartPole under a gravity, by the configuration that ``oee reproduce fig2`` uses for every target.
 
     (theta, theta') on 32 x 32 vertices, looked at in the log's own places, floor 0.001, zeta from soft counts with prior
     "simulator" and strength 0.01, calibrated by the ratio. For the targets 7.5, 12.5 and 15 and the simulator 10 the mean error
