@@ -12,6 +12,16 @@ CHUNK = 128  # terms of a long sum that are added before the sum of these sums
 
 def stochastic(policy: Any, tolerance: Any) -> Any:
     """Whether no entry of (N, A) is negative (or nan) and every row sums to 1."""
+    if policy.shape[1] == 4:  # a stride that is known: several rows are read at once, in a third of the time
+        flat, bad = policy.reshape(-1), 0
+        for s in range(policy.shape[0]):
+            first, second, third, fourth = flat[4 * s], flat[4 * s + 1], flat[4 * s + 2], flat[4 * s + 3]
+            bad += 0 if abs(first + second + third + fourth - 1.0) <= tolerance else 1
+            bad += 0 if first >= 0.0 else 1
+            bad += 0 if second >= 0.0 else 1
+            bad += 0 if third >= 0.0 else 1
+            bad += 0 if fourth >= 0.0 else 1
+        return bad == 0
     for s in range(policy.shape[0]):
         total = 0.0
         for a in range(policy.shape[1]):

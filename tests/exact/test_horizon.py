@@ -187,6 +187,21 @@ def test_a_policy_that_is_read_as_it_stands_is_checked(table):
         exact.policy_values_by_horizon(mdp, np.stack([GOOD, policy]), horizon=2)
 
 
+@pytest.mark.parametrize("column", range(4))
+@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf, 0.26])
+@pytest.mark.parametrize("row", [0, 7, 16])
+def test_four_actions_are_looked_at_together(row, column, value):
+    """Several rows at a time; an entry that is odd, anywhere, is seen."""
+    policy = np.full((17, 4), 0.25)
+    assert frontier.stochastic(finite.locked(policy), 1e-9)
+    policy[row, column] = value
+    assert not frontier.stochastic(finite.locked(policy), 1e-9)
+    if value < 0.0:  # a sum of 1 does not hide it
+        policy[row, (column + 1) % 4] += 0.25 - value
+        assert_allclose(policy[row].sum(), 1.0)
+        assert not frontier.stochastic(finite.locked(policy), 1e-9)
+
+
 def test_a_policy_is_copied_only_where_it_must_be():
     mdp = random_mdp(np.random.default_rng(0), n_states=2, n_actions=2)
     assert finite.policy_to_read(GOOD, mdp, 3) is GOOD
