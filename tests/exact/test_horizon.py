@@ -42,7 +42,8 @@ def some_model(rng, **options):
     if rng.random() < 0.5:
         return mdp
     data = rng.integers(0, 4, mdp.transitions.nnz) / 2.0
-    return exact.reweight(mdp, sparse.csr_array((data, mdp.transitions.indices, mdp.transitions.indptr)))
+    ratio = sparse.csr_array((data, mdp.transitions.indices, mdp.transitions.indptr), shape=mdp.transitions.shape)
+    return exact.reweight(mdp, ratio)
 
 
 def some_policy(rng, model, steps, stationary):
