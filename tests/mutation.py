@@ -66,6 +66,7 @@ def results(folder, package):
 def main(package, sample=0, seed=0):
     """Run, and print what became of the mutants."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    threads["NUMBA_THREADING_LAYER"] = "workqueue"  # which a fork does not break
     with tempfile.TemporaryDirectory() as name:
         folder, environment = Path(name), os.environ | threads | {"CI": "true"}
         environment.pop("PYTHONPATH", None)

@@ -1,10 +1,10 @@
 """Alias tables [1] in whole numbers: one random word gives one of a state's outcomes, in O(1).
 
 Outcomes of a state are its (a, s'), with probability policy(a | s) P(s' | s, a); the first state's draw is one state more.
-A state with n outcomes has 2^k >= n slots. The low k bits of a word x of b bits choose a slot; its other b - k bits are
-compared with the slot's threshold: below it the outcome is the slot's own, else that of the slot's alias. Probabilities are
-whole numbers of units 2^-b, distributed over the slots without rounding (b = 64; b = 32 for the short words). Threshold and
-alias share one word, threshold * 2^k + alias; a state's place in the table and its k share another, first slot * 2^6 + k.
+A state with n outcomes has 2^k >= n slots. Of a word of 32 bits the low k choose a slot; the other 32 - k, and 32 more where
+those do not decide, are compared with the slot's threshold: below it the outcome is the slot's own, else that of the slot's
+alias. Probabilities are whole numbers of units 2^-64, distributed over the slots without rounding. Threshold and alias share
+one word, threshold * 2^k + alias; a state's place in the table and its k share another, first slot * 2^6 + k.
 
 Reference: [1] A. J. Walker, An efficient method for generating discrete random variables with general distributions, ACM
 TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991.
@@ -21,7 +21,7 @@ from numba import njit
 from oee_tabular._checks import Array, IntArray
 
 _PLACE = np.uint64(6)  # bits that hold k
-_NONE, _ONE = np.uint64(0), np.uint64(1)
+_NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
 _RECORDS_FROM = 1 << 22  # bytes of thresholds, successors and rewards: measured, tests/benchmarks/rollouts.py
 
 
@@ -51,34 +51,34 @@ def chances(state: Any, indptr: Any, prob: Any, policy: Any, initial: Any, chanc
 chances = njit(cache=True)(chances)
 
 
-def units(chance: Any, n: Any, bits: Any, out: Any) -> Any:
-    """Whole numbers of 2^-bits nearest to chance / sum, of n outcomes: how many are not 0, and the most probable outcome.
+def units(chance: Any, n: Any, out: Any) -> Any:
+    """Whole numbers of 2^-64 nearest to chance / sum, of n outcomes: how many are not 0, and the most probable outcome.
 
-    That one takes what the others leave, so that they sum to 2^bits (in a word of 64 bits, 0).
+    That one takes what the others leave, so that they sum to 2^64 (in a word: 0).
     """
     total, most = 0.0, 0
     for x in range(n):
         total += chance[x]
         if chance[x] > chance[most]:
             most = x
-    scale, others, kept = 2.0**bits, _NONE, 1
+    scale, others, kept = 2.0**64, _NONE, 1
     for x in range(n):
         if x != most:
             out[x] = np.uint64(chance[x] / total * scale + 0.5)  # at most 1/2: it fits
             others += out[x]
             kept += out[x] > _NONE
-    out[most] = (_NONE if bits == 64 else _ONE << np.uint64(bits)) - others
+    out[most] = _NONE - others
     return kept, most
 
 
 units = njit(cache=True)(units)
 
 
-def sizes(indptr: Any, prob: Any, policy: Any, initial: Any, widest: Any, bits: Any, out: Any) -> None:
+def sizes(indptr: Any, prob: Any, policy: Any, initial: Any, widest: Any, out: Any) -> None:
     """k of each state: the least with 2^k slots for its outcomes."""
     chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
     for s in range(len(out)):
-        kept, _ = units(chance, chances(s, indptr, prob, policy, initial, chance, row), bits, unit)
+        kept, _ = units(chance, chances(s, indptr, prob, policy, initial, chance, row), unit)
         k = 0
         while (1 << k) < kept:
             k += 1
@@ -88,9 +88,9 @@ def sizes(indptr: Any, prob: Any, policy: Any, initial: Any, widest: Any, bits: 
 sizes = njit(cache=True)(sizes)
 
 
-def pair(mass: Any, k: Any, bits: Any, word: Any, small: Any, large: Any) -> None:
+def pair(mass: Any, k: Any, word: Any, small: Any, large: Any) -> None:
     """The words of 2^k slots, from the units of their own outcomes, which are used up."""
-    room = _ONE << (np.uint64(bits) - np.uint64(k))
+    room = _ONE << (_BITS - np.uint64(k))
     n_small, n_large = 0, 0
     for i in range(1 << k):
         if mass[i] < room:
@@ -117,7 +117,7 @@ pair = njit(cache=True)(pair)
 
 def fill(
     indptr: Any, indices: Any, prob: Any, policy: Any, initial: Any, pay: Any, by_move: Any, ratio: Any, widest: Any,
-    bits: Any, size: Any, code: Any, word: Any, following: Any, reward: Any, factor: Any, entry: Any,
+    size: Any, code: Any, word: Any, following: Any, reward: Any, factor: Any, entry: Any,
 ) -> None:  # fmt: skip
     """All slots, state by state; ``ratio`` may be empty."""
     n_states, n_actions = policy.shape
@@ -127,18 +127,18 @@ def fill(
     small, large = np.empty(most_slots, np.int64), np.empty(most_slots, np.int64)
     for s in range(n_states + 1):
         n = chances(s, indptr, prob, policy, initial, chance, row)
-        kept, most = units(chance, n, bits, unit)
+        kept, most = units(chance, n, unit)
         slots, base, used = 1 << size[s], np.int64(code[s] >> _PLACE), 0
         for x in range(n):
             if unit[x] > _NONE and kept > 1:
                 mass[used], own[used] = unit[x], x
                 used += 1
-        if kept == 1:  # all 2^bits units are one outcome's
+        if kept == 1:  # all 2^64 units are one outcome's
             word[base], own[0] = _NONE, most
         else:
             for i in range(used, slots):  # no word stops at these
                 mass[i], own[i] = _NONE, own[0]
-            pair(mass, size[s], bits, word[base : base + slots], small, large)
+            pair(mass, size[s], word[base : base + slots], small, large)
         for i in range(slots):
             x = indptr[s * n_actions] + own[i]
             entry[base + i] = x
@@ -168,21 +168,25 @@ class AliasTable:
     code: Any
     over: np.uint64
 
+    @property
+    def arrays(self) -> tuple[Any, Any, Array, Array, IntArray]:
+        """As the kernels take them."""
+        return self.word, self.following, self.reward, self.factor, self.entry
+
 
 def build(
     indptr: Any, indices: Any, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
-    short: bool = False, records: bool | None = None,
+    records: bool | None = None,
 ) -> AliasTable:  # fmt: skip
     """The table of all states under a policy, with rewards by row or by entry, and factors by entry, or none.
 
-    ``short``: for words of 32 bits. ``records``: each slot's four numbers side by side in 32 bytes, of which a step needs one
+    ``records``: each slot's four numbers side by side in 32 bytes, of which a step needs one
     cache line or two, instead of four arrays; None: where the table is larger than a cache.
     """
-    bits = 32 if short else 64
     n_states, n_actions = policy.shape
     widest = max(len(initial), int(np.diff(indptr[::n_actions]).max()))
     size = np.empty(n_states + 1, np.int64)
-    sizes(indptr, prob, policy, initial, widest, bits, size)
+    sizes(indptr, prob, policy, initial, widest, size)
     order = np.argsort(np.append(over, True), kind="stable")  # so that one comparison tells what is over
     first, ends = np.empty(n_states + 1, np.int64), np.cumsum(1 << size[order])
     first[order] = np.concatenate([[0], ends[:-1]])
@@ -200,6 +204,6 @@ def build(
     entry = np.empty(slots, np.int64)
     fill(
         indptr, indices, prob, policy, initial, pay, len(pay) == len(prob), ratio, widest,
-        bits, size, code, word, following, reward, factor, entry,
+        size, code, word, following, reward, factor, entry,
     )  # fmt: skip
     return AliasTable(word, following, reward, factor, entry, code, code[order[int(np.sum(~over))]])

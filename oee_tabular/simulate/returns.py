@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from oee_tabular.kernels.alias import AliasTable
 
 KINDS = ("per_decision", "trajectory")
-SHORT_OUTCOMES = 1 << 16  # of one state, where words have 32 bits
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,7 +90,6 @@ def sample_returns(
     seed: Any,
     zeta: Any = None,
     kind: Literal["per_decision", "trajectory"] = "per_decision",
-    exact: bool = True,
     n_lanes: int = 64,
     record: bool = False,
 ) -> SampledReturns:
@@ -108,8 +106,6 @@ def sample_returns(
     seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
     zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``; None: no weights
     kind : "per_decision" | "trajectory"
-    exact : whether a step is drawn with 64 random bits (thresholds of 53 bits and more, probabilities to 2^-53) or with
-        32 (probabilities to 2^-32 times the number of a state's outcomes; a fifth faster)
     n_lanes : how many episodes take turns; it changes the time, not the result
     record : whether the episodes are also given as a log
 
@@ -120,15 +116,16 @@ def sample_returns(
     Raises
     ------
     ValueError
-        Bad arguments; ``exact=False`` where a state has more than 65536 outcomes (a, s').
+        Bad arguments.
 
     Notes
     -----
     A step is one alias draw over its state's (a, s'): some 3 ns, 4 with weights, 6 to write the record (in a second pass),
     30 to 45 where tables are far larger than the caches. The tables cost O(nnz) before the first step (some 40 to 150 ns an
     entry); the powers of the discount need 8 bytes a step of the horizon.
-    A seed draws other episodes than for ``sample_episodes``, and than for the other ``exact``; but the same ones for every
-    zeta, ``kind``, ``record``, number of lanes and of threads.
+    A step takes 32 random bits, and 32 more where those do not decide, so that its probabilities are those of the model to the
+    last bit of a float. A seed draws other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``,
+    ``record``, number of lanes and of threads.
 
     Examples
     --------
@@ -136,12 +133,12 @@ def sample_returns(
     >>> mdp = oee.tasks.gridworld(10, slip=0.3)
     >>> policy = oee.uniform_policy(mdp)
     >>> sample_returns(mdp, policy, 20_000, horizon=200, seed=0)
-    SampledReturns(20000 episodes, 3685078 transitions: mean -197.959, standard error 0.28)
+    SampledReturns(20000 episodes, 3691442 transitions: mean -198.523, standard error 0.27)
     >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
     -197.914
     """
     from oee_tabular.exact.walks import require_mdp, walk_of  # not at import: logs do without
-    from oee_tabular.kernels import rollout
+    from oee_tabular.kernels.lanes import returns as sample
 
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
@@ -150,7 +147,7 @@ def sample_returns(
     lanes = min(_checks.positive_integer(n_lanes, "n_lanes"), n)
     pi = check_policy(policy, mdp)
     ratio = np.zeros(0) if zeta is None else walk_of(mdp, pi, ratio=zeta).w
-    table = _alias_table(mdp, pi, ratio, short=not exact)
+    table = _alias_table(mdp, pi, ratio)
     sums = np.empty((3, n))
     lengths, last = np.empty((2, n), dtype=np.uint64)
     chunk = max(16 * lanes, -(-n // 64))  # long enough to keep lanes busy to its end, short enough for a few threads
@@ -158,10 +155,9 @@ def sample_returns(
     powers = mdp.discount ** np.arange(steps, dtype=np.float64)
 
     def run(places: Any, path: Any) -> None:
-        rollout.returns(
-            stream, n, chunk, np.uint64(steps), bool(exact), lanes, table.word, table.following, table.reward,
-            table.factor, table.code[-1], table.over, powers, zeta is not None, by_move, len(path) > 0, table.entry, places,
-            path, sums, lengths, last,
+        sample(
+            stream, n, chunk, np.uint64(steps), lanes, table.arrays, table.code[-1], table.over, powers,
+            zeta is not None, by_move, len(path) > 0, places, path, sums, lengths, last,
         )  # fmt: skip
 
     stream, by_move = stream_key(seed), mdp.reward_data is not None
@@ -179,22 +175,12 @@ def sample_returns(
     return SampledReturns(values, plain, weights, lengths.astype(np.int64), final, log, kind)
 
 
-def _alias_table(
-    mdp: FiniteMDP, policy: Array, ratio: Array, *, short: bool, records: bool | None = None
-) -> AliasTable:
+def _alias_table(mdp: FiniteMDP, policy: Array, ratio: Array, *, records: bool | None = None) -> AliasTable:
     """Of every state's (a, s') under the policy, and of the first state."""
     from oee_tabular.kernels import alias
 
     matrix = mdp.transitions
-    outcomes = np.append(np.diff(matrix.indptr[:: mdp.n_actions]), np.count_nonzero(mdp.initial))
-    if short and outcomes.max() > SHORT_OUTCOMES:
-        where = int(outcomes.argmax())
-        name = f"state {where}" if where < mdp.n_states else "the first state's draw"
-        raise ValueError(
-            f"exact must be True where there are more than {SHORT_OUTCOMES} outcomes; {name} has {outcomes[where]}"
-        )
     pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data
     return alias.build(
-        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(),
-        short=short, records=records,
-    )  # fmt: skip
+        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(), records=records
+    )

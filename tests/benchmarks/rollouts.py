@@ -54,7 +54,7 @@ def padded(mdp, policy):
 
 def ours(mdp, policy, n):
     """Name -> a function that gives (transitions, returns or None); tables made before, as the peers' are, but in one row."""
-    from oee_tabular.kernels import rollout
+    from oee_tabular.kernels import lanes, rollout
     from oee_tabular.simulate.returns import _alias_table
 
     indptr, indices = (x.astype(np.int64) for x in (mdp.transitions.indptr, mdp.transitions.indices))
@@ -68,17 +68,16 @@ def ours(mdp, policy, n):
     powers, by_move = mdp.discount ** np.arange(float(HORIZON)), mdp.reward_data is not None
     places = np.arange(n, dtype=np.uint64) * np.uint64(HORIZON)
 
-    def lanes(*, short=False, weighted=False, record=False, records=None):
+    def program(*, weighted=False, record=False, records=None):
         ratio = np.ones(mdp.transitions.nnz if weighted else 0)  # which ratio it is does not matter to the clock
-        made = _alias_table(mdp, policy, ratio, short=short, records=records)
+        made = _alias_table(mdp, policy, ratio, records=records)
         sums, outcomes = np.empty((3, n)), np.empty((2, n), np.uint64)
         path = np.zeros(n * HORIZON if record else 0, np.int64)
 
         def run():
-            rollout.returns(
-                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), not short, 64, made.word, made.following,
-                made.reward, made.factor, made.code[-1], made.over, powers, weighted, by_move, record, made.entry,
-                places, path, sums, *outcomes,
+            lanes.returns(
+                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), 64, made.arrays, made.code[-1], made.over, powers,
+                weighted, by_move, record, places, path, sums, *outcomes,
             )  # fmt: skip
             return int(outcomes[0].sum()), sums[0]
 
@@ -95,12 +94,11 @@ def ours(mdp, policy, n):
         return int(lengths.sum()), None
 
     return {
-        "ours": lanes(),
-        "ours, four arrays": lanes(records=False),
-        "ours, records of 32 bytes": lanes(records=True),
-        "ours, 32-bit words": lanes(short=True),
-        "ours, weighted": lanes(weighted=True),
-        "ours, recording": lanes(record=True),
+        "ours": program(),
+        "ours, four arrays": program(records=False),
+        "ours, records of 32 bytes": program(records=True),
+        "ours, weighted": program(weighted=True),
+        "ours, recording": program(record=True),
         "ours, tables included (sample_returns)": whole,
         "ours, inversion (kernels of sample_episodes)": inversion,
     }
@@ -143,8 +141,8 @@ def numpy_loops(mdp, sums, successors, paid, n):
 def jax_scans(mdp, policy, sums, successors, paid, n):
     """lax.scan over the steps of all trajectories.
 
-    Our work, alias tables of the (a, s') and words of 64 or 32 bits; and less, s' alone by running sums of the chain, with the
-    state's expected reward.
+    Our work, alias tables of the (a, s'), with words of 64 bits, or of 32 and thresholds cut to them; and less, s' alone by
+    running sums of the chain, with the state's expected reward.
     """
     import jax
 
@@ -154,13 +152,14 @@ def jax_scans(mdp, policy, sums, successors, paid, n):
     from oee_tabular.simulate.returns import _alias_table
 
     def alias(dtype):
-        made = _alias_table(mdp, policy, np.zeros(0), short=dtype == jnp.uint32)
+        made = _alias_table(mdp, policy, np.zeros(0))
         code, entry = made.code[:-1].astype(np.int64), np.minimum(made.entry, mdp.transitions.nnz - 1)
-        first, size, word = (
-            jnp.asarray(code >> 6, jnp.int32),
-            jnp.asarray(code & 63, dtype),
-            jnp.asarray(made.word, dtype),
-        )
+        order = np.argsort(code)
+        k = np.repeat(code[order] & 63, np.diff(code[order] >> 6, append=len(made.word))).astype(np.uint64)
+        words = made.word
+        if dtype == jnp.uint32:  # the first bits of thresholds only
+            words = made.word >> k + np.uint64(32) << k | made.word & (np.uint64(1) << k) - np.uint64(1)
+        first, size, word = jnp.asarray(code >> 6, jnp.int32), jnp.asarray(code & 63, dtype), jnp.asarray(words, dtype)
         following, reward = jnp.asarray(mdp.transitions.indices[entry]), jnp.asarray(made.reward)
 
         def follow(key, state):

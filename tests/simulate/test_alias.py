@@ -8,26 +8,26 @@ from helpers import rngs
 from hypothesis import given
 from numpy.testing import assert_array_equal
 
-from oee_tabular.kernels import alias, rollout
+from oee_tabular.kernels import alias, lanes
 
 
-def table_of(rows, bits, records=None):
+def table_of(rows, records=None):
     """The table of states with one action and these chances; nothing is over, rewards and factors number the entries."""
     n, chance = len(rows), np.concatenate(rows)
     starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     numbers = np.arange(len(chance))
     table = alias.build(
         starts, numbers % n, chance, np.ones((n, 1)), np.eye(n)[0], numbers + 0.5, numbers + 0.25,
-        np.zeros(n, dtype=bool), short=bits == 32, records=records,
+        np.zeros(n, dtype=bool), records=records,
     )  # fmt: skip
     return table, starts
 
 
-def masses(table, starts, state, bits):
-    """Units of 2^-bits that each outcome of a state has, by going through its slots."""
+def masses(table, starts, state):
+    """Units of 2^-64 that each outcome of a state has, by going through its slots."""
     code = int(table.code[state])
     first, k = code >> 6, code & 63
-    room = 2 ** (bits - k)
+    room = 2 ** (64 - k)
     found = [0] * (starts[state + 1] - starts[state])
     for i in range(2**k):
         word = int(table.word[first + i])
@@ -37,19 +37,19 @@ def masses(table, starts, state, bits):
     return found
 
 
-def check(rows, bits):
-    table, starts = table_of(rows, bits)
+def check(rows):
+    table, starts = table_of(rows)
     for state, row in enumerate(rows):
-        found = masses(table, starts, state, bits)
-        assert sum(found) == 2**bits
+        found = masses(table, starts, state)
+        assert sum(found) == 2**64
         total = sum(Fraction(float(x)) for x in row)
-        shares = [Fraction(float(x)) / total * 2**bits for x in row]
+        shares = [Fraction(float(x)) / total * 2**64 for x in row]
         most, slots = max(shares), 2 ** (int(table.code[state]) & 63)
         assert slots < 2 * max(sum(mass > 0 for mass in found), 1)
         for mass, share in zip(found, shares, strict=True):
             # to half a unit and the roundings of a double; the most probable takes what others leave
             miss = len(row) * Fraction(1, 2) if share == most else Fraction(1, 2)
-            assert abs(mass - share) <= miss + slots * 2 ** (bits - 53)
+            assert abs(mass - share) <= miss + slots * 2**11
             assert share > 0 or mass == 0
 
 
@@ -58,8 +58,7 @@ def test_the_table_has_each_probability_to_its_resolution(rng):
     rows = [rng.dirichlet(np.full(rng.integers(1, 30), 0.3)) for _ in range(rng.integers(1, 6))]
     rows = [np.where((np.arange(len(row)) > 0) & (rng.random(len(row)) < 0.2), 0.0, row) + (0 if row[0] else 1e-9)
             for row in rows]  # fmt: skip
-    for bits in (64, 32):
-        check(rows, bits)
+    check(rows)
 
 
 @pytest.mark.parametrize(
@@ -77,30 +76,35 @@ def test_the_table_has_each_probability_to_its_resolution(rng):
         np.random.default_rng(0).dirichlet(np.ones(5000)),  # its slots take 13 of the 64 bits
     ],
 )
-@pytest.mark.parametrize("bits", [64, 32])
-def test_particular_rows(row, bits):
-    check([np.array(row), np.array([1.0])], bits)
+def test_particular_rows(row):
+    check([np.array(row), np.array([1.0])])
 
 
 @given(rngs)
 def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_does(rng):
-    for bits in (64, 32):
-        table, _ = table_of([rng.dirichlet(np.ones(rng.integers(1, 12))), np.ones(1)], bits)
-        code = table.code[0]
-        first, k = int(code) >> 6, int(code) & 63
-        for i in range(2**k):
-            word = int(table.word[first + i])
-            threshold, other = word >> k, word & (2**k - 1)
-            for high, taken in ((0, i), (threshold - 1, i), (threshold, other), (2 ** (bits - k) - 1, other)):
-                if high < 0 or (high == 0 and threshold == 0):
-                    continue
-                x = np.uint64(high << k | i)
-                assert int(rollout.choose(code, x, table.word)) == first + taken
+    """But where its bits are the threshold's first ones: that is said, and nothing else is."""
+    table, _ = table_of([rng.dirichlet(np.ones(rng.integers(1, 12))), np.ones(1)])
+    code = table.code[0]
+    first, k = int(code) >> 6, int(code) & 63
+    for i in range(2**k):
+        word = int(table.word[first + i])
+        threshold, other = word >> k + 32, word & (2**k - 1)
+        for high, taken in (
+            (0, i),
+            (threshold - 1, i),
+            (threshold, None),
+            (threshold + 1, other),
+            (2 ** (32 - k) - 1, other),
+        ):
+            if 0 <= high < 2 ** (32 - k):
+                slot, undecided = lanes.choose(code, np.uint64(high << k | i), table.word)
+                assert int(undecided) >> 63 == (high == threshold)
+                assert high == threshold or int(slot) == first + taken
 
 
 def test_records_hold_what_arrays_hold_in_aligned_32_bytes():
     rows = [np.random.default_rng(s).dirichlet(np.ones(s + 1)) for s in range(9)]
-    (arrays, _), (records, _) = table_of(rows, 64, records=False), table_of(rows, 64, records=True)
+    (arrays, _), (records, _) = table_of(rows, records=False), table_of(rows, records=True)
     for name in ("word", "following", "reward", "factor", "entry", "code", "over"):
         assert_array_equal(getattr(arrays, name), getattr(records, name))
     assert records.word.strides == (32,)
@@ -140,7 +144,7 @@ def test_rows_that_sum_to_one_only_to_the_tolerance():
         table = alias.build(
             np.array([0, 2, 4]), np.array([0, 0, 0, 0]), p, pi, np.ones(1), np.zeros(2), np.zeros(0), np.zeros(1, bool)
         )
-        found.append(masses(table, np.array([0, 4]), 0, 64))
+        found.append(masses(table, np.array([0, 4]), 0))
     for one, other in zip(*found, strict=True):
         assert abs(one - other) <= 2**13
 

@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse, stats
 
 import oee_tabular as oee
-from oee_tabular.kernels import alias, rollout
+from oee_tabular.kernels import alias, lanes, rollout
+from oee_tabular.simulate.logs import stream_key
 
 FIELDS = ("values", "returns", "weights", "lengths", "final_state")
 GRID = oee.tasks.gridworld(4, 0.3)
@@ -25,26 +26,87 @@ def same(one, two, rows=slice(None)):
         assert_array_equal(getattr(one, name)[rows], getattr(two, name)[rows], err_msg=name)
 
 
-@pytest.mark.parametrize("exact", [True, False])
-def test_words_of_many_lanes_are_philox_words(exact):
-    """Known answers reach the lanes: philox itself is held to the published vectors in test_simulate.py."""
+def words_of(key, kind, trajectory, step):
+    """Four words from philox itself, which test_logs.py holds to the published vectors."""
+    counter = (step // 4, kind, trajectory & 0xFFFFFFFF, trajectory >> 32)
+    return [int(word) for word in rollout.philox(*(np.uint64(c) for c in counter), key & LOW, key >> np.uint64(32))]
+
+
+LOW = np.uint64(0xFFFFFFFF)
+
+
+def test_words_of_many_lanes_are_philox_words():
     key, n = np.uint64(0x0123456789ABCDEF), 5
     trajectory = np.array([0, 1, 7, 2**32 - 1, 2**40 + 3], dtype=np.uint64)
     t = np.array([0, 4, 8, 400, 2**33], dtype=np.uint64)
     words = np.zeros((4, 8), dtype=np.uint64)
-    rollout.step_words(key, trajectory, t, exact, words, n)
+    lanes.step_words(key, trajectory, t, words, n)
     for i in range(n):
+        expected = words_of(key, 1, int(trajectory[i]), int(t[i]))
+        assert words[:, i].tolist() == expected
         for k in range(4):
-            step, low = int(t[i]) + k, int(trajectory[i])
-            block = step // 2 if exact else step // 4
-            counter = (block, 1, low & 0xFFFFFFFF, low >> 32)
-            x = [
-                int(w)
-                for w in rollout.philox(*(np.uint64(c) for c in counter), np.uint64(0x89ABCDEF), np.uint64(0x01234567))
-            ]
-            expected = x[step % 4] if not exact else x[1] << 32 | x[0] if step % 2 == 0 else x[3] << 32 | x[2]
-            assert int(words[k, i]) == expected
-            assert int(rollout.word_of(key, np.uint64(1), trajectory[i], np.uint64(step), exact)) == expected
+            assert int(lanes.word_of(key, np.uint64(1), trajectory[i], t[i] + np.uint64(k))) == expected[k]
+
+
+def undecided(seed, trajectory, horizon, first):
+    """A chain in which every other word of that trajectory ties with its threshold, and its path by whole numbers.
+
+    States 2 t and 2 t + 1 are two names of step t; both lead to both of step t + 1, one of them with a chance of
+    (x // 2 + 1/2) / 2^32, x the word of the step, which decides nothing then (in the other steps 1/2, where its last bit
+    decides). ``first``: so does the draw of the first state.
+    """
+    key, path, below = stream_key(seed), [], set()
+    chances = np.zeros((2 * horizon + 2, 2 * horizon + 2))
+    initial = np.eye(2 * horizon + 2)[0]
+    for step in range(-1 if first else 0, horizon):
+        kind = 2 if step < 0 else 1
+        x, rest = (words_of(key, k, trajectory, max(step, 0))[max(step, 0) % 4] for k in (kind, kind + 2))
+        row = np.zeros(len(chances))
+        own, other = 2 * step + 2 + x % 2, 2 * step + 3 - x % 2
+        tie = step < 0 or (step + trajectory) % 2 == 0
+        row[own] = (x // 2 + 0.5) / 2**32 if tie else 0.5
+        row[other] = 1 - row[own]
+        if step < 0:
+            initial = row
+        else:
+            chances[2 * step : 2 * step + 2] = row
+        path.append(own if rest < 2**31 or not tie else other)
+        below |= {rest < 2**31} if tie else set()
+    chances[-2:, -2:] = np.eye(2)
+    return oee.FiniteMDP(sparse.csr_array(chances), np.arange(len(chances)) / 8, initial, 0.5), path, below
+
+
+@pytest.mark.parametrize("horizon", [3, 4, 9])
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize(("weighted", "record"), [(False, False), (False, True), (True, False), (True, True)])
+def test_where_a_words_32_bits_do_not_decide_32_more_do(horizon, first, weighted, record):
+    taken = set()
+    for trajectory in (0, 1, 69):
+        mdp, path, below = undecided(5, trajectory, horizon, first)
+        policy = np.ones((mdp.n_states, 1))
+        zeta = mdp.transitions.copy()
+        zeta.data = np.where(np.arange(zeta.nnz) % 2 == 0, 1.5, 0.5)
+        drawn = [
+            oee.sample_returns(mdp, policy, 70, horizon, seed=5, n_lanes=n_lanes, record=record,
+                               zeta=zeta if weighted else None)
+            for n_lanes in (1, 8, 64)
+        ]  # fmt: skip
+        for other in drawn[1:]:
+            same(drawn[0], other)
+        states = path if first else [0, *path]
+        assert drawn[0].final_state[trajectory] == states[-1]
+        value, weight, whole = 0.0, 1.0, 1.0
+        for t, state in enumerate(states[:-1]):
+            value += 0.5**t * weight * mdp.rewards[state, 0]
+            whole = weight if t == horizon - 1 else weight * (zeta[[state], :][:, [states[t + 1]]].toarray().item())
+            weight = whole if weighted else 1.0
+        assert_allclose(drawn[0].values[trajectory], value, rtol=1e-14)
+        assert_allclose(drawn[0].weights[trajectory], whole if weighted else 1.0, rtol=1e-14)
+        if record:
+            rows = drawn[0].log.episode_starts[trajectory] + np.arange(horizon)
+            assert drawn[0].log.next_state[rows].tolist() == states[1:]
+        taken |= below
+    assert taken == {False, True}
 
 
 SCRIPT = """
@@ -52,8 +114,7 @@ import hashlib, oee_tabular as oee
 mdp = oee.tasks.gridworld(7, 0.3)
 zeta = oee.true_ratio(oee.tasks.gridworld(7, 0.2), mdp)
 a = oee.sample_returns(mdp, oee.uniform_policy(mdp), 3001, 61, seed=11, zeta=zeta, record=True)
-b = oee.sample_returns(mdp, oee.uniform_policy(mdp), 3001, 61, seed=11, exact=False)
-columns = [getattr(x, name) for x in (a, b) for name in ("values", "returns", "weights", "lengths", "final_state")]
+columns = [getattr(a, name) for name in ("values", "returns", "weights", "lengths", "final_state")]
 print(hashlib.sha256(b"".join(x.tobytes() for x in (*columns, *a.log.columns().values()))).hexdigest())
 """
 
@@ -69,7 +130,7 @@ def test_the_same_bits_for_any_number_of_threads():
     assert len(hashes) == 1
 
 
-@pytest.mark.parametrize("options", [{}, {"zeta": ZETA}, {"exact": False}])
+@pytest.mark.parametrize("options", [{}, {"zeta": ZETA}])
 @pytest.mark.parametrize("n", [1, 63, 300])
 def test_the_same_bits_for_any_number_of_lanes(options, n):
     drawn = [oee.sample_returns(GRID, UNIFORM, n, 31, seed=5, n_lanes=lanes, **options) for lanes in (1, 8, 64, 1000)]
@@ -133,19 +194,17 @@ def test_the_first_states_and_moves_follow_initial_policy_and_transitions():
     rng = np.random.default_rng(8)
     mdp = random_mdp(rng, n_states=5, n_actions=3, form=2)
     policy = random_policy(rng, mdp)
-    for exact in (True, False):
-        log = oee.sample_returns(mdp, policy, 50_000, 1, seed=2, exact=exact, record=True).log
-        expected = (mdp.initial[:, None] * policy).reshape(-1)[:, None] * mdp.transitions.toarray() * 50_000
-        found = log.counts(5, 3).toarray()
-        assert found[expected == 0].sum() == 0
-        assert stats.chisquare(found[expected > 0], expected[expected > 0]).pvalue > 1e-4
+    log = oee.sample_returns(mdp, policy, 50_000, 1, seed=2, record=True).log
+    expected = (mdp.initial[:, None] * policy).reshape(-1)[:, None] * mdp.transitions.toarray() * 50_000
+    found = log.counts(5, 3).toarray()
+    assert found[expected == 0].sum() == 0
+    assert stats.chisquare(found[expected > 0], expected[expected > 0]).pvalue > 1e-4
 
 
-@pytest.mark.parametrize("exact", [True, False])
 @pytest.mark.parametrize("horizon", [1, 3, 4, 50])
-def test_returns_have_the_exact_moments(horizon, exact):
+def test_returns_have_the_exact_moments(horizon):
     n = 40_000
-    drawn = oee.sample_returns(GRID, UNIFORM, n, horizon, seed=horizon, exact=exact)
+    drawn = oee.sample_returns(GRID, UNIFORM, n, horizon, seed=horizon)
     known = oee.return_moments(GRID, UNIFORM, horizon=horizon)
     assert abs(drawn.mean - known.mean) < 4.5 * known.standard_deviation / np.sqrt(n) + 1e-12
     assert_allclose(drawn.values.var(), known.variance, rtol=0.06, atol=1e-12)
@@ -187,7 +246,7 @@ def test_an_episode_that_begins_where_it_is_over_has_one_step():
 
 
 def test_many_first_states():
-    """More than 2^11 outcomes, where thresholds have fewer than 53 bits of the 64."""
+    """More than 2^11 outcomes, where thresholds have fewer than 53 bits of the 64, and a word's first 32 decide less often."""
     n = 5000
     chain = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
     mdp = oee.FiniteMDP(chain, np.arange(n) + 1.0, np.full(n, 1 / n), 1.0)
@@ -210,12 +269,6 @@ def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
     return oee.sample_returns(mdp, policy, n_episodes, horizon, seed=seed, **options)
 
 
-def crowd():
-    n = 70_000
-    stay = sparse.csr_array((np.ones(n), np.arange(n), np.arange(n + 1)), shape=(n, n))
-    return oee.FiniteMDP(stay, np.ones(n), np.full(n, 1 / n), 0.5)
-
-
 @pytest.mark.parametrize(
     ("bad", "words"),
     [
@@ -230,23 +283,11 @@ def crowd():
         (lambda: call(kind="whole"), "kind must be one of 'per_decision', 'trajectory'; got 'whole'"),
         (lambda: call(zeta=np.ones((64, 16))), r"zeta must be sparse of shape \(64, 16\), row s\*A \+ a; got \(64, 16\)"),
         (lambda: call(zeta=-ZETA.values), "zeta must be finite and nonnegative; entry 0 is -"),
-        (lambda: call(crowd(), np.ones((70_000, 1)), exact=False),
-         "exact must be True where there are more than 65536 outcomes; the first state's draw has 70000"),
     ],
 )  # fmt: skip
 def test_bad_calls(bad, words):
     with pytest.raises(ValueError, match=words):
         bad()
-
-
-def test_a_state_with_too_many_outcomes_for_short_words_is_named():
-    n, actions = 300, 220  # 66 000 outcomes in state 0, 220 in each of the others
-    matrix = np.zeros((n, actions, n))
-    matrix[0] = 1 / n
-    matrix[1:, :, 0] = 1.0
-    mdp = oee.FiniteMDP(sparse.csr_array(matrix.reshape(-1, n)), np.zeros(n), np.eye(n)[0], 0.5)
-    with pytest.raises(ValueError, match="more than 65536 outcomes; state 0 has 66000"):
-        call(mdp, oee.uniform_policy(mdp), exact=False)
 
 
 def test_it_prints_what_it_holds():

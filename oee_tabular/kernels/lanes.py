@@ -1,0 +1,220 @@
+"""Returns of sampled episodes: many trajectories ("lanes") take turns, so that one's loads hide behind the others' work.
+
+Each step has a word of 32 random bits (Philox, four steps a call), which the alias table of its state turns into a move.
+Thresholds there have 64 bits: where the first 32 do not decide, in one step of 2^28 or so, 32 more are drawn.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from oee_tabular.kernels.rollout import philox
+
+_LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
+_MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs
+_FURTHER = np.uint64(2)  # added to it for the bits that decide where the first ones do not
+_NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
+_PLACE, _SIZE, _TOP = np.uint64(6), np.uint64(63), np.uint64(63)
+
+
+def step_words(key: Any, trajectory: Any, t: Any, words: Any, n: Any) -> None:
+    """The random words of steps t .. t + 3 (t is a multiple of 4) of each of n lanes: (4, lanes)."""
+    k0, k1 = key & _LOW, key >> _SHIFT
+    for i in range(n):
+        c2, c3 = trajectory[i] & _LOW, trajectory[i] >> _SHIFT
+        words[0, i], words[1, i], words[2, i], words[3, i] = philox(t[i] >> _TWO, _MOVES, c2, c3, k0, k1)
+
+
+step_words = njit(cache=True)(step_words)
+
+
+def word_of(key: Any, kind: Any, trajectory: Any, t: Any) -> Any:
+    """The random word of one step."""
+    x0, x1, x2, x3 = philox(t >> _TWO, kind, trajectory & _LOW, trajectory >> _SHIFT, key & _LOW, key >> _SHIFT)
+    if t & _TWO:
+        return x3 if t & _ONE else x2
+    return x1 if t & _ONE else x0
+
+
+word_of = njit(cache=True)(word_of)
+
+
+def choose(code: Any, x: Any, word: Any) -> Any:
+    """The slot that the random word x takes in the state of that code, if it decides: else the second number's top bit is 1.
+
+    Without a branch, so that lanes are taken side by side.
+    """
+    size, base = code & _SIZE, code >> _PLACE
+    low = (_ONE << size) - _ONE
+    slot = base + (x & low)
+    own = word[slot]
+    high, threshold = x >> size, own >> (size + _SHIFT)
+    return slot if high < threshold else base + (own & low), (high ^ threshold) - _ONE
+
+
+choose = njit(cache=True, inline="always")(choose)
+
+
+def settle(key: Any, kind: Any, trajectory: Any, t: Any, code: Any, word: Any) -> Any:
+    """The slot of one step, whatever bits that takes."""
+    x = word_of(key, kind, trajectory, t)
+    slot, undecided = choose(code, x, word)
+    if undecided >> _TOP == _NONE:
+        return slot
+    size, base = code & _SIZE, code >> _PLACE
+    low = (_ONE << size) - _ONE
+    own = word[base + (x & low)]
+    rest = word_of(key, kind + _FURTHER, trajectory, t)
+    return base + ((x if rest < own >> size & _LOW else own) & low)
+
+
+settle = njit(cache=True)(settle)
+
+
+def walk(
+    key: Any, horizon: Any, until: Any, table: Any, over: Any, discounts: Any, weighted: Any, by_move: Any, record: Any,
+    place: Any, path: Any, i: Any, trajectory: Any, t: Any, now: Any, held: Any,
+) -> None:  # fmt: skip
+    """Lane i, step by step, up to the step ``until`` or the end of its episode (which has one step at least)."""
+    word, following, reward, factor, entry = table
+    g, x, w = held[0], held[1], held[2]
+    while t[i] < until and (now[i] < over or t[i] == _NONE):
+        slot = settle(key, _MOVES, trajectory[i], t[i], now[i], word)
+        now[i] = following[slot]
+        pay = discounts[t[i]] * reward[slot]
+        g[i] += pay
+        if weighted:
+            after = w[i] * factor[slot]
+            x[i] += pay * (after if by_move else w[i])
+            w[i] = after if by_move or t[i] + _ONE < horizon else w[i]
+        if record:
+            path[place + t[i]] = entry[slot]
+        t[i] += _ONE
+
+
+walk = njit(cache=True)(walk)
+
+
+def lanes_of(
+    key: Any, begin: Any, end: Any, horizon: Any, n_lanes: Any, table: Any, start: Any, over: Any, discounts: Any,
+    weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
+) -> None:  # fmt: skip
+    """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
+
+    sums (3, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole. An episode that is over
+    may take the rest of its pass: where it is, nothing is paid and weights stand still. What is left of a horizon after whole
+    passes, and the last step if its factor does not count (rewards r(s, a)), is taken one trajectory at a time; so is a pass
+    in which a word of 32 bits did not decide.
+    """
+    word, following, reward, factor, entry = table
+    words, codes = np.empty((4, n_lanes), np.uint64), np.empty((5, n_lanes), np.uint64)
+    held, before = np.empty((3, n_lanes)), np.empty((3, n_lanes))
+    t, trajectory = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
+    stopped = np.empty(n_lanes, np.int64)
+    g, x, w = held[0], held[1], held[2]
+    now = codes[0]  # the other rows: after each step of a pass
+    whole = horizon - _ONE if weighted and not by_move else horizon
+    active, waiting, n_stopped = 0, begin, 0
+    while True:
+        while n_stopped > 0 or (active < n_lanes and waiting < end):
+            if n_stopped > 0:  # the last of them first: lanes behind it all go on
+                n_stopped -= 1
+                i = stopped[n_stopped]
+                j = trajectory[i]
+                if t[i] < horizon and (now[i] < over or t[i] == _NONE):  # a call has many arguments
+                    walk(key, horizon, horizon, table, over, discounts, weighted, by_move, record,
+                         places[j] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
+                sums[0, j], sums[1, j], sums[2, j] = g[i], x[i], w[i]
+                lengths[j], last[j] = t[i], now[i]
+                if waiting == end:
+                    active -= 1
+                    trajectory[i], t[i], now[i] = trajectory[active], t[active], now[active]
+                    g[i], x[i], w[i] = g[active], x[active], w[active]
+                    continue
+            else:
+                i = active
+                active += 1
+            trajectory[i], t[i] = waiting, _NONE
+            g[i], x[i], w[i] = 0.0, 0.0, 1.0
+            several = start & _SIZE > _NONE
+            now[i] = following[settle(key, _FIRST, trajectory[i], t[i], start, word) if several else start >> _PLACE]
+            waiting += 1
+            if t[i] + _PASS > whole or now[i] >= over:
+                stopped[n_stopped] = i
+                n_stopped += 1
+        if active == 0:
+            return
+        step_words(key, trajectory, t, words, active)
+        for i in range(active):
+            before[0, i] = g[i]
+        if weighted:
+            for i in range(active):
+                before[1, i], before[2, i] = x[i], w[i]
+        undecided = _NONE
+        for k in (0, 2):  # two steps at a time: fewer loads and stores of what lanes hold
+            one, two, here, between, there = words[k], words[k + 1], codes[k], codes[k + 1], codes[k + 2]
+            scale, next_scale = discounts[k:], discounts[k + 1 :]
+            if weighted:
+                for i in range(active):
+                    slot, first = choose(here[i], one[i], word)
+                    middle = following[slot]
+                    pay, after = scale[t[i]] * reward[slot], w[i] * factor[slot]
+                    paid, sum_x = g[i] + pay, x[i] + pay * (after if by_move else w[i])
+                    slot, second = choose(middle, two[i], word)
+                    undecided |= first | second
+                    between[i], there[i] = middle, following[slot]
+                    pay, last_w = next_scale[t[i]] * reward[slot], after * factor[slot]
+                    g[i], x[i], w[i] = paid + pay, sum_x + pay * (last_w if by_move else after), last_w
+            else:
+                for i in range(active):
+                    slot, first = choose(here[i], one[i], word)
+                    middle = following[slot]
+                    paid = g[i] + scale[t[i]] * reward[slot]
+                    slot, second = choose(middle, two[i], word)
+                    undecided |= first | second
+                    between[i], there[i] = middle, following[slot]
+                    g[i] = paid + next_scale[t[i]] * reward[slot]
+        if undecided >> _TOP > _NONE:
+            for i in range(active):
+                g[i] = before[0, i]
+                if weighted:
+                    x[i], w[i] = before[1, i], before[2, i]
+                walk(key, horizon, t[i] + _PASS, table, over, discounts, weighted, by_move, record,
+                     places[trajectory[i]] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
+        else:
+            if record:
+                for i in range(active):
+                    place = places[trajectory[i]] + t[i]
+                    for k in range(4):
+                        if k == 0 or codes[k, i] < over:
+                            path[place + np.uint64(k)] = entry[choose(codes[k, i], words[k, i], word)[0]]
+            for i in range(active):
+                t[i] += (
+                    _ONE + np.uint64(codes[1, i] < over) + np.uint64(codes[2, i] < over) + np.uint64(codes[3, i] < over)
+                )
+                now[i] = codes[4, i]
+        for i in range(active):
+            stopped[n_stopped] = i
+            n_stopped += not ((t[i] + _PASS <= whole) & (now[i] < over))
+
+
+lanes_of = njit(cache=True)(lanes_of)
+
+
+def returns(
+    key: Any, n: Any, chunk: Any, horizon: Any, n_lanes: Any, table: Any, start: Any, over: Any, discounts: Any,
+    weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
+) -> None:  # fmt: skip
+    """``lanes_of`` for all n trajectories, in chunks that threads share; no output depends on either."""
+    for c in prange((n + chunk - 1) // chunk):
+        begin = np.int64(c) * chunk  # prange counts in uint64, and uint64 * int64 would be a float64
+        lanes_of(
+            key, begin, min(n, begin + chunk), horizon, n_lanes, table, start, over, discounts,
+            weighted, by_move, record, places, path, sums, lengths, last,
+        )  # fmt: skip
+
+
+returns = njit(cache=True, parallel=True)(returns)
