@@ -4,7 +4,7 @@ Outcomes of a state are its (a, s'), with probability policy(a | s) P(s' | s, a)
 A state with n outcomes has 2^k >= n slots. Of a word of 32 bits the low k choose a slot; the other 32 - k, and 32 more where
 those do not decide, are compared with the slot's threshold: below it the outcome is the slot's own, else that of the slot's
 alias. Probabilities are whole numbers of units 2^-64, distributed over the slots without rounding. Threshold and alias share
-one word, threshold * 2^k + alias; a state's place in the table and its k share another, first slot * 2^6 + k.
+one word, threshold * 2^k + alias; a state's place in the table and its k share another, first slot * 2^8 + k.
 
 Reference: [1] A. J. Walker, An efficient method for generating discrete random variables with general distributions, ACM
 TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991.
@@ -20,7 +20,7 @@ from numba import njit
 
 from oee_tabular._checks import Array, IntArray
 
-_PLACE = np.uint64(6)  # bits that hold k
+_PLACE = np.uint64(8)  # bits that hold k
 _NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
 _RECORDS_FROM = 1 << 22  # bytes of thresholds, successors and rewards: measured, tests/benchmarks/rollouts.py
 
@@ -167,6 +167,11 @@ class AliasTable:
     entry: IntArray
     code: Any
     over: np.uint64
+
+    @property
+    def most(self) -> np.uint64:
+        """The largest k of a move."""
+        return np.uint64((self.code[:-1] & np.uint64(255)).max())
 
     @property
     def arrays(self) -> tuple[Any, Any, Array, Array, IntArray]:

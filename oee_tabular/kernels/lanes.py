@@ -17,15 +17,17 @@ _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs
 _FURTHER = np.uint64(2)  # added to it for the bits that decide where the first ones do not
 _NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
-_PLACE, _SIZE, _TOP = np.uint64(6), np.uint64(63), np.uint64(63)
+_PLACE, _SIZE = np.uint64(8), np.uint64(255)
 
 
 def step_words(key: Any, trajectory: Any, t: Any, words: Any, n: Any) -> None:
-    """The random words of steps t .. t + 3 (t is a multiple of 4) of each of n lanes: (4, lanes)."""
+    """The random words of steps t .. t + 3 (t is a multiple of 4) of each of n lanes, each twice in 64 bits: (4, lanes)."""
     k0, k1 = key & _LOW, key >> _SHIFT
     for i in range(n):
         c2, c3 = trajectory[i] & _LOW, trajectory[i] >> _SHIFT
-        words[0, i], words[1, i], words[2, i], words[3, i] = philox(t[i] >> _TWO, _MOVES, c2, c3, k0, k1)
+        x0, x1, x2, x3 = philox(t[i] >> _TWO, _MOVES, c2, c3, k0, k1)
+        words[0, i], words[1, i] = x0 << _SHIFT | x0, x1 << _SHIFT | x1
+        words[2, i], words[3, i] = x2 << _SHIFT | x2, x3 << _SHIFT | x3
 
 
 step_words = njit(cache=True)(step_words)
@@ -42,17 +44,18 @@ def word_of(key: Any, kind: Any, trajectory: Any, t: Any) -> Any:
 word_of = njit(cache=True)(word_of)
 
 
-def choose(code: Any, x: Any, word: Any) -> Any:
-    """The slot that the random word x takes in the state of that code, if it decides: else the second number's top bit is 1.
+def choose(code: Any, x: Any, word: Any, near: Any) -> Any:
+    """The slot that the random word x takes in the state of that code, and a number that is small where x may not decide it.
 
-    Without a branch, so that lanes are taken side by side.
+    x holds its 32 bits twice: the low copy gives the slot, the high one is compared. Below that, and in its low k bits, other
+    bits of the threshold meet bits that mean nothing. They may have decided where threshold - x is within 2^(k + 32) of 0: the
+    second number is that difference plus ``near``, 2^(k + 32) of the largest k. No branch, so that lanes are side by side.
     """
     size, base = code & _SIZE, code >> _PLACE
     low = (_ONE << size) - _ONE
     slot = base + (x & low)
     own = word[slot]
-    high, threshold = x >> size, own >> (size + _SHIFT)
-    return slot if high < threshold else base + (own & low), (high ^ threshold) - _ONE
+    return slot if x <= own else base + (own & low), own - x + near
 
 
 choose = njit(cache=True, inline="always")(choose)
@@ -61,14 +64,13 @@ choose = njit(cache=True, inline="always")(choose)
 def settle(key: Any, kind: Any, trajectory: Any, t: Any, code: Any, word: Any) -> Any:
     """The slot of one step, whatever bits that takes."""
     x = word_of(key, kind, trajectory, t)
-    slot, undecided = choose(code, x, word)
-    if undecided >> _TOP == _NONE:
-        return slot
     size, base = code & _SIZE, code >> _PLACE
     low = (_ONE << size) - _ONE
     own = word[base + (x & low)]
-    rest = word_of(key, kind + _FURTHER, trajectory, t)
-    return base + ((x if rest < own >> size & _LOW else own) & low)
+    high, threshold = x >> size, own >> (size + _SHIFT)
+    if high == threshold:
+        high, threshold = word_of(key, kind + _FURTHER, trajectory, t), own >> size & _LOW
+    return base + ((x if high < threshold else own) & low)
 
 
 settle = njit(cache=True)(settle)
@@ -99,24 +101,23 @@ walk = njit(cache=True)(walk)
 
 
 def lanes_of(
-    key: Any, begin: Any, end: Any, horizon: Any, n_lanes: Any, table: Any, start: Any, over: Any, discounts: Any,
+    key: Any, begin: Any, end: Any, horizon: Any, n_lanes: Any, table: Any, most: Any, start: Any, over: Any, discounts: Any,
     weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
 ) -> None:  # fmt: skip
     """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
 
     sums (3, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole. An episode that is over
     may take the rest of its pass: where it is, nothing is paid and weights stand still. What is left of a horizon after whole
-    passes, and the last step if its factor does not count (rewards r(s, a)), is taken one trajectory at a time; so is a pass
-    in which a word of 32 bits did not decide.
+    passes is taken one trajectory at a time; so is a pass in which a word of 32 bits may not have decided.
     """
     word, following, reward, factor, entry = table
     words, codes = np.empty((4, n_lanes), np.uint64), np.empty((5, n_lanes), np.uint64)
     held, before = np.empty((3, n_lanes)), np.empty((3, n_lanes))
     t, trajectory = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
-    stopped = np.empty(n_lanes, np.int64)
+    stopped, ends = np.empty(n_lanes, np.int64), np.zeros(n_lanes + 3, np.uint64)
     g, x, w = held[0], held[1], held[2]
     now = codes[0]  # the other rows: after each step of a pass
-    whole = horizon - _ONE if weighted and not by_move else horizon
+    near = _ONE << (most + _SHIFT)
     active, waiting, n_stopped = 0, begin, 0
     while True:
         while n_stopped > 0 or (active < n_lanes and waiting < end):
@@ -142,7 +143,7 @@ def lanes_of(
             several = start & _SIZE > _NONE
             now[i] = following[settle(key, _FIRST, trajectory[i], t[i], start, word) if several else start >> _PLACE]
             waiting += 1
-            if t[i] + _PASS > whole or now[i] >= over:
+            if t[i] + _PASS > horizon or now[i] >= over:
                 stopped[n_stopped] = i
                 n_stopped += 1
         if active == 0:
@@ -153,31 +154,35 @@ def lanes_of(
         if weighted:
             for i in range(active):
                 before[1, i], before[2, i] = x[i], w[i]
-        undecided = _NONE
+        nearest = ~_NONE
         for k in (0, 2):  # two steps at a time: fewer loads and stores of what lanes hold
             one, two, here, between, there = words[k], words[k + 1], codes[k], codes[k + 1], codes[k + 2]
             scale, next_scale = discounts[k:], discounts[k + 1 :]
+            final = horizon - _PASS if k == 2 and not by_move else ~_NONE  # the last factor does not count then
             if weighted:
                 for i in range(active):
-                    slot, first = choose(here[i], one[i], word)
+                    at = t[i]
+                    slot, first = choose(here[i], one[i], word, near)
                     middle = following[slot]
-                    pay, after = scale[t[i]] * reward[slot], w[i] * factor[slot]
+                    pay, after = scale[at] * reward[slot], w[i] * factor[slot]
                     paid, sum_x = g[i] + pay, x[i] + pay * (after if by_move else w[i])
-                    slot, second = choose(middle, two[i], word)
-                    undecided |= first | second
+                    slot, second = choose(middle, two[i], word, near)
+                    nearest = min(nearest, min(first, second))
                     between[i], there[i] = middle, following[slot]
-                    pay, last_w = next_scale[t[i]] * reward[slot], after * factor[slot]
-                    g[i], x[i], w[i] = paid + pay, sum_x + pay * (last_w if by_move else after), last_w
+                    pay, last_w = next_scale[at] * reward[slot], after * factor[slot]
+                    g[i], x[i] = paid + pay, sum_x + pay * (last_w if by_move else after)
+                    w[i] = after if at == final else last_w
             else:
                 for i in range(active):
-                    slot, first = choose(here[i], one[i], word)
+                    at = t[i]
+                    slot, first = choose(here[i], one[i], word, near)
                     middle = following[slot]
-                    paid = g[i] + scale[t[i]] * reward[slot]
-                    slot, second = choose(middle, two[i], word)
-                    undecided |= first | second
+                    paid = g[i] + scale[at] * reward[slot]
+                    slot, second = choose(middle, two[i], word, near)
+                    nearest = min(nearest, min(first, second))
                     between[i], there[i] = middle, following[slot]
-                    g[i] = paid + next_scale[t[i]] * reward[slot]
-        if undecided >> _TOP > _NONE:
+                    g[i] = paid + next_scale[at] * reward[slot]
+        if nearest < near + near:
             for i in range(active):
                 g[i] = before[0, i]
                 if weighted:
@@ -190,29 +195,34 @@ def lanes_of(
                     place = places[trajectory[i]] + t[i]
                     for k in range(4):
                         if k == 0 or codes[k, i] < over:
-                            path[place + np.uint64(k)] = entry[choose(codes[k, i], words[k, i], word)[0]]
+                            path[place + np.uint64(k)] = entry[choose(codes[k, i], words[k, i], word, near)[0]]
             for i in range(active):
                 t[i] += (
                     _ONE + np.uint64(codes[1, i] < over) + np.uint64(codes[2, i] < over) + np.uint64(codes[3, i] < over)
                 )
                 now[i] = codes[4, i]
         for i in range(active):
-            stopped[n_stopped] = i
-            n_stopped += not ((t[i] + _PASS <= whole) & (now[i] < over))
+            ends[i] = np.uint64(t[i] + _PASS > horizon) | np.uint64(now[i] >= over)
+        for i in range(0, active, 4):  # few end in a pass
+            if ends[i] | ends[i + 1] | ends[i + 2] | ends[i + 3]:
+                for j in range(i, min(i + 4, active)):
+                    if ends[j]:
+                        stopped[n_stopped] = j
+                        n_stopped += 1
 
 
 lanes_of = njit(cache=True)(lanes_of)
 
 
 def returns(
-    key: Any, n: Any, chunk: Any, horizon: Any, n_lanes: Any, table: Any, start: Any, over: Any, discounts: Any,
+    key: Any, n: Any, chunk: Any, horizon: Any, n_lanes: Any, table: Any, most: Any, start: Any, over: Any, discounts: Any,
     weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
 ) -> None:  # fmt: skip
     """``lanes_of`` for all n trajectories, in chunks that threads share; no output depends on either."""
     for c in prange((n + chunk - 1) // chunk):
         begin = np.int64(c) * chunk  # prange counts in uint64, and uint64 * int64 would be a float64
         lanes_of(
-            key, begin, min(n, begin + chunk), horizon, n_lanes, table, start, over, discounts,
+            key, begin, min(n, begin + chunk), horizon, n_lanes, table, most, start, over, discounts,
             weighted, by_move, record, places, path, sums, lengths, last,
         )  # fmt: skip
 

@@ -156,7 +156,7 @@ def sample_returns(
 
     def run(places: Any, path: Any) -> None:
         sample(
-            stream, n, chunk, np.uint64(steps), lanes, table.arrays, table.code[-1], table.over, powers,
+            stream, n, chunk, np.uint64(steps), lanes, table.arrays, table.most, table.code[-1], table.over, powers,
             zeta is not None, by_move, len(path) > 0, places, path, sums, lengths, last,
         )  # fmt: skip
 

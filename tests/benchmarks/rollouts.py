@@ -76,8 +76,8 @@ def ours(mdp, policy, n):
 
         def run():
             lanes.returns(
-                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), 64, made.arrays, made.code[-1], made.over, powers,
-                weighted, by_move, record, places, path, sums, *outcomes,
+                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), 64, made.arrays, made.most, made.code[-1],
+                made.over, powers, weighted, by_move, record, places, path, sums, *outcomes,
             )  # fmt: skip
             return int(outcomes[0].sum()), sums[0]
 
@@ -155,11 +155,11 @@ def jax_scans(mdp, policy, sums, successors, paid, n):
         made = _alias_table(mdp, policy, np.zeros(0))
         code, entry = made.code[:-1].astype(np.int64), np.minimum(made.entry, mdp.transitions.nnz - 1)
         order = np.argsort(code)
-        k = np.repeat(code[order] & 63, np.diff(code[order] >> 6, append=len(made.word))).astype(np.uint64)
+        k = np.repeat(code[order] & 255, np.diff(code[order] >> 8, append=len(made.word))).astype(np.uint64)
         words = made.word
         if dtype == jnp.uint32:  # the first bits of thresholds only
             words = made.word >> k + np.uint64(32) << k | made.word & (np.uint64(1) << k) - np.uint64(1)
-        first, size, word = jnp.asarray(code >> 6, jnp.int32), jnp.asarray(code & 63, dtype), jnp.asarray(words, dtype)
+        first, size, word = jnp.asarray(code >> 8, jnp.int32), jnp.asarray(code & 255, dtype), jnp.asarray(words, dtype)
         following, reward = jnp.asarray(mdp.transitions.indices[entry]), jnp.asarray(made.reward)
 
         def follow(key, state):

@@ -26,7 +26,7 @@ def table_of(rows, records=None):
 def masses(table, starts, state):
     """Units of 2^-64 that each outcome of a state has, by going through its slots."""
     code = int(table.code[state])
-    first, k = code >> 6, code & 63
+    first, k = code >> 8, code & 255
     room = 2 ** (64 - k)
     found = [0] * (starts[state + 1] - starts[state])
     for i in range(2**k):
@@ -44,7 +44,7 @@ def check(rows):
         assert sum(found) == 2**64
         total = sum(Fraction(float(x)) for x in row)
         shares = [Fraction(float(x)) / total * 2**64 for x in row]
-        most, slots = max(shares), 2 ** (int(table.code[state]) & 63)
+        most, slots = max(shares), 2 ** (int(table.code[state]) & 255)
         assert slots < 2 * max(sum(mass > 0 for mass in found), 1)
         for mass, share in zip(found, shares, strict=True):
             # to half a unit and the roundings of a double; the most probable takes what others leave
@@ -85,7 +85,7 @@ def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_doe
     """But where its bits are the threshold's first ones: that is said, and nothing else is."""
     table, _ = table_of([rng.dirichlet(np.ones(rng.integers(1, 12))), np.ones(1)])
     code = table.code[0]
-    first, k = int(code) >> 6, int(code) & 63
+    first, k = int(code) >> 8, int(code) & 255
     for i in range(2**k):
         word = int(table.word[first + i])
         threshold, other = word >> k + 32, word & (2**k - 1)
@@ -97,8 +97,10 @@ def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_doe
             (2 ** (32 - k) - 1, other),
         ):
             if 0 <= high < 2 ** (32 - k):
-                slot, undecided = lanes.choose(code, np.uint64(high << k | i), table.word)
-                assert int(undecided) >> 63 == (high == threshold)
+                x = high << k | i
+                slot, distance = lanes.choose(code, np.uint64(x << 32 | x), table.word, np.uint64(2 ** (k + 32)))
+                assert (int(distance) < 2 ** (k + 33)) >= (high == threshold)
+                assert (int(distance) < 2 ** (k + 33)) <= (abs(high - threshold) <= 1 or high == 2 ** (32 - k) - 1)
                 assert high == threshold or int(slot) == first + taken
 
 
@@ -124,15 +126,15 @@ def test_rewards_of_a_row_and_of_an_entry_and_codes_of_successors():
                 indptr, indices, prob, policy, np.array([0.0, 1.0]), pay, ratio, np.zeros(2, dtype=bool)
             )
             for state in range(2):
-                low, k = int(table.code[state]) >> 6, int(table.code[state]) & 63
+                low, k = int(table.code[state]) >> 8, int(table.code[state]) & 255
                 for i in range(low, low + 2**k):
                     x = table.entry[i]
                     assert table.following[i] == table.code[indices[x]]
                     assert table.reward[i] == pay[x if len(pay) == 6 else np.searchsorted(indptr, x, side="right") - 1]
                     assert len(ratio) == 0 or table.factor[i] == ratio[x]
             begin = int(table.code[2])
-            assert begin & 63 == 0
-            assert table.following[begin >> 6] == table.code[1]
+            assert begin & 255 == 0
+            assert table.following[begin >> 8] == table.code[1]
 
 
 def test_rows_that_sum_to_one_only_to_the_tolerance():
@@ -158,7 +160,7 @@ def test_every_slot_is_one_states(rng):
     table = alias.build(
         starts, np.zeros(starts[-1], int), prob, np.ones((n, 1)), np.eye(n)[0], np.zeros(n), np.zeros(0), over
     )
-    taken = [np.arange(int(code) >> 6, (int(code) >> 6) + 2 ** (int(code) & 63)) for code in table.code]
+    taken = [np.arange(int(code) >> 8, (int(code) >> 8) + 2 ** (int(code) & 255)) for code in table.code]
     assert_array_equal(np.sort(np.concatenate(taken)), np.arange(len(table.word)))
     for state in range(n):
         assert set(table.entry[taken[state]]) == set(range(starts[state], starts[state + 1]))

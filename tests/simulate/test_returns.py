@@ -43,46 +43,49 @@ def test_words_of_many_lanes_are_philox_words():
     lanes.step_words(key, trajectory, t, words, n)
     for i in range(n):
         expected = words_of(key, 1, int(trajectory[i]), int(t[i]))
-        assert words[:, i].tolist() == expected
+        assert words[:, i].tolist() == [word << 32 | word for word in expected]
         for k in range(4):
             assert int(lanes.word_of(key, np.uint64(1), trajectory[i], t[i] + np.uint64(k))) == expected[k]
 
 
-def undecided(seed, trajectory, horizon, first):
+def undecided(seed, trajectory, horizon, first, k):
     """A chain in which every other word of that trajectory ties with its threshold, and its path by whole numbers.
 
-    States 2 t and 2 t + 1 are two names of step t; both lead to both of step t + 1, one of them with a chance of
-    (x // 2 + 1/2) / 2^32, x the word of the step, which decides nothing then (in the other steps 1/2, where its last bit
-    decides). ``first``: so does the draw of the first state.
+    2^k names of step t follow each other; each leads to all those of step t + 1 with the chance 2^-k, but that which the word x
+    of the step points to has (x // 2^k + 1/2) / 2^32 where x is not to decide, and the last other one what is left: that is
+    its alias. ``first``: so does the draw of the first state.
     """
-    key, path, below = stream_key(seed), [], set()
-    chances = np.zeros((2 * horizon + 2, 2 * horizon + 2))
-    initial = np.eye(2 * horizon + 2)[0]
+    key, path, below, n = stream_key(seed), [], set(), 2**k
+    chances = np.zeros((n * (horizon + 1), n * (horizon + 1)))
+    initial = np.eye(len(chances))[0]
     for step in range(-1 if first else 0, horizon):
         kind = 2 if step < 0 else 1
-        x, rest = (words_of(key, k, trajectory, max(step, 0))[max(step, 0) % 4] for k in (kind, kind + 2))
+        x, rest = (words_of(key, c, trajectory, max(step, 0))[max(step, 0) % 4] for c in (kind, kind + 2))
         row = np.zeros(len(chances))
-        own, other = 2 * step + 2 + x % 2, 2 * step + 3 - x % 2
+        names = row[n * (step + 1) : n * (step + 2)]
+        names[:] = 1 / n
+        own, other = x % n, n - 1 - (x % n == n - 1)
         tie = step < 0 or (step + trajectory) % 2 == 0
-        row[own] = (x // 2 + 0.5) / 2**32 if tie else 0.5
-        row[other] = 1 - row[own]
+        if tie:
+            names[own] = (x // n + 0.5) / 2**32
+            names[other] += 1 / n - names[own]
+            below.add(rest < 2**31)
         if step < 0:
             initial = row
         else:
-            chances[2 * step : 2 * step + 2] = row
-        path.append(own if rest < 2**31 or not tie else other)
-        below |= {rest < 2**31} if tie else set()
-    chances[-2:, -2:] = np.eye(2)
+            chances[n * step : n * (step + 1)] = row
+        path.append(n * (step + 1) + (own if rest < 2**31 or not tie else other))
+    chances[-n:, -n:] = np.eye(n)
     return oee.FiniteMDP(sparse.csr_array(chances), np.arange(len(chances)) / 8, initial, 0.5), path, below
 
 
-@pytest.mark.parametrize("horizon", [3, 4, 9])
+@pytest.mark.parametrize(("horizon", "k"), [(3, 1), (4, 1), (9, 1), (9, 4)])
 @pytest.mark.parametrize("first", [False, True])
 @pytest.mark.parametrize(("weighted", "record"), [(False, False), (False, True), (True, False), (True, True)])
-def test_where_a_words_32_bits_do_not_decide_32_more_do(horizon, first, weighted, record):
+def test_where_a_words_32_bits_do_not_decide_32_more_do(horizon, k, first, weighted, record):
     taken = set()
     for trajectory in (0, 1, 69):
-        mdp, path, below = undecided(5, trajectory, horizon, first)
+        mdp, path, below = undecided(5, trajectory, horizon, first, k)
         policy = np.ones((mdp.n_states, 1))
         zeta = mdp.transitions.copy()
         zeta.data = np.where(np.arange(zeta.nnz) % 2 == 0, 1.5, 0.5)
