@@ -29,7 +29,7 @@ class LinearSolution:
     ----------
     x : (S,)
     error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding included
-    method : "dense LU", "banded LU", "value iteration", "BiCGSTAB" or "sparse LU"
+    method : "dense LU", "LU by components", "banded LU", "value iteration", "BiCGSTAB" or "sparse LU"
     certified : with ``certify=True``, the share of entries of x that are proved to be correctly rounded; else None
 
     Examples
@@ -69,7 +69,8 @@ def solve_policy_system(
 
     Notes
     -----
-    Cost: O(S^3) up to 32 states, else a few dozen sparse sweeps; certified 1.5 to 2 times that.
+    Cost: O(S^3) up to 32 states; one pass where no more than some states can reach each other (layered models); else a few
+    dozen sparse sweeps. Certified 1.5 to 2 times that.
 
     Examples
     --------

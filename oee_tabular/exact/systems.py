@@ -2,6 +2,7 @@
 
 =========================  ============================================================================================
 up to 32 states            dense LU, without pivoting (an M-matrix needs none)
+small communicating sets   one after the other, by dense LU: layered models, whatever the order of their states
 a narrow band              banded LU, as the states stand or in breadth-first order
 rows of one sum that mix   value iteration with the common change summed, while each sweep more than halves the spread
 all others                 an independent set eliminated, then BiCGSTAB with a modified DILU in breadth-first order
@@ -26,6 +27,7 @@ from scipy.sparse import linalg
 from oee_tabular._checks import Array
 
 TINY = 32
+LARGEST_COMPONENT = 100  # and a tenth of the states
 DENSE_LIMIT = 400
 _FLOOR = 2e-15  # of the iteration's residual relative to its y, which is a good deal smaller than x
 _STEPS = 500
@@ -73,6 +75,15 @@ class System:
         from oee_tabular.kernels.krylov import breadth_first
 
         found: tuple[Any, Any] = breadth_first(self.indptr, self.indices)
+        return found
+
+    @cached_property
+    def components(self) -> tuple[Any, Any]:
+        """States by strongly connected component, those last that lead to all others; where components begin, or nothing."""
+        from oee_tabular.kernels.components import components
+
+        most = min(LARGEST_COMPONENT, self.n_states // 10)
+        found: tuple[Any, Any] = components(self.indptr, self.indices, self.data, most)
         return found
 
     def residual(self, b: Array, x: Array) -> Missed:
@@ -154,6 +165,8 @@ def choose(system: System, b: Array) -> tuple[Solver, str, Array | None]:
     n = system.n_states
     if n <= TINY:
         return elimination(system, n - 1, n - 1, False), "dense LU", None
+    if len(system.components[1]):
+        return by_components(system), "LU by components", None
     crowded = len(system.indices) > 8 * n  # a graph that mixes, most often: tried before states are put in an order
     if crowded and (mixing := _mixing(system, b)) is not None:
         return mixing
@@ -197,6 +210,19 @@ def elimination(system: System, below: int, above: int, placed: bool) -> Solver:
         x = np.array(b if order is None else b[order])
         substitute(matrix, n, step, shift, below, above, x, system.transpose)
         return x if order is None else x[place]
+
+    return solver
+
+
+def by_components(system: System) -> Solver:
+    """Strongly connected components one after the other."""
+    from oee_tabular.kernels.components import solve
+
+    parts, found = (system.indptr, system.indices, system.data, system.discount), system.components
+
+    def solver(b: Array, relative: float) -> Array:
+        x: Array = solve(*parts, *found, readable(b), system.transpose)
+        return x
 
     return solver
 

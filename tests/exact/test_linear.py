@@ -97,6 +97,8 @@ def solvers(system):
     """Every solver that can be asked for this system."""
     n = system.n_states
     found = {"library": systems.library(system)[0], "BiCGSTAB": systems.krylov(system)}
+    if len(system.components[1]):
+        found["components"] = systems.by_components(system)
     found["LU"] = systems.elimination(system, n - 1, n - 1, False)
     found["band"] = systems.elimination(system, n - 1, n - 1, True)
     if not system.transpose and system.sums[1] * system.discount < 1:
@@ -135,8 +137,8 @@ def test_all_solvers_give_one_answer_within_their_bounds(name, discount, transpo
 
 @pytest.mark.parametrize(
     ("name", "method"),
-    [("one state", "dense LU"), ("grid", "BiCGSTAB"), ("layered", "banded LU"), ("expander", "value iteration"),
-     ("ring", "banded LU"), ("dense", "value iteration"), ("rows above 1", "BiCGSTAB"), ("empty", "banded LU")],
+    [("one state", "dense LU"), ("grid", "BiCGSTAB"), ("layered", "LU by components"), ("expander", "value iteration"),
+     ("ring", "banded LU"), ("dense", "value iteration"), ("rows above 1", "BiCGSTAB"), ("empty", "LU by components")],
 )  # fmt: skip
 def test_the_choice(name, method):
     kernel = STRUCTURES[name]
@@ -170,6 +172,94 @@ def test_a_layered_kernel_is_solved_in_one_step():
         factors = krylov.split(*parts, order, place, modified)
         _, steps = krylov.bicgstab(*factors, np.ones(480) / modified, 1e-12, 0.0, 50)
         assert steps <= 1 + 2 * (rows is not kernel)
+
+
+def levels(rng, n, size):
+    """Sets of up to ``size`` states that communicate, each leading to sets after it; states in any order."""
+    ends = np.unique(np.append(np.cumsum(rng.integers(1, size + 1, n)), n).clip(max=n))
+    kernel = np.zeros((n, n))
+    for low, high in zip(np.append(0, ends[:-1]), ends, strict=True):
+        for i in range(low, high):
+            kernel[i, low + (i - low + 1) % (high - low)] = rng.random() + 0.1
+            later = rng.integers(low, n, 3)
+            kernel[i, later] += rng.random(3) * (rng.random(3) < 0.7)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    at = rng.permutation(n)
+    return kernel[at][:, at], len(ends)
+
+
+@given(rngs)
+def test_strongly_connected_components_are_found_and_ordered(rng):
+    """Those of scipy, each after those that it leads to; one that is too large ends the search."""
+    from oee_tabular.kernels.components import components
+
+    n = int(rng.integers(1, 70))
+    dense, count = levels(rng, n, int(rng.integers(1, 9)))
+    kernel = sparse.csr_array(dense)
+    hidden = rng.random(kernel.nnz) < 0.2  # entries of 0 that are stored lead nowhere
+    dense = np.where(
+        sparse.csr_array((hidden, kernel.indices, kernel.indptr), shape=kernel.shape).toarray(), 0.0, dense
+    )
+    kernel.data[hidden] = 0.0
+    seen, label = sparse.csgraph.connected_components(dense, directed=True, connection="strong")
+    assert seen >= count
+    parts = System.of(kernel, 0.5)
+    order, starts = components(parts.indptr, parts.indices, parts.data, n)
+    assert_array_equal(np.sort(order), np.arange(n))
+    assert len(starts) == seen + 1
+    sets = [set(order[low:high].tolist()) for low, high in zip(starts[:-1], starts[1:], strict=True)]
+    assert {frozenset(s) for s in sets} == {frozenset(np.flatnonzero(label == c).tolist()) for c in range(seen)}
+    place = np.empty(n, dtype=int)
+    for number, states in enumerate(sets):
+        place[list(states)] = number
+    rows, columns = np.nonzero(dense)
+    assert (place[columns] <= place[rows]).all()
+    largest = max(len(states) for states in sets)
+    for most in range(1, n + 1):
+        found = components(parts.indptr, parts.indices, parts.data, most)
+        assert (len(found[1]) > 0) == (most >= largest)
+        assert len(found[0]) == n * (most >= largest)
+
+
+@given(rngs)
+def test_layered_systems_are_solved_by_components(rng):
+    n = int(rng.integers(70, 120))
+    dense, _ = levels(rng, n, 7)
+    kernel, b = sparse.csr_array((dense > 0) | (rng.random((n, n)) < 0.05)).astype(float), rng.normal(size=n)
+    kernel.data = dense[
+        np.repeat(np.arange(n), np.diff(kernel.indptr)), kernel.indices
+    ]  # some of them 0, where order ends
+    discount = float(rng.choice([0.0, 0.9, 0.9999]))
+    for transpose in (False, True):
+        matrix = np.eye(n) - discount * (dense.T if transpose else dense)
+        found = solve_policy_system(kernel, b, discount, transpose=transpose)
+        assert found.method == "LU by components"
+        truth = np.linalg.solve(matrix, b)
+        assert_allclose(found.x, truth, rtol=0, atol=1e-12 / (1 - discount) * np.abs(truth).sum())
+        missed = np.abs(found.x - solve_policy_system(kernel, b, discount, transpose=transpose, certify=True).x)
+        assert (missed.sum() if transpose else missed.max()) <= found.error_bound + np.spacing(np.abs(truth).sum())
+
+
+def test_a_layered_model_of_any_order_has_its_exact_values():
+    """A clock in the state: T rounds of a grid world are its values over T steps."""
+    small, steps = oee.tasks.gridworld(6, 0.3), 50
+    n = small.n_states
+    order = np.random.default_rng(0).permutation(n * steps)
+    clock = sparse.csr_array(sparse.kron(sparse.eye_array(steps, k=1), small.transitions))
+    last = sparse.csr_array((np.arange(clock.shape[0]) >= n * (steps - 1) * small.n_actions).astype(float)[:, None])
+    end = sparse.csr_array(([1.0], ([0], [0])), shape=(1, 1))
+    clock = sparse.csr_array(sparse.block_array([[clock, last], [None, sparse.vstack([end] * small.n_actions)]]))
+    rewards = np.append(np.tile(small.rewards, (steps, 1)), np.zeros((1, small.n_actions)), axis=0)
+    place = np.append(order, n * steps)  # the new number of a state
+    back = np.argsort(place)
+    rows = (back[:, None] * small.n_actions + np.arange(small.n_actions)).reshape(-1)
+    policy = np.append(np.tile(oee.uniform_policy(small), (steps, 1)), np.full((1, 4), 0.25), axis=0)
+    for discount in (0.99, 1.0):
+        mdp = FiniteMDP(clock[rows][:, back], rewards[back], np.eye(n * steps + 1)[place[0]], discount)
+        found = exact.evaluate_policy(mdp, policy[back])
+        known = oee.state_values(small.with_discount(discount), oee.uniform_policy(small), horizon=steps)
+        assert found.method == "LU by components"
+        assert_allclose(found.values[place[:n]], known, rtol=1e-13)
 
 
 @given(rngs)
