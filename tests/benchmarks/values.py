@@ -144,6 +144,19 @@ def expander(n, entries=10, actions=4):
     return oee.FiniteMDP(matrix, rng.normal(size=(n, actions)), np.full(n, 1 / n), 0.99)
 
 
+def layered(n, size=4, actions=2, entries=3, reach=50):
+    """Levels of 4 states that communicate, each leading up to 50 levels on; states numbered at random."""
+    rng = np.random.default_rng(0)
+    level = np.repeat(np.arange(n), actions * entries) // size
+    ahead = (level + rng.integers(0, reach, len(level))) * size + rng.integers(0, size, len(level))
+    new = rng.permutation(n)
+    columns = new[np.minimum(ahead, n - 1)].reshape(n, -1)[np.argsort(new)].reshape(-1)
+    chances = rng.dirichlet(np.ones(entries), size=n * actions).reshape(-1)
+    rows = np.arange(0, len(columns) + 1, entries)
+    matrix = sparse.csr_array((chances, columns, rows), shape=(n * actions, n))
+    return oee.FiniteMDP(matrix, rng.normal(size=(n, actions)), np.full(n, 1 / n), 0.99)
+
+
 def tiny():
     """4 states: ours from the rows of the transitions, numpy from a dense P[s, a, s']."""
     from oee_tabular.exact.systems import readable, unsigned
@@ -258,6 +271,8 @@ def rows(*, quick):
     x = spsolve(kernel, pay, random.discount)()
     taken, error = time.process_time() - start, np.abs(pay + random.discount * (kernel @ x) - x).max() / np.abs(x).max()
     yield row("V", case, "scipy spsolve", taken, error)
+    clock = layered(2_000 if quick else 20_000)
+    yield from against(f"layered MDP of {clock.n_states} states", clock, oee.uniform_policy(clock))
     if quick:
         return
     direct = ("quantecon DiscreteDP", "scipy splu (MMD_AT_PLUS_A, symmetric)", "MKL PARDISO")

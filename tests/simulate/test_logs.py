@@ -131,3 +131,35 @@ def test_an_entry_of_probability_zero_is_never_picked_whatever_the_draw():
     cumulative = np.array([0.0, 0.5, 0.5, 1.0, 1.0])
     picked = [int(rollout.pick(cumulative, 0, 5, u)) for u in (0.0, 0.25, 0.5, 0.75, 1 - 2**-53)]
     assert picked == [1, 1, 3, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (lambda m, p: oee.sample_transitions(m, p / 9, 0, seed=0), "^n must be a positive integer; it is 0"),
+        (lambda m, p: oee.sample_transitions(m, p, 5, seed=0), "^distribution must sum to 1 .*; it sums to 9"),
+        (lambda m, p: oee.sample_transitions(m, np.ones(4), 5, seed=0), "^distribution must have 2 dimension"),
+        (lambda m, p: oee.sample_transitions(m, np.ones((3, 4)) / 12, 5, seed=0), r"^distribution must have shape \(9, 4\)"),
+        (lambda m, p: oee.sample_episodes(m, p, 0, 5, seed=0), "^n_episodes must be a positive integer; it is 0"),
+        (lambda m, p: oee.sample_episodes(m, p, 5, 0, seed=0), "^horizon must be a positive integer; it is 0"),
+        (lambda m, p: oee.sample_episodes(m, p, 5, 5, seed="x"), "^seed must be what numpy.random.default_rng takes; got 'x'"),
+    ],
+)  # fmt: skip
+def test_bad_calls(bad, words):
+    mdp = oee.tasks.gridworld(3, slip=0.1)
+    with pytest.raises(ValueError, match=words):
+        bad(mdp, oee.uniform_policy(mdp))
+
+
+def test_twins_of_terminal_states_are_not_drawn_from():
+    """A distribution over the environment's own states is one over all, with nothing on the twins."""
+    rows = np.array([[[0.5, 0.5, 0.0, 0.0]], [[0.0, 0.0, 0.6, 0.4]], [[0.0, 0.0, 1.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]]])
+    mdp = oee.FiniteMDP(rows, np.ones((4, 1)), [1, 0, 0, 0], 0.9, terminal_state=[2, 3])
+    own = np.array([[0.25], [0.75]])
+    log = oee.sample_transitions(mdp, own, 2000, seed=0)
+    same = oee.sample_transitions(mdp, np.concatenate([own, np.zeros((2, 1))]), 2000, seed=0)
+    assert_array_equal(log.next_state, same.next_state)
+    assert log.state.max() == 1
+    assert not log.terminated.any()
+    episodes = oee.sample_episodes(mdp, np.ones((4, 1)), 20, 4, seed=0)
+    assert episodes.terminated.dtype == bool

@@ -296,7 +296,10 @@ def test_bad_calls(bad, words):
 def test_it_prints_what_it_holds():
     drawn = call(n_episodes=50, horizon=20)
     assert repr(drawn).startswith(f"SampledReturns(50 episodes, {drawn.lengths.sum()} transitions: mean ")
-    assert "weighted" not in repr(drawn)
+    assert repr(drawn).endswith(f"standard error {drawn.standard_error:.2g})")
+    assert drawn.log is None
+    for label in (">episodes<", ">transitions<", ">mean<", ">standard error<", ">largest weight<"):
+        assert label in drawn._repr_html_()
     assert repr(call(zeta=ZETA, kind="trajectory")).endswith("weighted trajectory)")
     assert "discounted sum of rewards" in drawn._repr_html_()
     assert len(drawn) == 50
