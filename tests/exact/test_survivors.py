@@ -754,3 +754,15 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
         pay = sum(a * Fraction(r) for a, r in zip(act, rewards[state].tolist(), strict=True))
         missed.append(abs(Fraction(float(found.values[state])) - pay / (1 - gamma * sum(act))))
     assert Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
+
+
+def test_moments_without_a_horizon_have_the_exact_mean():
+    simulator = oee.tasks.gridworld(4, 0.3, discount=0.8)
+    zeta = oee.true_ratio(oee.tasks.gridworld(4, 0.27), simulator)
+    policy = oee.uniform_policy(simulator)
+    known = oee.policy_value(exact.reweight(simulator, zeta.values), policy)
+    for sources in (False, True):
+        found = exact.weighted_return_moments(simulator, zeta, policy, sources=sources)
+        assert_allclose(found.mean, known, rtol=1e-12)
+        assert (found.by_state is not None) == sources
+    assert_allclose(exact.return_moments(simulator, policy).mean, oee.policy_value(simulator, policy), rtol=1e-12)
