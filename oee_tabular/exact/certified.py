@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular.exact.systems import System, choose, library, readable
+from oee_tabular.exact.direct import library
+from oee_tabular.exact.systems import System, choose, readable
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,10 @@ def solve_certified(
         again = twofold.residual(*rows, b, b_low, y, y_low, float(system.formed), system.transpose)
         if again[1] < 0.5 * size:
             x, x_low, (missed, size, bound, rounding) = y, y_low, again
-        elif fallen_back or method.endswith("LU"):
+        elif fallen_back or "LU" in method or (last := library(system)) is None:
             break
         else:
-            (solver, method), fallen_back = library(system), True
+            (solver, method), fallen_back = last, True
     error = float(norm_of_inverse * (bound + slack)) + float(np.abs(x_low).max(initial=0.0))
     return Certified(x, x_low, 0.0 if bool(np.all(sure & (x == 0.0))) else error, float(sure.mean()), method)
 

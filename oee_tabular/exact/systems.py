@@ -6,33 +6,31 @@ small communicating sets   one after the other, by dense LU: layered models, wha
 a narrow band              banded LU, as the states stand or in breadth-first order
 rows of one sum that mix   value iteration with the common change summed, while each sweep more than halves the spread
 all others                 an independent set eliminated, then BiCGSTAB with a modified DILU in breadth-first order
-where that falls short     LAPACK up to 400 states, else SuperLU with the minimum degree order of A^T + A
+where that falls short     LAPACK up to 400 states, else SuperLU with the minimum degree order of A^T + A (``direct``)
 =========================  ============================================================================================
 
-A direct solver is the last resort because it fills in on expanders. All are refined on the residual of the system as it
-was given, until that is as small as its own rounding.
+A direct solver is the last resort because it fills in on expanders, of which no more than 3000 states are given to one: the
+iteration's answer, with its bound, stands there. All are refined on the residual of the system as it was given, until that is
+as small as its own rounding.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import linalg
 
 from oee_tabular._checks import Array
+from oee_tabular.exact.direct import Solver, library
 
 TINY = 32
 LARGEST_COMPONENT = 100  # and a tenth of the states
-DENSE_LIMIT = 400
 _FLOOR = 2e-15  # of the iteration's residual relative to its y, which is a good deal smaller than x
 _STEPS = 500
 ITERATIVE = ("BiCGSTAB", "value iteration")
-Solver = Callable[[Array, float], Array]  # of the right side, and of how far its residual is to fall
 Missed = tuple[Array, float, float, float]
 
 
@@ -131,11 +129,10 @@ def solve(system: System, b: Array) -> tuple[Array, Missed, str]:
     """x, what ``System.residual`` says of it, and the method."""
     solver, method, start = choose(system, b)
     x, found = refine(system, b, solver, start)
-    if method in ITERATIVE and not found[1] <= 64.0 * found[3]:
-        solver, direct = library(system)
-        y, of_y = refine(system, b, solver, least=1)
+    if method in ITERATIVE and not found[1] <= 64.0 * found[3] and (last := library(system)) is not None:
+        y, of_y = refine(system, b, last[0], least=1)
         if not of_y[1] >= found[1]:
-            return y, of_y, direct
+            return y, of_y, last[1]
     return x, found, method
 
 
@@ -277,20 +274,3 @@ def iteration(system: System, order: Any, place: Any, weight: float) -> Solver:
         return found
 
     return solver
-
-
-def library(system: System) -> tuple[Solver, str]:
-    """A direct solver with pivoting."""
-    n = system.n_states
-    matrix = system.matrix()
-    if n <= DENSE_LIMIT:
-        try:
-            inverse = np.linalg.inv(matrix.toarray())
-        except np.linalg.LinAlgError:
-            return lambda b, relative: np.full(n, np.nan), "dense LU"
-        return lambda b, relative: inverse @ b, "dense LU"
-    try:
-        factors = linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    except RuntimeError:  # singular
-        return lambda b, relative: np.full(n, np.nan), "sparse LU"
-    return lambda b, relative: np.asarray(factors.solve(b)), "sparse LU"

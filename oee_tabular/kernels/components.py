@@ -60,7 +60,7 @@ def components(indptr: Any, indices: Any, data: Any, most: Any) -> Any:
             depth -= 1
             if begins[n_begins - 1] == height[state]:
                 n_begins -= 1
-                low = np.int64(begins[n_begins])
+                low: Any = np.int64(begins[n_begins])
                 starts[found], found = n_ordered, found + 1
                 for i in range(low, n_open):
                     order[n_ordered] = open_states[i]
@@ -78,7 +78,7 @@ def solve(indptr: Any, indices: Any, data: Any, discount: Any, order: Any, start
     """x, or that of the transposed system; nan from the first component on that is no M-matrix."""
     n, count = len(b), len(starts) - 1
     x, left = np.full(n, np.nan), b.copy()
-    most = 0
+    most: Any = 0
     for c in range(count):
         most = max(most, np.int64(starts[c + 1]) - np.int64(starts[c]))
     number = np.zeros(n, dtype=np.uint32)  # within its component, beginning with 1; 0 outside of the one at hand

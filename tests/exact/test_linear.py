@@ -188,6 +188,34 @@ def levels(rng, n, size):
     return kernel[at][:, at], len(ends)
 
 
+def test_which_graphs_expand():
+    from oee_tabular.exact.direct import expands
+
+    n = 900
+    restart = sparse.csr_array((np.ones(n), (np.arange(n), np.zeros(n, dtype=int))), shape=(n, n))
+    for kernel in (grid(25), sparse.csr_array(0.9 * grid(30) + 0.1 * restart), cycle(500), layered(40, 20),
+                   sparse.csr_array(sparse.block_diag([grid(10)] * 20))):  # fmt: skip
+        assert not expands(kernel)
+    for entries in (2, 3, 8):
+        assert expands(random_rows(900, entries))
+
+
+@pytest.mark.parametrize("certify", [False, True])
+def test_where_iteration_fails_on_an_expander(monkeypatch, certify):
+    """Up to 3000 states a dense solver answers; above, the bound says how far the iteration got."""
+    monkeypatch.setattr(systems, "_mixing", lambda system, b: None)
+    monkeypatch.setattr(systems, "krylov", lambda system: lambda b, relative: 0.9 * b)
+    for n, method in ((900, "dense LU"), (3300, "BiCGSTAB")):
+        b = np.random.default_rng(0).normal(size=n)
+        found = solve_policy_system(random_rows(n, 3), b, 0.9, certify=certify)
+        missed = np.abs(found.x - 0.9 * (random_rows(n, 3) @ found.x) - b).max()
+        assert found.method == method
+        assert (missed < 1e-13) == (n == 900)
+        assert missed <= 10 * found.error_bound + 1e-13
+        assert found.error_bound < 1e3
+        assert not certify or (found.certified == 1.0) == (n == 900)
+
+
 @given(rngs)
 def test_strongly_connected_components_are_found_and_ordered(rng):
     """Those of scipy, each after those that it leads to; one that is too large ends the search."""

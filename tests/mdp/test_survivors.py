@@ -51,7 +51,8 @@ def test_its_page_has_its_numbers():
         assert f"{label}</" in page
         assert f">{value}<" in page, label
     assert "FiniteMDP: rewards in units of the return" in page
-    assert "r(s, a), -1 to 0" in page or "r(s, a), -1 to -0" in page
+    assert "r(s, a, s&#x27;), -0.8 to 0<" in page  # -0.8: two ways lead to one s'
+    assert ">r(s, a), 1 to 3<" in with_a_state_that_nothing_leads_to()._repr_html_()
     assert "r(s, a, s'), 1 to 6" in with_a_state_that_nothing_leads_to(3)._repr_html_().replace("&#x27;", "'")
 
 
