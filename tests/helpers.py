@@ -1,6 +1,9 @@
 """What several tests need: random MDPs, dense oracles that share no code with the package, and its full enumeration."""
 
 import itertools
+import os
+import subprocess
+import sys
 
 import numpy as np
 from hypothesis import strategies as st
@@ -95,3 +98,10 @@ def survival_chain(discount=0.9):
     """Two states: alive (pays 1, dies with probability 0.3) and over. V(alive) = 1 / (1 - 0.7 gamma)."""
     transitions = np.array([[[0.7, 0.3]], [[0.0, 1.0]]])
     return FiniteMDP(transitions, np.array([1.0, 0.0]), np.array([1.0, 0.0]), discount)
+
+
+def printed_with_threads(script, threads):
+    """What a script prints in a process of its own with that many numba threads."""
+    environment = os.environ | {"NUMBA_NUM_THREADS": str(threads)}
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
