@@ -417,3 +417,37 @@ def test_without_a_discount_a_closed_class_diverges(name):
                 solve_policy_system(kernel, np.ones(kernel.shape[0]), 1.0, transpose=transpose, certify=certify)
     with pytest.raises(DivergentKernelError, match=r"spectral radius of 1\."):
         solve_policy_system(kernel * 1.5, np.ones(kernel.shape[0]), 0.9)
+
+
+@given(rngs)
+def test_residuals_and_what_bounds_them(rng):
+    """Each kernel that computes a residual, against the formulas in its docstring."""
+    from oee_tabular.kernels import policy_rows, small_systems
+
+    n, discount, formed = int(rng.integers(2, 9)), float(rng.random()), 3.0
+    dense = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
+    b, x = rng.normal(size=(2, n)) * 10.0 ** rng.integers(-3, 4, (2, n))
+    parts = System.of(sparse.csr_array(dense), discount)
+    unit = 0.5 * np.finfo(float).eps
+    for transpose, matrix in ((False, dense), (True, dense.T)):
+        kernel = policy_rows.residual_transposed if transpose else policy_rows.residual
+        missed, largest, bound, rounding = kernel(parts.indptr, parts.indices, parts.data, discount, b, x, formed)
+        sizes = discount * (matrix @ np.abs(x)) + np.abs(x) + np.abs(b)
+        here = unit * ((matrix > 0).sum(axis=1) + 4 + formed) * sizes
+        truth = b + discount * (matrix @ x) - x
+        assert (np.abs(missed - truth) <= 2 * here).all()
+        assert largest == np.abs(missed).max()
+        assert_allclose(rounding, here.max(), rtol=1e-7)
+        whole = np.abs(missed) + here
+        assert_allclose(bound, whole.sum() if transpose else whole.max(), rtol=1e-7)
+        assert bound >= (whole.sum() if transpose else whole.max()) * (1 - 1e-15)
+    out = np.empty(n)
+    largest, bound = small_systems.missing(dense.reshape(-1), discount, b, x, out, formed)
+    sizes = discount * (dense @ np.abs(x)) + np.abs(x) + np.abs(b)
+    assert largest == np.abs(out).max()
+    assert_allclose(bound, (np.abs(out) + unit * (n + 4 + formed) * sizes).max(), rtol=1e-7)
+    # where nothing is missed only the roundings are left
+    zero = np.zeros(n)
+    assert_allclose(small_systems.missing(dense.reshape(-1), 0.0, b, b, out, formed),
+                    (0.0, unit * (n + 4 + formed) * 2 * np.abs(b).max()), rtol=1e-7)  # fmt: skip
+    assert small_systems.missing(dense.reshape(-1), discount, zero, zero, out, formed) == (0.0, 0.0)
