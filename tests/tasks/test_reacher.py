@@ -108,6 +108,29 @@ def test_laws_of_a_step(seed, length, tamed):
 
 
 @given(seeds, st.sampled_from(LENGTHS))
+def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
+    """Bullet's law from the velocities of the centres of mass; the torques of that, without drag, make the same step."""
+    states, k = states_of(np.random.default_rng(seed), 20, speed=10.0), 0.04
+    torques = np.zeros((20, 2))
+    for row, (_, q2, w1, w2) in zip(torques, states, strict=True):
+        for b, (mass, r, moment) in enumerate(link_bodies(length, "box")):
+            if b == 0:
+                jacobian, turn = np.array([[0.0, 0.0], [r, 0.0]]), np.array([1.0, 0.0])
+            else:  # in the frame of the upper link
+                jacobian = np.array([[-r * np.sin(q2)] * 2, [length + r * np.cos(q2), r * np.cos(q2)]])
+                turn = np.ones(2)
+            velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
+            row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
+            row -= turn * k * moment * spin * (1 + abs(spin))
+    rest = np.ascontiguousarray(link_bodies(length, "box")), length, 0.0, 0.0
+    braked = kernel.steps(states, np.zeros((20, 2)), *rest, k, 10.0, 1e-3, 1)
+    pushed = kernel.steps(states, torques, *rest, 0.0, 10.0, 1e-3, 1)
+    free = kernel.steps(states, np.zeros((20, 2)), *rest, 0.0, 10.0, 1e-3, 1)
+    assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
+    assert np.abs(braked - free)[:, 2:].max() > 1e-4
+
+
+@given(seeds, st.sampled_from(LENGTHS))
 @settings(max_examples=20)
 def test_drag_and_damping_take_energy(seed, length):
     rng = np.random.default_rng(seed)
