@@ -42,8 +42,15 @@ def how_sure(
             raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
         return Sureness({}, (SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
-    if len(evidence.phat) > LARGEST or (problem.simulator.discount == 1.0 and problem.horizon is None):
-        return Sureness({}, (_distance(evidence),))
+    lacking = ""
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        lacking = "at discount 1 they need a horizon"
+    elif len(evidence.phat) > LARGEST:
+        lacking = f"the reachable moves are {len(evidence.phat)}, more than {LARGEST}"
+    if lacking and guaranteed:
+        raise ValueError(f"guaranteed must be False here: {lacking}")
+    if lacking:
+        return Sureness({}, (_distance(evidence), f"There are no likelihood intervals: {lacking}."))
     methods = ("likelihood", "robust") if guaranteed else ("likelihood",)
     intervals: dict[str, dict[str, Interval]] = {}
     sentences = [_distance(evidence)]

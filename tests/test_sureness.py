@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 import oee_tabular as oee
 
@@ -69,3 +70,39 @@ def test_a_certain_simulator_has_nothing_to_learn():
     sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).sureness.sentences
     assert sentences[0] == "The log has no move that could tell the target from the simulator."
     assert sentences[1].endswith("More moves would not narrow it.")
+
+
+def test_an_interval_that_leaves_out_the_prior_says_so():
+    """Beside the row whose interval is a good deal narrower than the likelihood interval, by how much."""
+    found = report(TARGET, 400)
+    sure, shown = found.sureness.intervals["mine"]["likelihood"], found.results[0].estimate.interval
+    times = (sure.upper - sure.lower) / (shown[1] - shown[0])
+    assert times > 1.25
+    (k,) = (i for i, text in enumerate(found.warnings, start=1) if "counts the noise of the log" in text)
+    assert f"the likelihood interval below, {times:.2g} times as wide, counts both" in found.warnings[k - 1]
+    assert k in found.notes["mine", "oee"]
+    assert not any("counts the noise of the log" in text for text in report(TARGET, 60_000).warnings)
+
+
+def test_diagnostics_that_are_values_are_in_the_reports_unit():
+    plain, scaled = report(TARGET, 400).records()[0], report(TARGET, 400, normalized=True).records()[0]
+    for name in ("value", "standard_error", "lower", "one_step_value", "one_step_standard_error", "error_bound"):
+        assert scaled[name] == pytest.approx(0.1 * plain[name], rel=1e-12), name
+    for name in ("coverage", "largest_weight", "one_step_distance"):
+        assert scaled[name] == plain[name], name
+
+
+def test_where_there_are_no_likelihood_intervals_it_is_said(monkeypatch):
+    """At discount 1 without a horizon, and of too many moves; guaranteed ones are refused there."""
+    from oee_tabular import sureness
+
+    log = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 900, seed=0)
+    endless = oee.Problem(SIMULATOR.with_discount(1.0), log)
+    found = oee.evaluate(endless, POLICY, estimators=["oee"], seed=0)
+    assert found.sureness.intervals == {}
+    assert found.sureness.sentences[1] == "There are no likelihood intervals: at discount 1 they need a horizon."
+    with pytest.raises(ValueError, match="guaranteed must be False here: at discount 1 they need a horizon"):
+        oee.evaluate(endless, POLICY, estimators=["oee"], seed=0, guaranteed=True)
+    monkeypatch.setattr(sureness, "LARGEST", 10)
+    text = report(TARGET, 400).sureness.sentences[1]
+    assert text == "There are no likelihood intervals: the reachable moves are 232, more than 10."

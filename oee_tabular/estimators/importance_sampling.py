@@ -100,7 +100,8 @@ class ImportanceSampling(ExactLimit):
         if self.self_normalized and effective_sample_size(last) < 2.0:
             error = None  # one episode decides: its value has no spread to show
         if not last.any():
-            status, error = "every weight is 0: no episode of the log is one that the policy could have made", None
+            error = None
+            status = "the weight of every whole episode is 0: none of the log is one that the policy could have made"
         return Estimate(value, error, diagnostics=diagnostics, status=status)
 
     def ratios(self, problem: Problem, policy: Array) -> Array:

@@ -182,7 +182,7 @@ class Plan:
         top = [divmod(int(k), self.distribution.shape[1]) for k in np.argsort(-flat, kind="stable")[:5]]
         lines.append("most of it: " + ", ".join(f"s={s}, a={a} {100 * self.distribution[s, a]:.1f}%" for s, a in top))
         if self.next_pairs:
-            lines.append("next (s, a): " + ", ".join(str(pair) for pair in self.next_pairs))
+            lines.append("next (s, a), one move each: " + ", ".join(str(pair) for pair in self.next_pairs))
         if self.unvisited:
             lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
         if self.optimistic.any():

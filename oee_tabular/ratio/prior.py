@@ -171,7 +171,8 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     strength = choice.strength
     if np.ptp(choice.curve) < 1.0:
         return f"too few moves to tell whether the {name} fits ({typical:.3g} in the median row that has some)"
-    compared = f"a row of it is worth {strength:.3g} moves, and the log has {typical:.3g} in the median row"
+    worth = f"{strength:.3g} moves" if strength < 1e6 else "any number of moves"
+    compared = f"a row of it is worth {worth}, and the log has {typical:.3g} in the median row"
     if strength >= FITS:
         verdict = f"the {name} fits"
     elif strength >= FITS_ROUGHLY:
@@ -179,5 +180,5 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     else:
         return f"the {name} does not fit: {compared}"
     misses = sum(rows for rows, _, kappa in choice.kinds if kappa < FITS_ROUGHLY)
-    apart = f"; in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows it does not" if misses else ""
+    apart = f"; but not in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows" if misses else ""
     return f"{verdict}: {compared}{apart}"

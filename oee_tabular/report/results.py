@@ -42,6 +42,11 @@ class Result:
     estimate: Estimate
 
 
+IN_UNITS = frozenset(  # diagnostics in the unit of values
+    ("one_step_value", "one_step_standard_error", "truncation_bias_bound", "error_bound", "simulator_value")
+)
+
+
 @dataclass(frozen=True)
 class Report:
     """What ``oee evaluate`` prints and draws.
@@ -94,7 +99,7 @@ class Report:
         return 1.0 - self.discount if self.normalized else 1.0
 
     def records(self) -> list[dict[str, Any]]:
-        """The results as plain rows, in the report's unit."""
+        """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
         rows = []
         for result in self.results:
             estimate, factor = result.estimate, self.scale
@@ -112,7 +117,7 @@ class Report:
                     "error": None if truth is None else (estimate.value - truth) * factor,
                     "status": estimate.status,
                     "notes": list(self.notes.get((result.policy, result.estimator), ())),
-                    **estimate.diagnostics,
+                    **{name: x * factor if name in IN_UNITS else x for name, x in estimate.diagnostics.items()},
                 }
             )
         return rows

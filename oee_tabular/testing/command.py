@@ -11,13 +11,13 @@ from typing import Any
 from oee_tabular.testing.conformance import Verdicts, check_estimator
 
 
-def check(spec: str, *, seed: int = 0) -> Verdicts:
+def check(spec: str, *, seed: int = 0, repetitions: int = 8) -> Verdicts:
     """Import an estimator, from the current directory or what is installed, and check it.
 
     Parameters
     ----------
     spec : "module:object"; the object is an estimator, or a class or function that makes one without arguments
-    seed : as in ``check_estimator``
+    seed, repetitions : as in ``check_estimator``
 
     Raises
     ------
@@ -27,7 +27,7 @@ def check(spec: str, *, seed: int = 0) -> Verdicts:
     folder = os.getcwd()
     sys.path.insert(0, folder)
     try:
-        return check_estimator(_made(_found(spec, folder), spec), seed=seed)
+        return check_estimator(_made(_found(spec, folder), spec), seed=seed, repetitions=repetitions)
     finally:
         sys.path.remove(folder)
 

@@ -369,10 +369,10 @@ def test_weights_that_are_all_zero_are_a_status():
     never[:, 1] = 1.0
     problem = Problem(simulator, log, horizon=60)
     plain, weighted = (ImportanceSampling(self_normalized=flag)(problem, never) for flag in (False, True))
-    assert "every weight is 0" in plain.status
+    assert "the weight of every whole episode is 0" in plain.status
     assert plain.standard_error is None
     assert np.isnan(weighted.value)
-    assert "every weight is 0" in weighted.status
+    assert "the weight of every whole episode is 0" in weighted.status
 
 
 def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean():

@@ -404,7 +404,13 @@ def test_rows_that_the_log_lacks_come_first():
 
 def test_how_a_plan_reads():
     text = str(plan_data_collection(SIMULATOR, THREE, n=1000, sampling="behavior", confidence=0.9))
-    for part in ("Plan for 1000 transitions, by a behaviour policy", "90% width", "delta 0.9", "next (s, a): ", "%"):
+    for part in (
+        "Plan for 1000 transitions, by a behaviour policy",
+        "90% width",
+        "delta 0.9",
+        "next (s, a), one move each: ",
+        "%",
+    ):
         assert part in text
     assert "worst variance assumed" in str(plan_data_collection(deterministic_chain(), np.full((3, 2), 0.5), n=3))
 

@@ -311,7 +311,10 @@ def test_what_the_strength_means():
     assert words(50.0) == "the tilt fits roughly: " + compared.format(50)
     assert words(49.0) == "the tilt does not fit: " + compared.format(49)
     parts = [(3, 60, 500.0), (2, 40, 49.0)]
-    assert words(300.0, parts) == "the tilt fits: " + compared.format(300) + "; in 2 of 5 rows it does not"
+    assert words(300.0, parts) == "the tilt fits: " + compared.format(300) + "; but not in 2 of 5 rows"
+    whole = compared.replace("{} moves", "any number of moves")
+    assert words(1e8) == "the tilt fits: " + whole
+    assert words(9.9e5) == "the tilt fits: " + compared.format("9.9e+05")
     assert words(300.0, curve=flat + 0.5) == (
         "too few moves to tell whether the tilt fits (20 in the median row that has some)"
     )
