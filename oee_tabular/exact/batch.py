@@ -203,14 +203,17 @@ def _starts(lengths: Any) -> IntArray:
 def _flat(policies: Any, sizes: IntArray, actions: IntArray) -> Array | None:
     """All policies (S, A) end to end, checked; None where they must be looked at one by one."""
     uniform = sizes.min() == sizes.max() and actions.min() == actions.max()
-    if isinstance(policies, np.ndarray) and policies.dtype.kind in "fiub":
+    if isinstance(policies, np.ndarray) and _plain(policies):
         if not uniform or policies.shape[1:] != (sizes[0], actions[0]):
             return None
         flat = np.ascontiguousarray(policies, dtype=np.float64).reshape(-1)
     else:
-        arrays = [np.asarray(policy) for policy in policies]
+        try:
+            arrays = [np.asarray(policy) for policy in policies]
+        except ValueError:  # ragged: the check of each says where
+            return None
         shapes = list(zip(sizes.tolist(), actions.tolist(), strict=True))
-        if [array.shape for array in arrays] != shapes or any(array.dtype.kind not in "fiub" for array in arrays):
+        if [array.shape for array in arrays] != shapes or not all(_plain(array) for array in arrays):
             return None
         flat = np.concatenate(arrays, axis=None).astype(np.float64, copy=False)
     if uniform:
@@ -219,6 +222,11 @@ def _flat(policies: Any, sizes: IntArray, actions: IntArray) -> Array | None:
         sums = np.add.reduceat(flat, _starts(np.repeat(actions, sizes))[:-1])
     fine = flat.min() >= 0.0 and bool((np.abs(sums - 1.0) <= _checks.SUM_TOLERANCE).all())
     return flat if fine else None
+
+
+def _plain(array: Array) -> bool:
+    """Numbers that are taken as they stand: rows of single precision are scaled by the check of a policy."""
+    return array.dtype == np.float64 or array.dtype.kind in "iub"
 
 
 def _run(

@@ -18,6 +18,8 @@ from oee_tabular._checks import Array
 from oee_tabular.exact.direct import library
 from oee_tabular.exact.systems import System, choose, readable
 
+SMALLEST = 1e-288  # below it the low part of a pair has lost bits
+
 
 @dataclass(frozen=True, eq=False)
 class Certified:
@@ -26,7 +28,7 @@ class Certified:
     Attributes
     ----------
     high, low : (S,), high the sum's rounding
-    error_bound : of |high - x*|
+    error_bound : of |high - x*|_inf (transposed: of |high - x*|_1)
     certified : the share of states where high is proved to be x* correctly rounded
     method
     """
@@ -77,7 +79,9 @@ def solve_certified(
             break
         else:
             (solver, method), fallen_back = last, True
-    error = float(norm_of_inverse * (bound + slack)) + float(np.abs(x_low).max(initial=0.0))
+    sure &= (x == 0.0) | (np.abs(x) > SMALLEST)
+    low_part = np.abs(x_low).sum() if system.transpose else np.abs(x_low).max(initial=0.0)
+    error = float(norm_of_inverse * (bound + slack)) + float(low_part)
     return Certified(x, x_low, 0.0 if bool(np.all(sure & (x == 0.0))) else error, float(sure.mean()), method)
 
 

@@ -41,15 +41,26 @@ def library(system: System) -> tuple[Solver, str] | None:
 
 
 def expands(kernel: sparse.csr_array) -> bool:
-    """Whether some breadth-first level of the graph, its hubs left out, holds an eighth of the states.
+    """Whether some breadth-first level of the graph, its hubs and trees left out, holds an eighth of the states.
 
     The factors of such a graph fill up, in any order of elimination. Hubs (a state that all others lead back to) do not
-    matter: they are eliminated last.
+    matter where they are few: they are eliminated last; states with one or two neighbours are eliminated first.
     """
     n = kernel.shape[0]
-    entries = np.bincount(kernel.indices, minlength=n)
-    kept = np.flatnonzero(entries <= 20.0 * np.sqrt(n))
-    graph = kernel[kept][:, kept]
+    kept = np.flatnonzero(np.bincount(kernel.indices, minlength=n) <= 20.0 * np.sqrt(n))
+    if len(kept) < 7 * n / 8:
+        return True
+    graph = sparse.csr_array(kernel[kept][:, kept])
+    graph = sparse.csr_array(graph + graph.T)
+    graph.setdiag(0.0)
+    graph.eliminate_zeros()
+    while len(kept) >= n / 8:
+        linked = np.flatnonzero(np.diff(graph.indptr) > 2)
+        if len(linked) > 0.99 * graph.shape[0]:
+            break
+        graph, kept = graph[linked][:, linked], kept[linked]
+    if len(kept) < n / 8:
+        return False
     count, label = csgraph.connected_components(graph, directed=False)
     largest = np.flatnonzero(label == np.bincount(label, minlength=count).argmax())
     distance = csgraph.dijkstra(graph, directed=False, indices=largest[0], unweighted=True)[largest]

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact.certified import solve_certified
-from oee_tabular.exact.linear import DivergentKernelError, inverse_norm, solve_system
+from oee_tabular.exact.linear import NORMAL, DivergentKernelError, exponent, inverse_norm, solve_system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.systems import TINY, System, readable, unsigned
 
@@ -21,16 +21,32 @@ Found = tuple[
 
 
 def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
-    """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards."""
-    policy = readable(np.ascontiguousarray(policy))
+    """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
+
+    Rewards that are so small or large that their products leave the range of floats are first scaled by a power of two.
+    """
+    shift = exponent(model.rewards)
+    if shift == 0:
+        return _values(model, model.rewards, policy, certify)
+    values, value, bound, method, certified = _values(model, np.ldexp(model.rewards, -shift), policy, certify)
+    with np.errstate(over="ignore", under="ignore"):
+        values, value, bound = np.ldexp(values, shift), float(np.ldexp(value, shift)), float(np.ldexp(bound, shift))
+    if certified is not None:
+        certified = min(certified, float(np.mean((values == 0.0) | (np.abs(values) >= NORMAL))))
+    return values, value, bound + 5e-324, method, certified
+
+
+def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
+    """The same for rewards ``paid`` (S, A) of ordinary size."""
+    policy, paid = readable(np.ascontiguousarray(policy)), readable(np.ascontiguousarray(paid))
     if model.n_states <= TINY and model.discount < 1.0 and not certify:
-        values, bound = _tiny(model, policy)
+        values, bound = _tiny(model, paid, policy)
         if np.isfinite(bound):
             return values, float(model.initial @ values), bound, "dense LU", None
     from oee_tabular.kernels import policy_rows, twofold
 
     indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
-    rewards, largest = policy_rows.average_rewards(policy, readable(model.rewards))
+    rewards, largest = policy_rows.average_rewards(policy, paid)
     system = System(indptr, columns, data, model.discount, formed=model.n_actions)
     recurrent = _recurrent(system, rewards) if model.discount == 1.0 else None
     if recurrent is not None:
@@ -43,7 +59,7 @@ def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
         return solution.x, float(model.initial @ solution.x), solution.error_bound, solution.method, None
     rows = model.transitions
     given = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
-    low, high_pay, low_pay = twofold.average_rest(*given, readable(model.rewards), indptr, columns, data)
+    low, high_pay, low_pay = twofold.average_rest(*given, paid, indptr, columns, data)
     if recurrent is not None:
         low[np.repeat(recurrent, np.diff(indptr.astype(np.int64)))] = 0.0
     slack = (0.5 * np.finfo(float).eps * (model.n_actions + 4)) ** 2 * largest
@@ -52,13 +68,13 @@ def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
     return found.high, float(value), found.error_bound, found.method, found.certified
 
 
-def _tiny(model: Model, policy: Array) -> tuple[Array, float]:
+def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:
     """V and a bound on its error from one compiled call, nan where there is no sum."""
     from oee_tabular.kernels.small_systems import small_value
 
     rows = model.transitions
     parts = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
-    found: tuple[Array, float] = small_value(*parts, readable(model.rewards), model.discount)
+    found: tuple[Array, float] = small_value(*parts, paid, model.discount)
     return found
 
 

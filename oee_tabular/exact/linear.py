@@ -12,13 +12,17 @@ References: [1] Berman and Plemmons, Nonnegative Matrices in the Mathematical Sc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.certified import solve_certified
 from oee_tabular.exact.systems import System, readable, solve
+
+NORMAL = float(np.finfo(float).tiny)  # what is scaled back to less is rounded once more
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,8 @@ def solve_policy_system(
 
     Raises
     ------
+    ValueError
+        A kernel that is not square, sparse, finite and nonnegative, a right side of another length or not finite.
     DivergentKernelError
         A ValueError: the spectral radius of discount * K is not below 1.
 
@@ -80,12 +86,50 @@ def solve_policy_system(
     >>> solve_policy_system(kernel, np.array([0.5, 0.0]), 0.5, transpose=True).x.round(4).tolist()
     [0.6667, 0.3333]
     """
-    system, right = System.of(kernel, discount, transpose), np.array(b, dtype=np.float64)
+    rows, gamma = _checked(kernel), _checks.number_in(discount, "discount", 0.0, 1.0)
+    right = _checks.float_array(b, "b", ndim=1)
+    if len(right) != rows.shape[0]:
+        raise ValueError(f"b must have {rows.shape[0]} entries, one a state; it has {len(right)}")
+    _checks.require_finite(right, "b")
+    system, shift = System.of(rows, gamma, transpose), exponent(right)
+    if shift != 0:  # dot products would leave the range of floats
+        right = np.ldexp(right, -shift)
     if certify:
         nothing = np.zeros(len(system.data)), readable(right), np.zeros(len(right))
-        found = solve_certified(system, *nothing, inverse_norm(system))
-        return LinearSolution(found.high, found.error_bound, found.method, found.certified)
-    return solve_system(system, right)
+        proved = solve_certified(system, *nothing, inverse_norm(system))
+        found = LinearSolution(proved.high, proved.error_bound, proved.method, proved.certified)
+    else:
+        found = solve_system(system, right)
+    if shift == 0:
+        return found
+    with np.errstate(over="ignore", under="ignore"):
+        x, bound = np.ldexp(found.x, shift), float(np.ldexp(found.error_bound, shift))
+    share = (
+        None if found.certified is None else min(found.certified, float(np.mean((x == 0.0) | (np.abs(x) >= NORMAL))))
+    )
+    return LinearSolution(x, bound + len(x) * 5e-324, found.method, share)
+
+
+def exponent(numbers: Array) -> int:
+    """That of the largest number, where its square may leave the range of floats; else 0."""
+    largest = float(max(numbers.max(initial=0.0), -numbers.min(initial=0.0)))
+    return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
+
+
+def _checked(kernel: Any) -> sparse.csr_array:
+    """The kernel as the solvers read it."""
+    if not sparse.issparse(kernel):
+        raise ValueError(f"kernel must be a sparse matrix; got {type(kernel).__name__}")
+    if kernel.ndim != 2 or kernel.shape[0] != kernel.shape[1] or kernel.shape[0] == 0:
+        raise ValueError(f"kernel must be square, (S, S); it has shape {kernel.shape}")
+    rows = sparse.csr_array(kernel)
+    bad = np.flatnonzero(~(np.isfinite(rows.data) & (rows.data >= 0.0)))
+    if bad.size:
+        place = int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1, int(rows.indices[bad[0]])
+        raise ValueError(
+            f"kernel must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is {rows.data[bad[0]]}"
+        )
+    return rows
 
 
 def solve_system(system: System, b: Array, slack: float = 0.0) -> LinearSolution:

@@ -114,6 +114,7 @@ def _backup(model: Model, value: Array) -> Array:
 def _normalise(model: Model, normalized: bool) -> float:
     if not normalized:
         return 1.0
+    require_model(model)
     if model.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     return 1.0 - model.discount
@@ -180,6 +181,7 @@ def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arr
     >>> action_values(mdp, [[1, 0], [1, 0]]).round(6).tolist()  # for ever 1, or 2 from the next step on
     [[10.0, 18.0], [20.0, 20.0]]
     """
+    require_model(mdp)
     steps = _checks.optional_horizon(horizon)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))

@@ -108,6 +108,8 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
         if not sparse.issparse(values) or values.shape != matrix.shape:
             found = getattr(values, "shape", type(values).__name__)
             raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
+        if np.iscomplexobj(values):
+            raise ValueError("zeta must hold real numbers; it is complex")
         w, _ = align(canonical(values, drop_zeros=False), matrix)
         if not 0.0 <= w.min() <= w.max() < np.inf:
             bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))

@@ -90,7 +90,7 @@ def walk(
         g[i] += pay
         if weighted:
             after = w[i] * factor[slot]
-            x[i] += pay * (after if by_move else w[i])
+            x[i] += pay * (after if by_move else w[i]) if pay != 0.0 else 0.0  # a weight may be infinite
             w[i] = after if by_move or t[i] + _ONE < horizon else w[i]
         if record:
             path[place + t[i]] = entry[slot]
@@ -165,12 +165,12 @@ def lanes_of(
                     slot, first = choose(here[i], one[i], word, near)
                     middle = following[slot]
                     pay, after = scale[at] * reward[slot], w[i] * factor[slot]
-                    paid, sum_x = g[i] + pay, x[i] + pay * (after if by_move else w[i])
+                    paid, sum_x = g[i] + pay, x[i] + (pay * (after if by_move else w[i]) if pay != 0.0 else 0.0)
                     slot, second = choose(middle, two[i], word, near)
                     nearest = min(nearest, min(first, second))
                     between[i], there[i] = middle, following[slot]
                     pay, last_w = next_scale[at] * reward[slot], after * factor[slot]
-                    g[i], x[i] = paid + pay, sum_x + pay * (last_w if by_move else after)
+                    g[i], x[i] = paid + pay, sum_x + (pay * (last_w if by_move else after) if pay != 0.0 else 0.0)
                     w[i] = after if at == final else last_w
             else:
                 for i in range(active):

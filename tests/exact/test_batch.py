@@ -108,3 +108,17 @@ def test_small_ones_of_any_sizes_are_taken_at_once(rng):
         assert_array_equal(exact.evaluate_batch(models, policies).value, known.value)
     finally:
         batch._one_by_one = alone
+
+
+def test_policies_of_single_precision_are_scaled_as_in_single_evaluations():
+    policy = np.array([[1e-9, 1.0]] * 2, dtype=np.float32)
+    mdp = oee.FiniteMDP([[[1.0, 0], [0, 1.0]], [[0, 1.0], [1.0, 0]]], [[1, 2.0], [3, 4]], [1, 0], 0.999)
+    known = exact.evaluate_policy(mdp, policy).values
+    for many in (policy[None], [policy]):
+        assert_array_equal(exact.evaluate_batch(mdp, many).values[0], known)
+
+
+def test_a_ragged_policy_is_named_by_its_place():
+    mdp = oee.FiniteMDP(np.ones((2, 2, 2)) / 2, np.ones((2, 2)), [1, 0], 0.9)
+    with pytest.raises(ValueError, match=r"policies\[1\]"):
+        exact.evaluate_batch(mdp, [np.ones((2, 2)) / 2, [[1], [1, 2]]])

@@ -1,5 +1,6 @@
 """The solvers of a policy's linear system: one answer from all, bounds that bound, values right to the last bit."""
 
+import warnings
 from fractions import Fraction
 
 import numpy as np
@@ -123,7 +124,8 @@ def test_all_solvers_give_one_answer_within_their_bounds(name, discount, transpo
     missed = np.abs(found.x - proved.x)
     assert (missed.sum() if transpose else missed.max()) <= found.error_bound + np.spacing(scale)
     assert found.error_bound < 1e-11 / (1 - discount) * scale + 1e-300
-    assert proved.error_bound <= 0.51 * np.spacing(np.abs(proved.x).max())
+    spacing = np.spacing(np.abs(proved.x))  # certified: half of it at the most, and what is not a little more
+    assert proved.error_bound <= (0.51 * spacing.sum() if transpose else 0.51 * spacing.max())
     system = System.of(kernel, discount, transpose)
     norm = inverse_norm(system)
     for solver_name, solver in solvers(system).items():
@@ -198,6 +200,109 @@ def test_which_graphs_expand():
         assert not expands(kernel)
     for entries in (2, 3, 8):
         assert expands(random_rows(900, entries))
+    assert expands(sparse.csr_array(np.full((450, 450), 1 / 450)))  # nothing but hubs
+    assert not expands(binary_tree(1023))
+
+
+def binary_tree(n):
+    """A walk up and down a tree; half of the states are its leaves."""
+    rng, at = np.random.default_rng(0), np.arange(n)
+    rows = np.concatenate([at[1:], (at[1:] - 1) // 2, [0]])
+    columns = np.concatenate([(at[1:] - 1) // 2, at[1:], [0]])
+    kernel = sparse.csr_array((rng.random(len(rows)) + 0.01, (rows, columns)), shape=(n, n))
+    return sparse.csr_array(sparse.diags_array(1 / kernel.sum(axis=1)) @ kernel)
+
+
+def test_a_large_tree_near_discount_one():
+    kernel, b = binary_tree(4095), np.random.default_rng(1).normal(size=4095)
+    found = solve_policy_system(kernel, b, 0.999999)
+    assert_allclose(b + 0.999999 * (kernel @ found.x) - found.x, 0.0, atol=1e-10 * np.abs(found.x).max())
+    assert found.error_bound < 1e-5 * np.abs(found.x).max()
+
+
+def test_a_dense_model_of_two_halves_that_hardly_meet():
+    """Value iteration and BiCGSTAB fail there, and every state is a hub: LAPACK answers."""
+    rng = np.random.default_rng(0)
+    p, half = rng.random((450, 450)), 225
+    p[:half, half:] *= 1e-9
+    p[half:, :half] *= 1e-9
+    p /= p.sum(axis=1, keepdims=True)
+    mdp = FiniteMDP(p[:, None], np.arange(450.0), np.ones(450) / 450, 1 - 1e-9)
+    found = exact.evaluate_policy(mdp, np.ones((450, 1)))
+    assert found.error_bound < 1e-3 * np.abs(found.values).max()
+
+
+@pytest.mark.parametrize("power", [530, -530, 1000, -1000])
+@pytest.mark.parametrize("certify", [False, True])
+def test_the_scale_of_the_right_side_does_not_matter(power, certify):
+    """But for what leaves the range of floats: powers of two change no bit."""
+    for kernel in (random_rows(900, 3), grid(22), layered(12, 40)):
+        kernel = sparse.csr_array(kernel * 0.9)
+        b = np.random.default_rng(0).normal(size=kernel.shape[0])
+        for transpose in (False, True):
+            one, other = (
+                solve_policy_system(kernel, right, 0.95, transpose=transpose, certify=certify)
+                for right in (b, np.ldexp(b, power))
+            )
+            assert_array_equal(other.x, np.ldexp(one.x, power))
+            assert_allclose(other.error_bound, np.ldexp(one.error_bound, power), rtol=1e-12, atol=1e-320)
+    mdp = oee.tasks.gridworld(7, 0.3, discount=0.9)
+    far = mdp.with_rewards(np.ldexp(mdp.rewards, power))
+    near = mdp.with_rewards(mdp.rewards)
+    one, other = (exact.evaluate_policy(m, oee.uniform_policy(mdp), certify=certify) for m in (near, far))
+    assert_array_equal(other.values, np.ldexp(one.values, power))
+    assert other.value == np.ldexp(one.value, power)
+    assert other.certified == one.certified
+
+
+def test_what_is_too_small_for_pairs_of_floats_is_not_certified():
+    """0.94 / (1 - 0.94 g) of rewards around 1e-307 is right to the last bit; subnormal values are not said to be."""
+    reward, gamma = 3.707675519592279e-307, 0.9378850624888447
+    found = exact.evaluate_policy(FiniteMDP([[[1.0]]], [reward], [1.0], gamma), [[1.0]], certify=True)
+    truth = Fraction(reward) / (1 - Fraction(gamma))
+    assert abs(Fraction(float(found.values[0])) - truth) <= Fraction(found.error_bound)
+    assert found.certified == 0.0 or found.values[0] == float(truth)
+    small = exact.evaluate_policy(FiniteMDP([[[1.0]]], [3e-318], [1.0], gamma), [[1.0]], certify=True)
+    assert small.certified == 0.0
+    assert abs(Fraction(float(small.values[0])) - Fraction(3e-318) / (1 - Fraction(gamma))) <= Fraction(
+        small.error_bound
+    )
+
+
+def test_the_certified_bound_of_a_transposed_system_is_of_the_sum():
+    d = np.linspace(0.1, 0.9, 100)
+    found = solve_policy_system(
+        sparse.csr_array(sparse.diags_array(d)), np.ones(100), 0.5, transpose=True, certify=True
+    )
+    missed = sum(
+        abs(Fraction(x) - 1 / (1 - Fraction(v) / 2)) for x, v in zip(found.x.tolist(), d.tolist(), strict=True)
+    )
+    assert missed <= Fraction(found.error_bound) < 10 * missed
+
+
+@pytest.mark.parametrize(
+    ("kernel", "b", "discount", "words"),
+    [
+        (np.eye(2), [1, 1], 0.5, "kernel must be a sparse matrix; got ndarray"),
+        (sparse.csr_array((2, 3)), [1, 1], 0.5, r"kernel must be square, \(S, S\); it has shape \(2, 3\)"),
+        (sparse.csr_array([[0.5, -0.5], [0, 1]]), [1, 1], 0.5, r"nonnegative; kernel\[0, 1\] is -0.5"),
+        (sparse.csr_array([[0.5, 0.5], [0, np.nan]]), [1, 1], 0.5, r"finite and nonnegative; kernel\[1, 1\] is nan"),
+        (sparse.csr_array(np.eye(2)), [1, 1, 1], 0.5, "b must have 2 entries, one a state; it has 3"),
+        (sparse.csr_array(np.eye(2)), [[1], [1]], 0.5, r"b must have 1 dimension\(s\); it has shape \(2, 1\)"),
+        (sparse.csr_array(np.eye(2)), [1, np.inf], 0.5, r"b.*1.*inf"),
+        (sparse.csr_array(np.eye(2)), [1, 1], -1, "discount must be in"),
+        (sparse.csr_array(np.eye(2)), [1, 1], np.nan, "discount must be"),
+    ],
+)
+def test_bad_systems(kernel, b, discount, words):
+    with pytest.raises(ValueError, match=words):
+        solve_policy_system(kernel, np.array(b), discount)
+
+
+def test_a_matrix_by_columns_is_read_as_what_it_is():
+    kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
+    for form in (kernel, kernel.tocsc(), kernel.tocoo()):
+        assert_allclose(solve_policy_system(form, np.array([1.0, 0.0]), 0.5).x, [4 / 3, 0.0], rtol=1e-15)
 
 
 @pytest.mark.parametrize("certify", [False, True])
@@ -207,7 +312,11 @@ def test_where_iteration_fails_on_an_expander(monkeypatch, certify):
     monkeypatch.setattr(systems, "krylov", lambda system: lambda b, relative: 0.9 * b)
     for n, method in ((900, "dense LU"), (3300, "BiCGSTAB")):
         b = np.random.default_rng(0).normal(size=n)
-        found = solve_policy_system(random_rows(n, 3), b, 0.9, certify=certify)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = solve_policy_system(random_rows(n, 3), b, 0.9, certify=certify)
+        assert (len(said) == 1) == (n > 3000 and not certify)
+        assert not said or "3300 states is solved only to a residual of" in str(said[0].message)
         missed = np.abs(found.x - 0.9 * (random_rows(n, 3) @ found.x) - b).max()
         assert found.method == method
         assert (missed < 1e-13) == (n == 900)

@@ -242,3 +242,13 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
     assert norm <= bound * (1 + 1e-12)
     if 0.9 * kernel.sum(axis=1).max() > 1:
         assert_allclose(bound, norm, rtol=1e-6)
+
+
+def test_what_is_no_mdp_is_said():
+    for call in (
+        lambda: oee.policy_value(None, [[1.0]], normalized=True),
+        lambda: exact.action_values(None, [[1.0]], horizon=2),
+        lambda: oee.state_values(None, [[1.0]]),
+    ):
+        with pytest.raises(ValueError, match="mdp must be a FiniteMDP; got NoneType"):
+            call()

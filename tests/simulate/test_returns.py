@@ -274,6 +274,7 @@ def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
         (lambda: call(seed="x"), "seed must be what numpy.random.default_rng takes; got 'x'"),
         (lambda: call(kind="whole"), "kind must be one of 'per_decision', 'trajectory'; got 'whole'"),
         (lambda: call(zeta=np.ones((64, 16))), r"zeta must be sparse of shape \(64, 16\), row s\*A \+ a; got \(64, 16\)"),
+        (lambda: call(zeta=ZETA.values * 1j), "zeta must hold real numbers; it is complex"),
         (lambda: call(zeta=-ZETA.values), "zeta must be finite and nonnegative; entry 0 is -"),
     ],
 )  # fmt: skip
@@ -293,3 +294,15 @@ def test_it_prints_what_it_holds():
     assert "discounted sum of rewards" in drawn._repr_html_()
     assert len(drawn) == 50
     assert np.isnan(call(n_episodes=1).standard_error)
+
+
+def test_infinite_weights_leave_rewards_of_0_alone():
+    """Also where an episode is over, whatever takes its turn beside it."""
+    mdp = oee.FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), 1.0)
+    zeta = mdp.transitions.copy()
+    zeta.data = np.full(zeta.nnz, 1e200)
+    drawn = [oee.sample_returns(mdp, np.ones((2, 1)), 300, 9, seed=0, zeta=zeta, n_lanes=n) for n in (1, 5, 64)]
+    for other in drawn[1:]:
+        same(drawn[0], other)
+    assert np.array_equal(np.isinf(drawn[0].values), drawn[0].lengths > 2)
+    assert not np.isnan(drawn[0].values).any()
