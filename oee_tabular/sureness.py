@@ -114,7 +114,10 @@ def _width(name: str, found: Mapping[str, Interval], confidence: float, scale: f
     )
     unseen = int(shown.diagnostics["unvisited_rows"])
     if unseen:
-        text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"
+        if unseen == 1:
+            text += " (the reachable state-action pair never recorded at its worst)"
+        else:
+            text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"
     if "robust" in found:
         sure = found["robust"]
         text += f"; guaranteed, between {sure.lower * scale:.4g} and {sure.upper * scale:.4g}"

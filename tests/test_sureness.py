@@ -55,7 +55,7 @@ def test_what_was_never_recorded_comes_first():
     share[0, 0] = 0.0
     found = report(TARGET, 5000, share / share.sum())
     assert "What would help most: moves of action 0 in state 0 (never recorded)." in found.sureness.sentences[1]
-    assert "(the 1 reachable state-action pairs never recorded at their worst)" in found.sureness.sentences[1]
+    assert "(the reachable state-action pair never recorded at its worst)" in found.sureness.sentences[1]
 
 
 def test_values_are_in_the_reports_unit():
