@@ -176,11 +176,12 @@ def check_estimator(
 
     Notes
     -----
-    Every estimator owes well_formed, input_unchanged, reproducible and support, and limit where it has one. A right estimator
-    fails a statistical law with a chance of about 1e-5 a comparison (unbiased: 1e-4); so a bias of less than some 11 standard
-    errors of the mean of 8 logs (3% of the value in these pairs) may pass; with 30 logs (``repetitions``) a quarter of that. An estimator that is a dataclass with a
-    field ``n_rollouts`` is given more rollouts with more episodes where its limit is looked at. Cost: some 100 estimates (900
-    where it claims to be unbiased), of logs of up to 4800 episodes.
+    Every estimator owes well_formed, input_unchanged, reproducible and support, and limit where it has one. A right
+    estimator fails a statistical law with a chance of about 1e-5 a comparison (unbiased: 1e-4); so a bias of less than some
+    11 standard errors of the mean of 8 logs (3% of the value in these pairs) may pass; with 30 logs (``repetitions``) a
+    quarter of that. An estimator that is a dataclass with a field ``n_rollouts`` is given more rollouts with more episodes
+    where its limit is looked at. Cost: some 100 estimates (900 where it claims to be unbiased), of logs of up to 4800
+    episodes.
 
     Examples
     --------
