@@ -170,20 +170,20 @@ def about_intervals(
         value, shown = result.estimate.value, result.estimate.interval
         if result.estimator != "oee" or sure is None or sure.status != "ok":
             continue
-        times = (sure.upper - sure.lower) / (shown[1] - shown[0]) if shown and shown[1] > shown[0] else 1.0
-        if times > 1.25:
-            found.append(
-                Finding(
-                    "noise only",
-                    "oee",
-                    result.policy,
-                    times,
-                    f"{times:.2g}",
-                    "the interval in the table counts the noise of the log, not what the simulator's shape, to which the ratio "
-                    "is shrunk, may miss; the likelihood interval below, {} times as wide, counts both.",
-                )
-            )
         if sure.lower <= value <= sure.upper:
+            times = (sure.upper - sure.lower) / (shown[1] - shown[0]) if shown and shown[1] > shown[0] else 1.0
+            if times > 1.25:
+                found.append(
+                    Finding(
+                        "noise only",
+                        "oee",
+                        result.policy,
+                        times,
+                        f"{times:.2g}",
+                        "the interval in the table counts the noise of the log, not what the simulator's shape, to which the "
+                        "ratio is shrunk, may miss; the likelihood interval below, {} times as wide, counts both.",
+                    )
+                )
             continue
         found.append(
             Finding(

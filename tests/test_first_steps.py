@@ -82,8 +82,8 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
 
 
-def constant(value):
-    return lambda problem, policy, *, seed=None: Estimate(value, 0.01)
+def constant(value, error=0.01):
+    return lambda problem, policy, *, seed=None: Estimate(value, error)
 
 
 @pytest.mark.parametrize("value", [-20.0, 40.0])
@@ -98,8 +98,8 @@ def test_a_value_outside_its_likelihood_interval_is_said_first(value):
     )
     assert report.notes["mine", "oee"] == (1,)
     assert "by the log alone; the estimate that trusts the simulator's shape" in headline(answers(report), 0.95)[0]
-    inside = 0.5 * (sure.lower + sure.upper)
-    calm = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": constant(inside)})
+    inside = constant(0.5 * (sure.lower + sure.upper), 0.25 * (sure.upper - sure.lower))
+    calm = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": inside})
     assert calm.warnings == ()
     assert "is worth about" in headline(answers(calm), 0.95)[0]
 
