@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact.certified import solve_certified
-from oee_tabular.exact.linear import NORMAL, DivergentKernelError, exponent, inverse_norm, solve_system
+from oee_tabular.exact.linear import DivergentKernelError, exponent, inverse_norm, scaled_back, solve_system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.systems import TINY, System, readable, unsigned
 
@@ -29,11 +29,9 @@ def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
     if shift == 0:
         return _values(model, model.rewards, policy, certify)
     values, value, bound, method, certified = _values(model, np.ldexp(model.rewards, -shift), policy, certify)
+    values, bound, certified = scaled_back(values, bound, certified, shift)
     with np.errstate(over="ignore", under="ignore"):
-        values, value, bound = np.ldexp(values, shift), float(np.ldexp(value, shift)), float(np.ldexp(bound, shift))
-    if certified is not None:
-        certified = min(certified, float(np.mean((values == 0.0) | (np.abs(values) >= NORMAL))))
-    return values, value, bound + 5e-324, method, certified
+        return values, float(np.ldexp(value, shift)), bound, method, certified
 
 
 def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:

@@ -22,8 +22,6 @@ from oee_tabular._checks import Array
 from oee_tabular.exact.certified import solve_certified
 from oee_tabular.exact.systems import System, readable, solve
 
-NORMAL = float(np.finfo(float).tiny)  # what is scaled back to less is rounded once more
-
 
 @dataclass(frozen=True)
 class LinearSolution:
@@ -102,18 +100,23 @@ def solve_policy_system(
         found = solve_system(system, right)
     if shift == 0:
         return found
-    with np.errstate(over="ignore", under="ignore"):
-        x, bound = np.ldexp(found.x, shift), float(np.ldexp(found.error_bound, shift))
-    share = (
-        None if found.certified is None else min(found.certified, float(np.mean((x == 0.0) | (np.abs(x) >= NORMAL))))
-    )
-    return LinearSolution(x, bound + len(x) * 5e-324, found.method, share)
+    x, bound, share = scaled_back(found.x, found.error_bound, found.certified, shift)
+    return LinearSolution(x, bound, found.method, share)
 
 
 def exponent(numbers: Array) -> int:
     """That of the largest number, where its square may leave the range of floats; else 0."""
     largest = float(max(numbers.max(initial=0.0), -numbers.min(initial=0.0)))
     return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
+
+
+def scaled_back(x: Array, bound: float, certified: float | None, shift: int) -> tuple[Array, float, float | None]:
+    """2^shift x, a bound on its error, and the share that stays certified: what becomes subnormal is rounded once more."""
+    with np.errstate(over="ignore", under="ignore"):
+        x, bound = np.ldexp(x, shift), float(np.ldexp(bound, shift))
+    if certified is not None:
+        certified = min(certified, float(np.mean((x == 0.0) | (np.abs(x) >= np.finfo(float).tiny))))
+    return x, bound + len(x) * 5e-324, certified
 
 
 def _checked(kernel: Any) -> sparse.csr_array:
