@@ -15,8 +15,8 @@ from oee_tabular.exact.finite import CACHED, locked, rows_of
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
 from oee_tabular.mdp import FiniteMDP
 
-# offsets, columns, numbers, masses and residuals, order of the states, band of kernels.merged
-Strips: TypeAlias = tuple[Array, Array, Array, Array, IntArray, int]
+# offsets, columns, whether they are consecutive, numbers, masses and residuals, order of the states, band of kernels.merged
+Strips: TypeAlias = tuple[Array, Array, Array, Array, Array, IntArray, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,15 +200,16 @@ def merged(
     from oee_tabular.kernels import merged as kernel
 
     n = walk.n_states
-    offsets, columns, numbers, fixed, order, band = strips
+    offsets, columns, aligned, numbers, fixed, order, band = strips
     places, based = len(order), h is not None or k is not None
-    at_start, ahead = (np.zeros((length, places) if based else (0, 0)) for length in (steps, steps + 1))
+    at_start, ahead = (np.zeros((steps, places) if based else (0, 0)) for _ in range(2))
     for room, x in ((at_start, h), (ahead, k)):
         if x is not None:
-            room[:, :n] = np.atleast_2d(x)[:, order[:n]]
+            room[:, :n] = np.atleast_2d(x)[:steps, order[:n]]
+    ahead[:1] = 0.0
     mean, var, local = np.empty(places), np.empty(places), np.empty((steps if keep else 1, places))
     kernel.merged_moments(
-        steps, offsets, columns, numbers, fixed, not walk.by_move and _all_one(walk.u),
+        steps, offsets, columns, aligned, numbers, fixed, not walk.by_move and _all_one(walk.u),
         np.zeros(steps) if shift is None else shift, np.ones(steps) if scale is None else scale, based, at_start, ahead,
         walk.discount, mean, var, local, keep, *_blocks(columns.nbytes + numbers.nbytes, len(offsets) - 1, band),
     )  # fmt: skip
@@ -226,7 +227,7 @@ def _blocks(size: int, strips: int, band: int) -> tuple[int, int, int]:
 
     one = size / strips + 48 * LANES
     band, fitting = max(int(band), 1), CACHED / one
-    width = max(band, min(3 * band, int(fitting / 3)))
+    width = max(band, min(2 * band, int(fitting / 3)))
     height = int((fitting - width) / band)
     return (band, height, width) if one * strips > CACHED and height >= 2 else (0, 1, strips)
 

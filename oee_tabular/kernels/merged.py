@@ -5,11 +5,12 @@ what follows s'. Over the actions that lead there, of mass q together, X has the
 
     (c (Y + rho)^2 + the residual of e on b) / q,     c = q Var b, rho = Cov(b, e) / Var b;
 
-between the s' it has sum q (z - total)^2. All are squares. The last is had from the differences d to the z of largest mass,
-sum q d^2 - (sum q d)^2, of which at most a share 1 - max q cancels.
+between the s' it has sum q (z - total)^2. All are squares. The last is had from the differences d to the first entry's z,
+sum q d^2 - (sum q d)^2, of which at most a share 1 - q cancels: the first has at least half of the largest mass.
 
 States are taken LANES at a time, those with equally many s' together, and an entry's numbers stand side by side for such a
-strip: so its arithmetic is done by vector instructions, with every sum in the order of its state.
+strip: so its arithmetic is done by vector instructions, with every sum in the order of its state. Entries are in the order of
+their columns: in grids a strip's lead mostly to states that stand side by side too, and are read as such.
 """
 
 from __future__ import annotations
@@ -28,28 +29,40 @@ def merge_state(
     s: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, place: Any, to: Any,
     numbers: Any, single: Any, entry: Any,
 ) -> Any:  # fmt: skip
-    """Fill ``to`` and ``numbers`` (., PARTS) with the merged entries of s, that of largest mass first.
+    """Fill ``to`` and ``numbers`` (., PARTS) with the merged entries of s, one of large mass first.
 
     Returns how many they are, their mass, and the residual variance. ``place`` (S,) is zeros before and after; ``single``
     (., 3) and ``entry`` have room for q, b, e and the merged entry of each one.
     """
     n_actions = len(act) // len(place)
+    rows = range(s * n_actions, (s + 1) * n_actions)
     i: Any = 0
     size, count, mass, rest = 0, 0, 0.0, 0.0
-    for row in range(s * n_actions, (s + 1) * n_actions):
+    for row in rows:
+        if act[row] != 0.0:
+            for x in range(indptr[row], indptr[row + 1]):
+                j = indices[x]
+                if place[j] == 0:
+                    place[j] = 1
+                    to[size] = j
+                    size += 1
+    if size <= LANES:
+        for i in range(1, size):
+            j, k = to[i], i
+            while k > 0 and to[k - 1] > j:
+                to[k] = to[k - 1]
+                k -= 1
+            to[k] = j
+    for i in range(size):
+        place[to[i]] = i
+        for part in range(PARTS):
+            numbers[i, part] = 0.0
+    for row in rows:
         share, f = act[row], u[row]
         if share == 0.0:
             continue
         for x in range(indptr[row], indptr[row + 1]):
-            j = indices[x]
-            i = np.int64(place[j]) - 1
-            if i < 0:
-                i = size
-                size += 1
-                place[j] = size
-                to[i] = j
-                for part in range(PARTS):
-                    numbers[i, part] = 0.0
+            i = np.int64(place[indices[x]])
             q, b = share * prob[x], f * w[x]
             e = b * pay[x] if by_move else f * pay[row]
             numbers[i, 0] += q
@@ -80,9 +93,10 @@ def merge_state(
         i, q, b, e = entry[x], single[x, 0], single[x, 1] - numbers[entry[x], 1], single[x, 2] - numbers[entry[x], 2]
         off = e - numbers[i, 4] * b
         rest += q * off * off
-    for part in range(PARTS):
-        numbers[0, part], numbers[largest, part] = numbers[largest, part], numbers[0, part]
-    to[0], to[largest] = to[largest], to[0]
+    if numbers[largest, 0] > 2.0 * numbers[0, 0]:
+        for part in range(PARTS):
+            numbers[0, part], numbers[largest, part] = numbers[largest, part], numbers[0, part]
+        to[0], to[largest] = to[largest], to[0]
     return size, mass, rest
 
 
@@ -104,8 +118,8 @@ strip_offsets = njit(cache=True)(strip_offsets)
 
 
 def merge(indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, n_states: Any) -> Any:
-    """Strips of merged entries of a policy (S*A,): offsets, columns (places in the order), numbers,
-    masses and residuals, the order of the states, with S in the places that stay empty,
+    """Strips of merged entries of a policy (S*A,): offsets, columns (places in the order), whether an
+    entry's are consecutive, numbers, masses and residuals, the order of the states, with S in the places that stay empty,
     and how many strips away an entry leads at most.
     """
     n_actions = len(act) // n_states
@@ -161,106 +175,112 @@ def merge(indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_mov
             band = max(band, abs(place_of // LANES - i // LANES))
             for part in range(PARTS):
                 numbers[((first + entry) * PARTS + part) * LANES + lane] = own[entry, part]
-    return offsets, columns, numbers, fixed, order, band
+    aligned = np.ones(offsets[strips], np.bool_)
+    for entry in range(len(aligned)):
+        for lane in range(1, LANES):
+            aligned[entry] &= columns[entry * LANES + lane] == columns[entry * LANES] + np.uint32(lane)
+    return offsets, columns, aligned, numbers, fixed, order, band
 
 
 merge = njit(cache=True, error_model="numpy")(merge)
 
 
 def advance(
-    t: Any, first: Any, last: Any, y: Any, v: Any, new_y: Any, new_v: Any, room: Any, offsets: Any, columns: Any,
-    numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any, h: Any, k: Any, gamma: Any, mean: Any,
-    var: Any, local: Any, keep: Any,
+    t: Any, first: Any, last: Any, y: Any, v: Any, new_y: Any, new_v: Any, room: Any, lanes: Any, offsets: Any, columns: Any,
+    aligned: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any, h: Any, k: Any, gamma: Any,
+    local: Any, keep: Any,
 ) -> Any:  # fmt: skip
-    """The strips first .. last - 1 at step t: y, v of what follows -> those of the step before, or mean, var at t = 0."""
-    lanes = np.uint64(LANES)
-    two, three, four, five = lanes * np.uint64(2), lanes * np.uint64(3), lanes * np.uint64(4), lanes * np.uint64(5)
-    six, seven = lanes * np.uint64(6), lanes * np.uint64(7)
+    """The strips first .. last - 1 at step t: y, v of what follows -> those of the step before, or mean, variance at t = 0.
+
+    The last LANES of y and v are room for what an entry leads to where that does not stand side by side. ``lanes`` is LANES:
+    a short loop over a number known beforehand would be unrolled before it is made of vector instructions, and not be.
+    """
+    one, tail = np.uint64(LANES), np.uint64(np.uint32(len(y) - LANES))
+    two, three, four = one * np.uint64(2), one * np.uint64(3), one * np.uint64(4)
     unit = scale[t]
     lowered = shift[t] if shift_all else 0.0
-    factor, lower = 0.0, 0.0  # of the step before
+    factor, lower, square = 1.0, 0.0, 1.0  # of the step before
     if t > 0:
-        factor, lower = gamma / scale[t - 1], 0.0 if shift_all else shift[t - 1]
+        factor, lower, square = gamma / scale[t - 1], 0.0 if shift_all else shift[t - 1], gamma * gamma
     for strip in range(first, last):
         for entry in range(offsets[strip], offsets[strip + 1]):
-            at = np.uint64(entry) * lanes
-            for i in range(lanes):
-                j = columns[at + i]
-                room[i] = y[j]
-                room[lanes + i] = v[j]
+            at = np.uint64(entry) * one
+            if aligned[entry]:
+                j = np.uint64(columns[at])
+            else:
+                j = tail
+                for i in range(one):
+                    x = np.uint64(columns[at + i])
+                    y[tail + i] = y[x]
+                    v[tail + i] = v[x]
             at *= np.uint64(PARTS)
             if entry == offsets[strip]:
-                for i in range(lanes):
-                    b, off = numbers[at + lanes + i], room[i] + numbers[at + four + i]
+                for i in range(one):
+                    b, off = numbers[at + one + i], y[j + i] + numbers[at + four + i]
                     c = numbers[at + three + i]
-                    room[two + i] = b * room[i] + numbers[at + two + i]
-                    room[three + i] = 0.0
-                    room[four + i] = c * off * off
-                    room[five + i] = (numbers[at + i] * b * b + c) * room[lanes + i]
+                    room[i] = b * y[j + i] + numbers[at + two + i]
+                    room[one + i] = 0.0
+                    room[two + i] = c * off * off
+                    room[three + i] = (numbers[at + i] * b * b + c) * v[j + i]
                 continue
-            for i in range(lanes):
-                q, b, c = numbers[at + i], numbers[at + lanes + i], numbers[at + three + i]
-                off = room[i] + numbers[at + four + i]
-                d = b * room[i] + numbers[at + two + i] - room[two + i]
-                room[three + i] += q * d
-                room[four + i] += q * d * d + c * off * off
-                room[five + i] += (q * b * b + c) * room[lanes + i]
-        at = np.uint64(strip) * lanes
+            for i in range(one):
+                q, b, c = numbers[at + i], numbers[at + one + i], numbers[at + three + i]
+                off = y[j + i] + numbers[at + four + i]
+                d = b * y[j + i] + numbers[at + two + i] - room[i]
+                room[one + i] += q * d
+                room[two + i] += q * d * d + c * off * off
+                room[three + i] += (q * b * b + c) * v[j + i]
+        at = np.uint64(strip) * one
         both = at * np.uint64(2)
         for i in range(lanes):
-            weight, d = fixed[both + i], room[three + i]
-            own = room[four + i] - (2.0 - weight) * d * d + fixed[both + lanes + i]
-            room[four + i] = max(own, 0.0) * unit * unit
-            room[six + i] = unit * (weight * room[two + i] + d - weight * lowered)
-            room[seven + i] = room[four + i] + room[five + i]
-        if based:
-            for i in range(lanes):
-                room[six + i] += h[t, at + i]
+            weight, d = fixed[both + i], room[one + i]
+            own = room[two + i] - (2.0 - weight) * d * d + fixed[both + one + i]
+            own = max(own, 0.0) * unit * unit
+            room[two + i] = own
+            new_y[at + i] = factor * unit * (weight * room[i] + d - weight * lowered) - lower
+            new_v[at + i] = square * (own + room[three + i])
         if keep:
             for i in range(lanes):
-                local[t, at + i] = room[four + i]
-        if t == 0:
-            for i in range(lanes):
-                mean[at + i] = room[six + i]
-                var[at + i] = room[seven + i]
-            continue
-        for i in range(lanes):
-            new_y[at + i] = factor * room[six + i] - lower
-            new_v[at + i] = gamma * gamma * room[seven + i]
+                local[t, at + i] = room[two + i]
         if based:
             for i in range(lanes):
-                new_y[at + i] -= factor * k[t, at + i]
+                new_y[at + i] += factor * (h[t, at + i] - k[t, at + i])
 
 
 advance = njit(cache=True, error_model="numpy")(advance)
 
 
 def merged_moments(
-    steps: Any, offsets: Any, columns: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any,
-    h: Any, k: Any, gamma: Any, mean: Any, var: Any, local: Any, keep: Any, band: Any, height: Any, width: Any,
+    steps: Any, offsets: Any, columns: Any, aligned: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any,
+    based: Any, h: Any, k: Any, gamma: Any, mean: Any, var: Any, local: Any, keep: Any, band: Any, height: Any, width: Any,
 ) -> Any:  # fmt: skip
-    """What ``moments.per_decision`` fills in, by places: mean, var (N,), local (T, N), h (T, N), k (T + 1, N).
+    """What ``moments.per_decision`` fills in, by places: mean, var (N,), local (T, N), h (T, N), k (T, N), k[0] = 0.
 
     ``shift_all``: the shift is of X, not of what b multiplies; ``based``: whether h and k are read; the last three (strips,
     steps, strips): blocks as in ``horizon.sweep``.
     """
     size, strips = len(mean), len(offsets) - 1
-    # of what follows, in units of the step's scale: mean and variance; the last is read by padding
-    y, v, new_y, new_v = np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1)
+    # of what follows, in units of the step's scale: mean and variance; then what padding reads, then room
+    long = size + 1 + LANES
+    y, v, new_y, new_v = np.zeros(long), np.zeros(long), np.zeros(long), np.zeros(long)
     if not shift_all:
         y[:size] = -shift[steps - 1]
-    room = np.zeros(8 * LANES)  # y, v; z of largest mass; sums of q d, of squares, of what v carries; mean, variance
+    room = np.zeros(4 * LANES)  # z of the first entry; sums of q d, of squares, of what v carries
+    lanes = np.uint64(len(room) // 4)
     left = steps
     while left > 0:
         now = min(height, left)
         for low in range(0, strips + (now - 1) * band, width):
             here, here_v, there, there_v = y, v, new_y, new_v
             for i in range(now):
+                t = left - 1 - i
+                if t == 0:
+                    there, there_v = mean, var
                 first, last = max(0, low - i * band), min(strips, low + width - i * band)
                 if first < last:
                     advance(
-                        left - 1 - i, first, last, here, here_v, there, there_v, room, offsets, columns, numbers, fixed,
-                        shift_all, shift, scale, based, h, k, gamma, mean, var, local, keep,
+                        t, first, last, here, here_v, there, there_v, room, lanes, offsets, columns, aligned, numbers, fixed,
+                        shift_all, shift, scale, based, h, k, gamma, local, keep,
                     )  # fmt: skip
                 here, here_v, there, there_v = there, there_v, here, here_v
         if now % 2:
