@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 
 KINDS = ("ratio", "difference")
 
 
+@one_thread
 def calibrate(
     estimate: Estimate, *, discretised: float, continuous: float, continuous_error: float = 0.0, kind: str = "ratio"
 ) -> Estimate:

@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, find, row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
@@ -83,6 +84,7 @@ class DoublyRobust(ExactLimit):
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
         OffEnvironment(ratio=self.ratio)  # or an error
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
         return without_divergence(lambda: self._estimate(problem, policy, seed))

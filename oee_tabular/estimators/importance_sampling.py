@@ -9,6 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
 from oee_tabular.estimators.limits import ExactLimit, Population
@@ -62,6 +63,7 @@ class ImportanceSampling(ExactLimit):
         _checks.one_of(self.ragged, "ragged", ("pad", "zero"))
         _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = check_policy(policy, problem.simulator)

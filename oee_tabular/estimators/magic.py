@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate, effective_sample_size, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
@@ -59,6 +60,7 @@ class Magic(ExactLimit):
         _checks.positive_integer(self.n_lengths, "n_lengths")
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
         return without_divergence(lambda: self._estimate(problem, policy, seed))

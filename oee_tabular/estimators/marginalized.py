@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate, without_divergence
 from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
@@ -62,6 +63,7 @@ class Marginalized(ExactLimit):
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
         return without_divergence(lambda: self._estimate(problem, policy, seed))
@@ -138,6 +140,7 @@ class DualDice(ExactLimit):
     True
     """
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = check_policy(policy, problem.simulator)

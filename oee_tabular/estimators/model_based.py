@@ -11,6 +11,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
@@ -51,6 +52,7 @@ class ModelBased(ExactLimit):
     def __post_init__(self) -> None:
         _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = check_policy(policy, problem.simulator)

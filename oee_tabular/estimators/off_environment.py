@@ -11,6 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population, limit_ratio
 from oee_tabular.estimators.problem import Problem
@@ -78,6 +79,7 @@ class OffEnvironment(ExactLimit):
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
         pi = check_policy(policy, problem.simulator)

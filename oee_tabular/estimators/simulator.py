@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from oee_tabular import _checks
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment
@@ -31,6 +32,7 @@ class Simulator(ExactLimit):
     7.97
     """
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
         try:
@@ -83,6 +85,7 @@ class Oracle(ExactLimit):
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
         pi = check_policy(policy, problem.simulator)

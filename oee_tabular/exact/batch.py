@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -105,24 +106,34 @@ def stack_models(models: Sequence[Model]) -> ModelStack:
         found = tuple(models)
     except TypeError:
         raise ValueError(f"models must be a FiniteMDP or a sequence of them; got {type(models).__name__}") from None
-    for model in found:
-        require_model(model)
     if not found:
         raise ValueError("models must be at least one FiniteMDP; there is none")
-    rows = [model.transitions for model in found]
-    parts: list[Any] = [[getattr(row, name) for row in rows] for name in ("indptr", "indices", "data")]
-    pointers, indices, data = (part[0] if len(found) == 1 else np.concatenate(part) for part in parts)
+    if set(map(type, found)) != {FiniteMDP}:
+        for model in found:
+            require_model(model)
+    rows = _each(found, "transitions")
+    pointers, indices, data = (
+        getattr(rows[0], name) if len(rows) == 1 else np.concatenate(_each(rows, name))
+        for name in ("indptr", "indices", "data")
+    )
+    actions = np.array(_each(found, "n_actions"), dtype=np.int64)
+    rewards = _each(found, "rewards")  # of equal widths they are flattened sooner once together
+    flat = np.concatenate(rewards).reshape(-1) if actions.min() == actions.max() else np.concatenate(rewards, axis=None)
     return ModelStack(
         found,
-        np.array([model.n_states for model in found], dtype=np.int64),
-        np.array([model.n_actions for model in found], dtype=np.int64),
-        np.array([model.discount for model in found], dtype=np.float64),
+        np.array(_each(found, "n_states"), dtype=np.int64),
+        actions,
+        np.array(_each(found, "discount"), dtype=np.float64),
         unsigned(pointers),
         unsigned(indices),
         readable(data),
-        readable(np.concatenate([model.rewards for model in found], axis=None)),
-        readable(np.concatenate([model.initial for model in found])),
+        readable(flat),
+        readable(np.concatenate(_each(found, "initial"))),
     )
+
+
+def _each(things: Sequence[Any], name: str) -> list[Any]:
+    return list(map(operator.attrgetter(name), things))
 
 
 def evaluate_batch(

@@ -18,6 +18,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular._threads import dot, one_thread
 from oee_tabular.exact.gradient import transition_gradient
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.occupancy import occupancy
@@ -54,6 +55,7 @@ def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, 
     return _weighted_sum(_row_variance(target, gradient), share)
 
 
+@one_thread
 def leading_bias(target: FiniteMDP, policy: Any, data_distribution: Any) -> float:
     """lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
 
@@ -203,8 +205,8 @@ def trajectory_efficiency_bound(
     require_action_support(mdp, behavior, pi, steps)
     plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
     values = values_to_go(plain, steps)
-    value = float(mdp.initial @ values[0])
-    total = float(mdp.initial @ (values[0] - value) ** 2)
+    value = dot(mdp.initial, values[0])
+    total = dot(mdp.initial, (values[0] - value) ** 2)
     under_policy = forward_measure(plain, steps, power=1)[:, 0]
     under_behavior = forward_measure(walk_of(mdp, behavior), steps, power=1)[:, 0]
     squared = forward_measure(weighted, steps, power=2)[:, 0]
@@ -219,7 +221,7 @@ def trajectory_efficiency_bound(
         else:
             alpha, beta = ((m[t][:, None] * b).reshape(-1) for m, b in ((under_policy, pi), (under_behavior, behavior)))
             weight = np.divide(alpha**2, beta, out=np.zeros_like(alpha), where=beta > 0)
-        total += mdp.discount ** (2 * t) * float(weight @ spread)
+        total += mdp.discount ** (2 * t) * dot(weight, spread)
     return total
 
 

@@ -10,6 +10,7 @@ from scipy.sparse import csgraph
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular._threads import dot
 from oee_tabular.exact.certified import solve_certified
 from oee_tabular.exact.linear import DivergentKernelError, exponent, inverse_norm, scaled_back, solve_system
 from oee_tabular.exact.reweighted import Model
@@ -40,7 +41,7 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
     if model.n_states <= TINY and model.discount < 1.0 and not certify:
         values, bound = _tiny(model, paid, policy)
         if np.isfinite(bound):
-            return values, float(model.initial @ values), bound, "dense LU", None
+            return values, dot(model.initial, values), bound, "dense LU", None
     from oee_tabular.kernels import policy_rows, twofold
 
     indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
@@ -54,7 +55,7 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
         system = System(indptr, columns, readable(inner), 1.0, formed=model.n_actions)
     if not certify:
         solution = solve_system(system, rewards, (model.n_actions + 1) * np.finfo(float).eps * largest)
-        return solution.x, float(model.initial @ solution.x), solution.error_bound, solution.method, None
+        return solution.x, dot(model.initial, solution.x), solution.error_bound, solution.method, None
     rows = model.transitions
     given = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
     low, high_pay, low_pay = twofold.average_rest(*given, paid, indptr, columns, data)

@@ -22,6 +22,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
+from oee_tabular._threads import dot, one_thread
 from oee_tabular.exact.linear import spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
@@ -171,9 +172,10 @@ def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) ->
     n = walk.n_states
     out, local = np.empty((5, n)), np.empty((steps if sources else 1, 3, n))
     kernel.trajectory(steps, *walk.shape, walk.discount, out, local, sources)
-    weight, value = float(walk.initial @ out[0]), float(walk.initial @ out[1])
+    weight, value = dot(walk.initial, out[0]), dot(walk.initial, out[1])
     off = np.stack([out[0] - weight, out[1] - value])
-    start = np.array([walk.initial @ off[0] ** 2, walk.initial @ (off[0] * off[1]), walk.initial @ off[1] ** 2])
+    products = off[0] ** 2, off[0] * off[1], off[1] ** 2
+    start = np.array([dot(walk.initial, x) for x in products])
     parts = np.zeros((0, 3, n))
     if sources:  # step t's share given the prefix: W^2 Var(G L' + gamma^t L' R')
         before = forward_measure(walk, steps, power=2, returns=True)[:steps]
@@ -188,7 +190,7 @@ def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) ->
             ],
             axis=1,
         )
-    total = start + out[2:] @ walk.initial
+    total = start + np.array([dot(walk.initial, x) for x in out[2:]])
     mix, mean, bias = np.array([0.0, 0.0, 1.0]), value, 0.0
     if self_normalized:
         if weight == 0.0:
@@ -212,8 +214,8 @@ def _per_step_ratio(walk: Walk, steps: int, sources: bool) -> Moments:
         return Moments(float("nan"), float("nan"), float("nan"))
     level = paid / mass
     found = per_decision(walk, steps, shift=level, scale=1.0 / mass, sources=sources)
-    bias = -float(factor @ ((square_paid - level * square) / mass**2))
-    return Moments(float(factor @ level), found.variance, bias, found.by_step, found.by_state)
+    bias = -dot(factor, (square_paid - level * square) / mass**2)
+    return Moments(dot(factor, level), found.variance, bias, found.by_step, found.by_state)
 
 
 def _paid(walk: Walk, steps: int, power: int) -> tuple[Array, Array]:
@@ -333,6 +335,7 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
     return first, second
 
 
+@one_thread
 def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
     """log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
 

@@ -11,6 +11,7 @@ from scipy import sparse
 from oee_tabular import _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical
+from oee_tabular._threads import dot
 from oee_tabular.exact.finite import CACHED, locked, rows_of
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
 from oee_tabular.mdp import FiniteMDP
@@ -153,9 +154,9 @@ def per_decision(
         mean, var, local = merged(walk, strips_of(walk), steps, shift, scale, h, k, sources)
     else:
         mean, var, local = centred(walk, steps, shift, scale, c, h, k, sources)
-    value = float(walk.initial @ mean)
-    start = float(walk.initial @ (mean - value) ** 2)
-    found = Moments(value, start + float(walk.initial @ var))
+    value = dot(walk.initial, mean)
+    start = dot(walk.initial, (mean - value) ** 2)
+    found = Moments(value, start + dot(walk.initial, var))
     if not sources:
         return found
     second = forward_measure(walk, steps, power=2)[:steps, 0]
@@ -267,9 +268,9 @@ def infinite(walk: Walk, sources: bool) -> Moments:
             "horizon must be given: the infinite sum has no variance, the second moment of its weights grows too fast "
             f"({error})"
         ) from None
-    total = float(walk.initial @ mean)
-    start = float(walk.initial @ (mean - total) ** 2)
-    found = Moments(total, start + float(walk.initial @ np.maximum(var, 0.0)))
+    total = dot(walk.initial, mean)
+    start = dot(walk.initial, (mean - total) ** 2)
+    found = Moments(total, start + dot(walk.initial, np.maximum(var, 0.0)))
     if not sources:
         return found
     reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x

@@ -15,6 +15,7 @@ from scipy import stats
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence, gather
@@ -90,6 +91,7 @@ class Comparison:
         return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
 
 
+@one_thread
 def compare_policies(
     problem: Problem,
     policies: Mapping[str, Any],

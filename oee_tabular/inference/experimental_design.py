@@ -24,6 +24,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.inference.design_costs import row_costs
@@ -41,6 +42,7 @@ LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so; "aut
 _CONIC_ROWS = 4000  # "auto" asks it up to here
 
 
+@one_thread
 def plan_data_collection(
     problem: Problem | FiniteMDP,
     policies: Any,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows
@@ -73,6 +74,7 @@ class Interval:
         return _printing.facts(f"Interval for a value: {_printing.SUM}", [*rows, ("status", self.status)])
 
 
+@one_thread
 def interval(
     problem: Problem,
     policy: Any,

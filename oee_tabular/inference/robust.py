@@ -18,6 +18,7 @@ import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
+from oee_tabular._threads import dot
 from oee_tabular.exact import evaluate_policy, state_values
 from oee_tabular.inference.ambiguity import Evidence, anytime_radius, independent_radius, l1_radius, reached_rows
 
@@ -61,7 +62,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float, *, ball: str =
             if solver.bad.any():
                 return _refused(solver)
             values = (evidence.policy * best.reshape(evidence.policy.shape)).sum(axis=1)
-        value = float(model.initial @ values)
+        value = dot(model.initial, values)
         return Extreme(value, value, solver.p, horizon, 0.0, np.zeros(0, dtype=np.int64))
     values = state_values(evidence.with_rows(evidence.phat), evidence.policy)
     residual, rise, sweeps, stalled = np.inf, 0.0, 0, 0
@@ -79,7 +80,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float, *, ball: str =
             break
         found = evaluate_policy(evidence.with_rows(solver.p), evidence.policy)
         values = found.values
-    value = float(model.initial @ values)
+    value = dot(model.initial, values)
     beyond = rise / (1.0 - gamma)
     return Extreme(value, value + sign * beyond, solver.p, sweeps, residual, np.zeros(0, dtype=np.int64))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, programs
 from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel
@@ -82,6 +83,7 @@ class RatioFit:
         return _printing.facts("RatioFit: p / q, both scaled to sum to 1, without unit", rows)
 
 
+@one_thread
 def density_ratio(
     p: Any,
     q: Any,

@@ -11,6 +11,7 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.neighbours import Factor
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -95,6 +96,7 @@ class TransitionRatio:
             )
         return simulator.with_transitions(on_pattern(simulator.transitions, data))
 
+    @one_thread
     def log_standard_error(self, gradient: Array) -> float | None:
         """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.
 
@@ -105,6 +107,7 @@ class TransitionRatio:
         """
         return None if self._influence is None else self._influence.standard_error(gradient)
 
+    @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
         """The first-order correction of a function of zeta * P towards maximum likelihood.
 

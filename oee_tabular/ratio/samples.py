@@ -29,12 +29,14 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.sample_kernel import fit_kernel
 from oee_tabular.ratio.sample_result import SampleRatio, sample_points
 from oee_tabular.ratio.sample_tilt import fit_log_linear, sample_tilt, score_test
 
 
+@one_thread
 def density_ratio_samples(
     x_p: Any,
     x_q: Any,

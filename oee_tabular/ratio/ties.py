@@ -23,6 +23,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.density import density_ratio
@@ -32,6 +33,7 @@ from oee_tabular.ratio.support import aligned_counts
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
 
+@one_thread
 def tied_ratio(
     log_or_counts: Transitions | sparse.csr_array, simulator: FiniteMDP, tie: Tie | Any, *, strength: float = 3.0
 ) -> TransitionRatio:

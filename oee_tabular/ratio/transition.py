@@ -26,6 +26,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, on_pattern
+from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio.box import check_box
@@ -50,6 +51,7 @@ _OWN = {
 METHODS = tuple(_OWN)
 
 
+@one_thread
 def transition_ratio(
     log_or_counts: Transitions | sparse.csr_array,
     simulator: FiniteMDP,

@@ -17,6 +17,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.data import ContinuousTransitions, Transitions
 from oee_tabular.estimators import Estimator, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
@@ -61,6 +62,7 @@ class Settings:
     episodes: int | None = None
 
 
+@one_thread
 def evaluate_continuous(
     simulator: ContinuousSimulator,
     log: ContinuousTransitions,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
@@ -47,6 +48,7 @@ class Simulated:
 
     value: MonteCarloValue
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         mc = self.value(policy)
@@ -60,6 +62,7 @@ class Plain:
 
     simulator: FiniteMDP
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact."""
         return Estimate(policy_value(self.simulator, policy, horizon=problem.horizon))
@@ -72,6 +75,7 @@ class Supported:
     estimator: Estimator
     support: Mapping[str, float]
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's, with ``uncovered_mass``, ``largest_zeta`` and ``d_inf``."""
         found = self.estimator(problem, policy, seed=seed)
@@ -86,6 +90,7 @@ class Calibrated:
     continuous: MonteCarloValue
     kind: str
 
+    @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's value, times J_continuous / J_discretised of the simulator, or plus their difference."""
         raw = self.estimator(problem, policy, seed=seed)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, advice
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
@@ -19,6 +20,7 @@ from oee_tabular.report.results import Report, Result
 from oee_tabular.sureness import how_sure
 
 
+@one_thread
 def evaluate(
     problem: Problem,
     policies: Any,

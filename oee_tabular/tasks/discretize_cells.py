@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
+from oee_tabular._threads import one_thread
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.continuous import ContinuousTask, StatePolicy, check_states
 from oee_tabular.tasks.continuous_sampling import record
@@ -167,6 +168,7 @@ class VisitedCells:
         used = np.unique(number)
         return VoronoiCells(centres[used] * scale, scale, float(distance.max()))
 
+    @one_thread
     def build(
         self,
         task: ContinuousTask,

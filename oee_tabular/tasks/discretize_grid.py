@@ -27,6 +27,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.continuous import ContinuousTask, check_states
@@ -107,6 +108,7 @@ class GridInterpolation:
             raise ValueError(f"high[{bad[0]}] must be above low[{bad[0]}], {ends[0][bad[0]]}; it is {ends[1][bad[0]]}")
         return Grid(ends[0], ends[1], self.shape, task.periodic)
 
+    @one_thread
     def build(
         self,
         task: ContinuousTask,

@@ -21,6 +21,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry
+from oee_tabular._threads import one_thread
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks.continuous import ContinuousTask, Moves
 from oee_tabular.tasks.continuous_sampling import record
@@ -154,6 +155,7 @@ def basis(states: Array) -> Array:
     return np.stack([np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
 
 
+@one_thread
 def fit_hand(arm: KinovaArm | KinovaHand, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
     """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
 
@@ -204,6 +206,7 @@ def fit_hand(arm: KinovaArm | KinovaHand, *, n_states: int = 500, seed: Any = 0)
     return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
 
 
+@one_thread
 def kinova_model(
     arm: KinovaArm | KinovaHand,
     *,

@@ -22,6 +22,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
+from oee_tabular._threads import one_thread
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.continuous import StatePolicy, check_probabilities
@@ -135,6 +136,7 @@ class ArmCells:
             raise ValueError(f"weights must sum to 1 (tolerance 1e-8); they sum to {shares.sum():.6g}")
         return sparse.csr_array(sum(w * matrix for w, matrix in zip(shares, every, strict=True)))
 
+    @one_thread
     def risk_minimising_weights(self, *, iterations: int = 300) -> Array:
         """(lengths,) weights w that minimise the KL risk -sum_x n_x log sum_k w_k P_k(x): zeta within the hull of the lengths.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
+from oee_tabular._threads import one_thread
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks.continuous import Moves, check_states
 from oee_tabular.tasks.reacher import Reacher
@@ -42,6 +43,7 @@ class LinearReacher(Reacher):
         object.__setattr__(self, "n_disturbances", 4)
 
     @classmethod
+    @one_thread
     def fit(cls, log: ContinuousTransitions, task: Reacher | None = None) -> LinearReacher:
         """The least-squares fit to ``log``, with the reward of ``task`` (default: the paper's arm); O(n).
 

@@ -1,0 +1,125 @@
+"""The same bits for any number of BLAS threads, which split long sums: as if there were one."""
+
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import oee_tabular as oee
+from oee_tabular._threads import dot, one_thread
+
+SIZE = 110  # 12 100 states: OpenBLAS leaves vectors of up to 10 000 to one thread
+
+
+def digest(*parts):
+    """A fingerprint of the bits of arrays and numbers."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
+    return found.hexdigest()[:12]
+
+
+def fingerprints():
+    """{call: bits} of calls with long sums or dense matrices."""
+    rng = np.random.default_rng(0)
+    n = SIZE * SIZE
+    initial = rng.dirichlet(np.ones(n))
+    simulator, target = (
+        oee.FiniteMDP(grid.transitions, grid.transition_rewards, initial, grid.discount)
+        for grid in (oee.tasks.gridworld(SIZE, slip) for slip in (0.3, 0.1))
+    )
+    policy, zeta, uniform = oee.uniform_policy(simulator), oee.true_ratio(target, simulator), np.full((n, 4), 0.25 / n)
+    log = oee.sample_transitions(target, uniform, 30_000, seed=1)
+    problem = oee.Problem(simulator, log)
+    found = {}
+    for name, moments in (
+        ("return", oee.return_moments(simulator, policy)),
+        ("product", oee.weighted_return_moments(simulator, zeta, policy, horizon=5)),
+        ("trajectory", oee.weighted_return_moments(simulator, zeta, policy, horizon=5, kind="trajectory")),
+        ("self-normalised", oee.weighted_return_moments(simulator, zeta, policy, horizon=5, self_normalized=True)),
+        ("doubly robust", oee.doubly_robust_moments(simulator, zeta, policy, horizon=5)),
+    ):
+        found[name] = digest(moments.mean, moments.variance, moments.bias)
+    found["value"] = digest(oee.policy_value(simulator, policy), oee.policy_value(simulator, policy, horizon=5))
+    for options in ({}, {"smoothness": 5.0}, {"method": "joint", "seed": 0}):
+        found[f"ratio {options}"] = digest(oee.transition_ratio(log, simulator, **options).values.data)
+    for estimator in (oee.estimators.OffEnvironment(), oee.estimators.Marginalized()):
+        estimate = estimator(problem, policy, seed=0)
+        found[type(estimator).__name__] = digest(estimate.value, estimate.standard_error or 0.0)
+    p, q = rng.normal(size=(4000, 2)), rng.normal(0.2, 1.1, size=(3000, 2))
+    for options in ({}, {"kernel": "gaussian"}):
+        found[f"samples {options}"] = digest(oee.density_ratio_samples(p, q, **options).at(q))
+    return found
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="BLAS has one thread on one core")
+def test_one_thread_and_two_give_the_same_bits():
+    """Two processes at once, which differ in the environment alone."""
+    running = [
+        subprocess.Popen(
+            [sys.executable, __file__],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads, "MKL_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for threads in ("1", "2")
+    ]
+    one, two = (json.loads(process.communicate(timeout=300)[0]) for process in running)
+    assert one["threads"] == 1
+    assert two["threads"] == 2
+    assert one["bits"] == two["bits"]
+
+
+def blas_threads():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_one_thread_inside_and_as_many_as_before_afterwards():
+    """Also after an error, when calls are within calls, and when Python threads leave in the order in which they came."""
+    assert oee.transition_ratio.__name__ == "transition_ratio"
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        assert one_thread(one_thread(blas_threads))() == {1}
+        assert blas_threads() == before
+        with pytest.raises(ZeroDivisionError):
+            one_thread(lambda: 1 / 0)()
+        assert blas_threads() == before
+        first, second = threading.Event(), threading.Event()
+        seen = []
+
+        @one_thread
+        def early():
+            first.set()
+            second.wait(10)
+
+        @one_thread
+        def late():
+            first.wait(10)
+            second.set()
+            workers[0].join(10)
+            seen.append(blas_threads())
+
+        workers = [threading.Thread(target=early), threading.Thread(target=late)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join(20)
+        assert seen == [{1}]
+        assert blas_threads() == before
+
+
+def test_dot_is_the_sum():
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(size=(2, 20_001))
+    assert abs(dot(x, y) - math.fsum(x * y)) < 1e-13 * np.abs(x * y).sum()
+
+
+if __name__ == "__main__":
+    print(json.dumps({"threads": max(blas_threads()), "bits": fingerprints()}))
