@@ -53,7 +53,7 @@ class _OneThread:
             getattr(library, "_real_set_num_threads", library.set_num_threads)(number)
 
 
-_ONE_THREAD = _OneThread()
+ONE_THREAD = _OneThread()
 
 
 def one_thread(function: Callable[Parameters, Found]) -> Callable[Parameters, Found]:
@@ -61,7 +61,7 @@ def one_thread(function: Callable[Parameters, Found]) -> Callable[Parameters, Fo
 
     @functools.wraps(function)
     def alone(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Found:
-        with _ONE_THREAD:
+        with ONE_THREAD:
             return function(*args, **kwargs)
 
     return alone

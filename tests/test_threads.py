@@ -115,6 +115,21 @@ def test_one_thread_inside_and_as_many_as_before_afterwards():
         assert blas_threads() == before
 
 
+def test_warnings_name_the_callers_line():
+    """Through the wrapper, whose file would be in all of them."""
+    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 300, seed=0)
+    twice = np.arange(simulator.transitions.nnz)[:, None] * [1.0, 2.0]
+    for call in (
+        lambda: oee.transition_ratio(log, simulator, features=twice),
+        lambda: oee.transition_ratio(log, simulator, method="linear", features=twice),
+        lambda: oee.density_ratio([0.5, 0.3, 0.2], [0.3, 0.3, 0.4], features=np.ones((3, 2))),
+    ):
+        with pytest.warns(UserWarning, match="linearly independent") as caught:
+            call()
+        assert [warning.filename for warning in caught] == [__file__]
+
+
 def test_dot_is_the_sum():
     rng = np.random.default_rng(1)
     x, y = rng.normal(size=(2, 20_001))

@@ -133,7 +133,7 @@ def warn_of_rank(features: Array, *, where: str = "") -> int:
         warnings.warn(
             f"features should be linearly independent{where}; they have rank {rank} of {d} (the smallest parameters "
             "that fit are taken)",
-            stacklevel=4,
+            stacklevel=5,
         )
     return rank
 

@@ -36,7 +36,7 @@ def fit_log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -
         warnings.warn(
             f"features must vary on x_q to be used; features[:, {tilt.lost[0]}] is constant there and not on x_p"
             + (f" ({len(tilt.lost)} such features in all)" if len(tilt.lost) > 1 else ""),
-            stacklevel=3,
+            stacklevel=4,
         )
     if tilt.collinear is not None:
         warn_of_rank(tilt.collinear, where=" on x_q")
@@ -47,7 +47,7 @@ def fit_log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -
         )
         if tilt.beyond > math.log(1e12):
             raise ValueError(text)
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=4)
     return tilt.fit
 
 

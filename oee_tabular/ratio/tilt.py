@@ -234,6 +234,6 @@ def _rank(gram: Array, d: int, *, warn: bool) -> int:
         warnings.warn(
             f"features should be linearly independent within rows; they have rank {rank} of {d} (the smallest parameters "
             "that fit are taken)",
-            stacklevel=5,
+            stacklevel=7,
         )
     return rank

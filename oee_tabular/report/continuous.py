@@ -136,7 +136,7 @@ def evaluate_continuous(
     told.append(_lost(made.plain, mc, tables, steps))
     report = evaluate(made.problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
     for text in told[:-1]:
-        warnings.warn(text, stacklevel=2)
+        warnings.warn(text, stacklevel=3)
     said = [_placed(text, made.model) for text in report.warnings]
     return replace(report, warnings=(*said, *told))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._threads import one_thread
+from oee_tabular._threads import ONE_THREAD
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks.continuous import Moves, check_states
 from oee_tabular.tasks.reacher import Reacher
@@ -43,7 +43,6 @@ class LinearReacher(Reacher):
         object.__setattr__(self, "n_disturbances", 4)
 
     @classmethod
-    @one_thread
     def fit(cls, log: ContinuousTransitions, task: Reacher | None = None) -> LinearReacher:
         """The least-squares fit to ``log``, with the reward of ``task`` (default: the paper's arm); O(n).
 
@@ -64,10 +63,11 @@ class LinearReacher(Reacher):
         states = check_states(base, log.state, "log.state")
         design = _design(states, base.actions[log.action_numbers(base.actions)])
         change = log.next_state - states
-        coefficients: Array = np.asarray(np.linalg.lstsq(design, change)[0], dtype=np.float64)
-        rest = change - design @ coefficients
-        covariance = rest.T @ rest / len(rest) + 1e-12 * np.eye(4)
-        root: Array = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        with ONE_THREAD:
+            coefficients: Array = np.asarray(np.linalg.lstsq(design, change)[0], dtype=np.float64)
+            rest = change - design @ coefficients
+            covariance = rest.T @ rest / len(rest) + 1e-12 * np.eye(4)
+            root: Array = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         options: dict[str, Any] = base.parameters() | {"target": base.target}
         return cls(**options, coefficients=coefficients, root=root)
 

@@ -206,8 +206,9 @@ def test_closure_error():
     assert abs(fine.closure().error) < 0.02
     with pytest.warns(
         UserWarning, match=r"8 x 8 grid .* is too coarse for the steps of CartPole: .*closure error of -"
-    ):
+    ) as caught:
         coarse = GridInterpolation((8, 8)).build(CartPole())
+    assert caught[0].filename == __file__
     assert coarse.diagnostics["closure"].error < -0.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
