@@ -36,7 +36,8 @@ class _OneThread:
                     import scipy.linalg  # noqa: F401  a BLAS of its own, which must be there to be found
                     from threadpoolctl import ThreadpoolController
 
-                    self.libraries = ThreadpoolController().select(user_api="blas").lib_controllers
+                    found = ThreadpoolController().select(user_api="blas").lib_controllers
+                    self.libraries = [library for library in found if library.num_threads]
                 self.before = [library.num_threads for library in self.libraries]
                 self._set([1] * len(self.before))
             self.inside += 1
