@@ -1,8 +1,8 @@
 """T = 200 steps of the n x n gridworld (slip .3, uniform policy): V of all states, J from one corner, mean and variance.
 
 Inside our clock: the public call, with the check of the policy and all that it makes of the rows; "ours, sweeps alone" is the
-recursion on what was made before. So are the peers', on matrices in the form that they like best; for moments also "scipy,
-with its matrices". ``error``: the largest difference to the same sums in long doubles (moments: to the centred form), over the
+recursion on what was made before. So are the peers', on matrices in the form that they like best; "scipy, with its matrices"
+makes them in the call. ``error``: the largest difference to the same sums in long doubles (moments: to the centred form), over the
 largest value.
 
 Moments are of the product of ratios, P' of slip .1. scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] +
@@ -34,6 +34,20 @@ def scipy_sweeps(kernel, rewards, discount):
         return value
 
     return call
+
+
+def averaged(mdp, policy):
+    """(S, S A): products with it are means over the policy's actions."""
+    pairs = mdp.n_states * mdp.n_actions
+    return sparse.csr_array((policy.reshape(-1), np.arange(pairs), np.arange(0, pairs + 1, mdp.n_actions)))
+
+
+def scipy_from_mdp(mdp, policy):
+    """The same, with P_pi and r_pi made in the call."""
+    mean = averaged(mdp, policy)
+    kernel = mean @ mdp.transitions
+    kernel.indices, kernel.indptr = kernel.indices.astype(np.int32), kernel.indptr.astype(np.int32)
+    return scipy_sweeps(kernel, mean @ mdp.rewards.reshape(-1), mdp.discount)()
 
 
 def numpy_sweeps(kernel, rewards, discount):
@@ -124,6 +138,7 @@ def values(size):
     calls = {
         "ours": lambda: exact.state_values(grid, policy, horizon=STEPS),
         "ours, sweeps alone": lambda: finite.sweep(rows, pay, discount, STEPS),
+        "scipy, with its matrices": lambda: scipy_from_mdp(grid, policy),
     }
     scale = np.abs(truth).max()
     timed = interleaved({**calls, **peers}, seconds)
