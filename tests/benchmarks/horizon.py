@@ -2,8 +2,8 @@
 
 Inside our clock: the public call, with the check of the policy and all that it makes of the rows; "ours, sweeps alone" is the
 recursion on what was made before. So are the peers', on matrices in the form that they like best; "scipy, with its matrices"
-makes them in the call. ``error``: the largest difference to the same sums in long doubles (moments: to the centred form), over the
-largest value.
+makes them in the call. ``error``: the largest difference to the same sums in long doubles (moments: to the centred form), over
+the largest value.
 
 Moments are of the product of ratios, P' of slip .1. scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] +
 2 gamma E[w^2 r m] + gamma^2 K2 q, three sparse products a step, and q - m^2 at the end.
