@@ -193,9 +193,8 @@ def evaluate_batch(
     starts = _starts(sizes)
     values, errors = np.empty(starts[-1]), np.empty(count)
     _run(stack, flat, sizes, actions, steps, starts, values, errors)
-    if np.isnan(
-        errors
-    ).any():  # rows beyond 1 / discount: the single evaluation has a certificate for those, or an error
+    # rows beyond 1 / discount, or values beyond floats: the single evaluation has a certificate for those, or an error
+    if np.isnan(errors).any() or not np.isfinite(values).all():
         return _one_by_one(stack.models * repeat, policies, steps)
     if sizes.min() == sizes.max():
         table = values.reshape(count, -1)

@@ -12,7 +12,14 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular._threads import dot
 from oee_tabular.exact.certified import solve_certified
-from oee_tabular.exact.linear import DivergentKernelError, exponent, inverse_norm, scaled_back, solve_system
+from oee_tabular.exact.linear import (
+    DivergentKernelError,
+    exponent,
+    inverse_norm,
+    require_floats,
+    scaled_back,
+    solve_system,
+)
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.systems import TINY, System, readable, unsigned
 
@@ -28,9 +35,12 @@ def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
     """
     shift = exponent(model.rewards)
     if shift == 0:
-        return _values(model, model.rewards, policy, certify)
+        found = _values(model, model.rewards, policy, certify)
+        require_floats(found[0])
+        return found
     values, value, bound, method, certified = _values(model, np.ldexp(model.rewards, -shift), policy, certify)
     values, bound, certified = scaled_back(values, bound, certified, shift)
+    require_floats(values)
     with np.errstate(over="ignore", under="ignore"):
         return values, float(np.ldexp(value, shift)), bound, method, certified
 

@@ -23,7 +23,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.linear import spectral_radius
+from oee_tabular.exact.linear import require_floats, spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
     Walk,
@@ -154,16 +154,22 @@ def policy_is_moments(
 
 
 def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
-    if steps is None:
-        if kind == "trajectory" or self_normalized:
-            what = "trajectory" if kind == "trajectory" else "self-normalised"
-            raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
-        return infinite(walk, sources)
-    if kind == "trajectory":
-        return _trajectory(walk, steps, self_normalized, sources)
-    if self_normalized:
-        return _per_step_ratio(walk, steps, sources)
-    return per_decision(walk, steps, sources=sources)
+    if steps is None and (kind == "trajectory" or self_normalized):
+        what = "trajectory" if kind == "trajectory" else "self-normalised"
+        raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
+    with np.errstate(over="ignore", invalid="ignore"):
+        if steps is None:
+            found = infinite(walk, sources)
+        elif kind == "trajectory":
+            found = _trajectory(walk, steps, self_normalized, sources)
+        elif self_normalized:
+            found = _per_step_ratio(walk, steps, sources)
+        else:
+            found = per_decision(walk, steps, sources=sources)
+    if not self_normalized:  # there nan is a quotient of nothing
+        require_floats(found.mean)
+    lost = np.isnan(found.variance) and not np.isnan(found.mean)
+    return replace(found, variance=np.inf) if lost else found
 
 
 def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:

@@ -16,6 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import finite
 from oee_tabular.exact.infinite import infinite_values, kernel_parts
+from oee_tabular.exact.linear import require_floats
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable
 from oee_tabular.mdp import check_policy
@@ -73,6 +74,9 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         Bad arguments; without a horizon, a sum that does not exist (discount 1 and a policy that is not absorbed in
         states without reward, or a kernel whose spectral radius times the discount is not below 1).
 
+    OverflowError
+        Values beyond the largest float.
+
     Notes
     -----
     Cost: O(T * nnz), or one sparse solve.
@@ -92,6 +96,7 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
     if steps is not None:
         values = _backward(model, pi, steps)
+        require_floats(values)
         return PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     return PolicyValues(*infinite_values(model, pi, certify))
 
@@ -145,7 +150,9 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
         return factor * evaluate_policy(mdp, policy).value
     require_model(mdp)
     steps = _checks.positive_integer(horizon, "horizon")
-    return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
+    value = finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
+    require_floats(value)
+    return factor * value
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:

@@ -27,8 +27,8 @@ class Moments:
     Attributes
     ----------
     mean : E[X]; self-normalised: the limit of the estimator
-    variance : Var[X]; self-normalised: lim n * variance of the estimator
-    bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
+    variance : Var[X]; self-normalised: lim n * variance of the estimator; inf where it is larger than floats are
+    bias : 0; self-normalised: lim n * (expectation of the estimator - mean), nan where it is made of numbers beyond floats
     by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
     by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
         asked for

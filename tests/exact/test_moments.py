@@ -335,6 +335,27 @@ def test_rows_of_very_different_lengths_are_sorted_into_strips():
     assert (order[200:] == 200).all()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("self_normalized", [False, True])
+@pytest.mark.filterwarnings("error")
+def test_a_variance_beyond_floats_is_infinite(kind, self_normalized):
+    """E[W_t^2] = 1.64^t: the mean keeps its digits, nothing is nan but the bias that is a difference of infinities."""
+    simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.999) for p in (0.5, 0.9))
+    zeta, policy = oee.true_ratio(target, simulator), [[1.0]] * 2
+    options = {"kind": kind, "self_normalized": self_normalized, "horizon": 2000}
+    found = oee.weighted_return_moments(simulator, zeta, policy, **options)
+    assert_allclose(found.mean, oee.policy_value(target, policy, horizon=2000), rtol=1e-9)
+    assert found.variance == np.inf
+    assert np.isnan(found.bias) if self_normalized else found.bias == 0.0
+
+
+def test_a_mean_beyond_floats_is_an_error():
+    coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [1e308, 1e307], [0.5, 0.5], 0.99)
+    assert oee.return_moments(coin, [[1.0]] * 2, horizon=1).variance == np.inf
+    with pytest.raises(OverflowError, match="values must be floats"):
+        oee.return_moments(coin, [[1.0]] * 2, horizon=5)
+
+
 def test_blocks_fit_the_cache_or_are_one():
     assert walks._blocks(10 * 1000, 10, 2) == (0, 1, 10)  # all of it fits
     assert walks._blocks(10_000 * 10_000, 10_000, 5000) == (0, 1, 10_000)  # the band does not

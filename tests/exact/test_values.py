@@ -252,3 +252,23 @@ def test_what_is_no_mdp_is_said():
     ):
         with pytest.raises(ValueError, match="mdp must be a FiniteMDP; got NoneType"):
             call()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        oee.policy_value,
+        lambda mdp, policy: oee.policy_value(mdp, policy, horizon=5),
+        exact.evaluate_policy,
+        lambda mdp, policy: exact.evaluate_policy(mdp, policy, certify=True),
+        lambda mdp, policy: oee.state_values(mdp, policy, horizon=5),
+        lambda mdp, policy: exact.policy_values_by_horizon(mdp, policy, horizon=5),
+        lambda mdp, policy: exact.evaluate_batch([mdp] * 2, [policy] * 2),
+    ],
+)
+def test_values_beyond_floats_are_an_error(call):
+    """Not inf beside an error bound that is none; half as large, they are found."""
+    large = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [1e308, 1e307], [0.5, 0.5], 0.99)
+    with pytest.raises(OverflowError, match=r"values must be floats, of at most 1.8e\+308; these are larger"):
+        call(large, [[1.0]] * 2)
+    call(oee.FiniteMDP(large.transitions, large.rewards / 1e3, large.initial, 0.99), [[1.0]] * 2)
