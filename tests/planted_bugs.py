@@ -43,9 +43,9 @@ BUGS = {
     4: (
         "asymptotic variance with d for d^2",
         "exact/efficiency.py",
-        "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\ndef leading",
+        "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\n@one_thread\ndef leading",
         "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n"
-        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\ndef leading",
+        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\n@one_thread\ndef leading",
         BOUNDS,
     ),
     5: (
