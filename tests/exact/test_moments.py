@@ -426,6 +426,11 @@ def test_policies_in_time(rng):
     check(oee.return_moments(mdp, moving, horizon=3), *(np.array(x) for x in zip(*rows, strict=True)))
     both = oee.policy_is_moments(mdp, behavior, moving, horizon=3)
     assert_allclose(both.mean, oee.policy_value(mdp, moving, horizon=3), rtol=1e-10, atol=1e-11)
+    zeta = ratio_of(rng, mdp)
+    w = zeta.toarray().reshape(2, 2, 2)
+    for kind in KINDS:
+        probability, x, *_ = enumerated(mdp, moving, np.ones((2, 2)), w, 3, kind)
+        check(oee.weighted_return_moments(mdp, zeta, moving, kind=kind, horizon=3), probability, x)
 
 
 @given(rngs, st.sampled_from(KINDS))
