@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import threading
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
@@ -28,6 +29,15 @@ class _OneThread:
         self.inside = 0
         self.libraries: list[Any] | None = None
         self.before: list[int] = []
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._in_child)
+
+    def _in_child(self) -> None:
+        """A forked process has none of the threads that were inside, nor one that would open the lock."""
+        self.lock = threading.Lock()
+        if self.inside:
+            self.inside = 0
+            self._set(self.before)
 
     def __enter__(self) -> None:
         with self.lock:
@@ -44,9 +54,9 @@ class _OneThread:
 
     def __exit__(self, *error: object) -> None:
         with self.lock:
-            self.inside -= 1
-            if self.inside == 0:
+            if self.inside == 1:
                 self._set(self.before)
+            self.inside = max(self.inside - 1, 0)
 
     def _set(self, numbers: list[int]) -> None:
         for library, number in zip(self.libraries or [], numbers, strict=True):

@@ -45,7 +45,8 @@ BUGS = {
         "exact/efficiency.py",
         "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\n@one_thread\ndef leading",
         "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n"
-        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\n@one_thread\ndef leading",
+        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\n@one_thread\n"
+        "def leading",
         BOUNDS,
     ),
     5: (

@@ -130,6 +130,42 @@ def test_warnings_name_the_callers_line():
         assert [warning.filename for warning in caught] == [__file__]
 
 
+FORKS = """
+import os, threading
+import scipy.linalg
+from threadpoolctl import threadpool_info, threadpool_limits
+from oee_tabular._threads import one_thread
+
+def threads():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+inside, leave = threading.Event(), threading.Event()
+
+@one_thread
+def stay():
+    inside.set()
+    leave.wait(20)
+
+with threadpool_limits(2, user_api="blas"):
+    before = threads()
+    worker = threading.Thread(target=stay)
+    worker.start()
+    inside.wait(20)
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if (threads(), one_thread(threads)(), threads()) == (before, {1}, before) else 1)
+    leave.set()
+    worker.join(20)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_forked_process_is_not_held_by_threads_that_it_has_not():
+    """Forked while another thread is inside: the child gets its threads back, and can go inside itself."""
+    subprocess.run([sys.executable, "-W", "ignore::DeprecationWarning", "-c", FORKS], check=True, timeout=60)
+
+
 def test_dot_is_the_sum():
     rng = np.random.default_rng(1)
     x, y = rng.normal(size=(2, 20_001))

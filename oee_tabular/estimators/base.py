@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.exact.linear import NO_VALUE
+from oee_tabular.exact.linear import DivergentKernelError
 
 
 @dataclass(frozen=True)
@@ -104,5 +104,5 @@ def without_divergence(make: Callable[[], Estimate]) -> Estimate:
     """The estimate, or nan with a status where the sum that it needs does not exist."""
     try:
         return make()
-    except NO_VALUE as divergence:
+    except DivergentKernelError as divergence:
         return Estimate(float("nan"), status=str(divergence))

@@ -17,7 +17,7 @@ from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewar
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
-from oee_tabular.exact.linear import NO_VALUE
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -60,7 +60,7 @@ class ModelBased(ExactLimit):
         model = self.model(problem)
         try:
             found = evaluate_policy(model, pi, horizon=problem.horizon)
-        except NO_VALUE as divergence:
+        except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         shape = (model.n_states, model.n_actions)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}

@@ -25,7 +25,7 @@ from oee_tabular.exact import (
     transition_gradient,
     weighted_return_moments,
 )
-from oee_tabular.exact.linear import NO_VALUE
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 
@@ -159,7 +159,7 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     }
     try:
         found = evaluate_policy(model, policy, horizon=problem.horizon)
-    except NO_VALUE as divergence:
+    except DivergentKernelError as divergence:
         return Estimate(float("nan"), diagnostics=diagnostics, status=str(divergence))
     diagnostics |= {"error_bound": found.error_bound, "method": found.method}
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:

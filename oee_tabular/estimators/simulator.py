@@ -13,7 +13,7 @@ from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
-from oee_tabular.exact.linear import NO_VALUE
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import true_ratio
 
@@ -37,7 +37,7 @@ class Simulator(ExactLimit):
         """Exact; ``seed`` is not used."""
         try:
             found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
-        except NO_VALUE as divergence:
+        except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
 
@@ -103,7 +103,7 @@ class Oracle(ExactLimit):
             )
         try:
             found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
-        except NO_VALUE as divergence:
+        except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(
             found.value,

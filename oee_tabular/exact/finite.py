@@ -14,7 +14,6 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact.linear import require_floats
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable, unsigned
 from oee_tabular.mdp import check_policy
@@ -175,6 +174,4 @@ def policy_values_by_horizon(mdp: Model, policy: Any, *, horizon: int) -> Array:
     """
     require_model(mdp)
     steps = _checks.positive_integer(horizon, "horizon")
-    found = values_by_horizon(mdp, policy_to_read(policy, mdp, steps), steps)
-    require_floats(found)
-    return found
+    return values_by_horizon(mdp, policy_to_read(policy, mdp, steps), steps)

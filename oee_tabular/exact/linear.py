@@ -51,18 +51,6 @@ class DivergentKernelError(ValueError):
     """gamma K has a spectral radius of 1 or more: the infinite sum does not exist."""
 
 
-NO_VALUE = DivergentKernelError, OverflowError  # what is raised where there is no number to give
-
-
-def require_floats(values: Array | float) -> None:
-    """An OverflowError for values that are too large to be floats."""
-    if not np.isfinite(values).all():
-        raise OverflowError(
-            f"values must be floats, of at most {np.finfo(float).max:.2g}; these are larger: scale the rewards down, or, "
-            "where a model's rows sum to more than 1, normalise them or shorten the horizon"
-        )
-
-
 def solve_policy_system(
     kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False, certify: bool = False
 ) -> LinearSolution:

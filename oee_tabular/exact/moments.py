@@ -23,7 +23,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.linear import require_floats, spectral_radius
+from oee_tabular.exact.linear import spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
     Walk,
@@ -154,22 +154,16 @@ def policy_is_moments(
 
 
 def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
-    if steps is None and (kind == "trajectory" or self_normalized):
-        what = "trajectory" if kind == "trajectory" else "self-normalised"
-        raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
-    with np.errstate(over="ignore", invalid="ignore"):
-        if steps is None:
-            found = infinite(walk, sources)
-        elif kind == "trajectory":
-            found = _trajectory(walk, steps, self_normalized, sources)
-        elif self_normalized:
-            found = _per_step_ratio(walk, steps, sources)
-        else:
-            found = per_decision(walk, steps, sources=sources)
-    if not self_normalized:  # there nan is a quotient of nothing
-        require_floats(found.mean)
-    lost = np.isnan(found.variance) and not np.isnan(found.mean)
-    return replace(found, variance=np.inf) if lost else found
+    if steps is None:
+        if kind == "trajectory" or self_normalized:
+            what = "trajectory" if kind == "trajectory" else "self-normalised"
+            raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
+        return infinite(walk, sources)
+    if kind == "trajectory":
+        return _trajectory(walk, steps, self_normalized, sources)
+    if self_normalized:
+        return _per_step_ratio(walk, steps, sources)
+    return per_decision(walk, steps, sources=sources)
 
 
 def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:
@@ -178,10 +172,12 @@ def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) ->
     n = walk.n_states
     out, local = np.empty((5, n)), np.empty((steps if sources else 1, 3, n))
     kernel.trajectory(steps, *walk.shape, walk.discount, out, local, sources)
-    weight, value = dot(walk.initial, out[0]), dot(walk.initial, out[1])
+    first, initial = walk.first
+    out = out[:, first]
+    weight, value = np.float64(dot(initial, out[0])), dot(initial, out[1])
     off = np.stack([out[0] - weight, out[1] - value])
     products = off[0] ** 2, off[0] * off[1], off[1] ** 2
-    start = np.array([dot(walk.initial, x) for x in products])
+    start = np.array([dot(initial, x) for x in products])
     parts = np.zeros((0, 3, n))
     if sources:  # step t's share given the prefix: W^2 Var(G L' + gamma^t L' R')
         before = forward_measure(walk, steps, power=2, returns=True)[:steps]
@@ -196,15 +192,15 @@ def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) ->
             ],
             axis=1,
         )
-    total = start + np.array([dot(walk.initial, x) for x in out[2:]])
-    mix, mean, bias = np.array([0.0, 0.0, 1.0]), value, 0.0
+    total = start + np.array([dot(initial, x) for x in out[2:]])
+    mix, mean, bias, variance = np.array([0.0, 0.0, 1.0]), value, 0.0, float(total[2])
     if self_normalized:
         if weight == 0.0:
             return Moments(float("nan"), float("nan"), float("nan"))
-        mean = value / weight
+        mean = float(value / weight)
         mix = np.array([mean**2, -2.0 * mean, 1.0]) / weight**2
-        bias = -float(total[1] - mean * total[0]) / weight**2
-    variance = max(float(mix @ total), 0.0)
+        bias = -float((total[1] - mean * total[0]) / weight**2)
+        variance = max(float(mix @ total), 0.0)
     if not sources:
         return Moments(mean, variance, bias)
     shares = np.einsum("i,tis->ts", mix, parts)

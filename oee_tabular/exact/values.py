@@ -6,7 +6,7 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import finite
 from oee_tabular.exact.infinite import infinite_values, kernel_parts
-from oee_tabular.exact.linear import require_floats
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable
 from oee_tabular.mdp import check_policy
@@ -74,12 +73,9 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         Bad arguments; without a horizon, a sum that does not exist (discount 1 and a policy that is not absorbed in
         states without reward, or a kernel whose spectral radius times the discount is not below 1).
 
-    OverflowError
-        Values beyond the largest float.
-
     Notes
     -----
-    Cost: O(T * nnz), or one sparse solve.
+    Cost: O(T * nnz), or one sparse solve. Values beyond the largest float are infinite, and the error bound then is.
 
     Examples
     --------
@@ -96,9 +92,10 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
     if steps is not None:
         values = _backward(model, pi, steps)
-        require_floats(values)
-        return PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
-    return PolicyValues(*infinite_values(model, pi, certify))
+        found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
+    else:
+        found = PolicyValues(*infinite_values(model, pi, certify))
+    return found if np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
@@ -150,9 +147,7 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
         return factor * evaluate_policy(mdp, policy).value
     require_model(mdp)
     steps = _checks.positive_integer(horizon, "horizon")
-    value = finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
-    require_floats(value)
-    return factor * value
+    return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:

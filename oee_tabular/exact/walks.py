@@ -27,8 +27,9 @@ class Moments:
     Attributes
     ----------
     mean : E[X]; self-normalised: the limit of the estimator
-    variance : Var[X]; self-normalised: lim n * variance of the estimator; inf where it is larger than floats are
-    bias : 0; self-normalised: lim n * (expectation of the estimator - mean), nan where it is made of numbers beyond floats
+    variance : Var[X]; self-normalised: lim n * variance of the estimator
+    bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
+        What is made of numbers beyond the largest float is infinite, or nan.
     by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
     by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
         asked for
@@ -80,6 +81,12 @@ class Walk:
     def n_states(self) -> int:
         """S."""
         return len(self.initial)
+
+    @property
+    def first(self) -> tuple[IntArray, Array]:
+        """The states where episodes start, and their probabilities: what the others have must not count, even infinite."""
+        first = np.flatnonzero(self.initial)
+        return first, self.initial[first]
 
     @property
     def shape(self) -> tuple[Any, Any, Any, Any, Any, Any, Any, Any]:
@@ -154,9 +161,10 @@ def per_decision(
         mean, var, local = merged(walk, strips_of(walk), steps, shift, scale, h, k, sources)
     else:
         mean, var, local = centred(walk, steps, shift, scale, c, h, k, sources)
-    value = dot(walk.initial, mean)
-    start = dot(walk.initial, (mean - value) ** 2)
-    found = Moments(value, start + dot(walk.initial, var))
+    first, initial = walk.first
+    value = dot(initial, mean[first])
+    start = dot(initial, (mean[first] - value) ** 2)
+    found = Moments(value, start + dot(initial, var[first]))
     if not sources:
         return found
     second = forward_measure(walk, steps, power=2)[:steps, 0]
@@ -268,9 +276,10 @@ def infinite(walk: Walk, sources: bool) -> Moments:
             "horizon must be given: the infinite sum has no variance, the second moment of its weights grows too fast "
             f"({error})"
         ) from None
-    total = dot(walk.initial, mean)
-    start = dot(walk.initial, (mean - total) ** 2)
-    found = Moments(total, start + dot(walk.initial, np.maximum(var, 0.0)))
+    begin, initial = walk.first
+    total = dot(initial, mean[begin])
+    start = dot(initial, (mean[begin] - total) ** 2)
+    found = Moments(total, start + dot(initial, np.maximum(var[begin], 0.0)))
     if not sources:
         return found
     reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x

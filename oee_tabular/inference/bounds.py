@@ -20,7 +20,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
-from oee_tabular.exact.linear import NO_VALUE
+from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.pairs import Sides, check_pair, forward_distributions
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -287,7 +287,7 @@ def _error(target: FiniteMDP, model: Model, policy: Any, horizon: int | None) ->
     pi = check_policy(policy, target, horizon=horizon)
     try:
         return abs(policy_value(model, pi, horizon=horizon) - truth)
-    except NO_VALUE:
+    except DivergentKernelError:
         return math.inf if _measured(target, model)[1] > 0.0 else 0.0
 
 

@@ -254,21 +254,17 @@ def test_what_is_no_mdp_is_said():
             call()
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        oee.policy_value,
-        lambda mdp, policy: oee.policy_value(mdp, policy, horizon=5),
-        exact.evaluate_policy,
-        lambda mdp, policy: exact.evaluate_policy(mdp, policy, certify=True),
-        lambda mdp, policy: oee.state_values(mdp, policy, horizon=5),
-        lambda mdp, policy: exact.policy_values_by_horizon(mdp, policy, horizon=5),
-        lambda mdp, policy: exact.evaluate_batch([mdp] * 2, [policy] * 2),
-    ],
-)
-def test_values_beyond_floats_are_an_error(call):
-    """Not inf beside an error bound that is none; half as large, they are found."""
-    large = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [1e308, 1e307], [0.5, 0.5], 0.99)
-    with pytest.raises(OverflowError, match=r"values must be floats, of at most 1.8e\+308; these are larger"):
-        call(large, [[1.0]] * 2)
-    call(oee.FiniteMDP(large.transitions, large.rewards / 1e3, large.initial, 0.99), [[1.0]] * 2)
+def test_values_beyond_floats_are_infinite_and_their_bound_is():
+    """In a state that is never reached they do not matter to J, by any of the ways to it."""
+    never = FiniteMDP([[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]], [0, 1, 1e308], [1, 0, 0], 0.99)
+    same, policy = FiniteMDP(never.transitions, [[0], [1], [1]], never.initial, 0.99), [[1.0]] * 3
+    for horizon in (None, 5, 500):
+        found, plain = (exact.evaluate_policy(mdp, policy, horizon=horizon) for mdp in (never, same))
+        assert_allclose(found.values[:2], plain.values[:2], rtol=1e-12)
+        assert (found.values[2], found.error_bound) == (np.inf, np.inf)
+        assert_allclose([found.value, oee.policy_value(never, policy, horizon=horizon)], plain.value, rtol=1e-12)
+        batch = exact.evaluate_batch([never, same], [policy] * 2, horizon=horizon)
+        assert_allclose(batch.value, plain.value, rtol=1e-12)
+        assert batch.error_bound[0] == np.inf > batch.error_bound[1]
+        assert exact.evaluate_batch(never, [policy] * 2, horizon=horizon).error_bound.tolist() == [np.inf, np.inf]
+    assert oee.policy_value(FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy) == np.inf
