@@ -107,7 +107,7 @@ def value_to_horizon(model: Model, policy: Array, steps: int) -> float:
 
 
 def expected(model: Model, policy: Array, values: Array) -> float:
-    """mu_0 . V, with the bits of ``value_to_horizon``."""
+    """mu_0 . V over the states where episodes start (the others may be infinite), with the bits of ``value_to_horizon``."""
     from oee_tabular.kernels import horizon
 
     if policy.ndim == 3:

@@ -10,8 +10,8 @@ from scipy.sparse import csgraph
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
-from oee_tabular._threads import dot
 from oee_tabular.exact.certified import solve_certified
+from oee_tabular.exact.finite import expected
 from oee_tabular.exact.linear import DivergentKernelError, exponent, inverse_norm, scaled_back, solve_system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.systems import TINY, System, readable, unsigned
@@ -41,7 +41,7 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
     if model.n_states <= TINY and model.discount < 1.0 and not certify:
         values, bound = _tiny(model, paid, policy)
         if np.isfinite(bound):
-            return values, _start_mean(model, values), bound, "dense LU", None
+            return values, expected(model, policy, values), bound, "dense LU", None
     from oee_tabular.kernels import policy_rows, twofold
 
     indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
@@ -55,7 +55,7 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
         system = System(indptr, columns, readable(inner), 1.0, formed=model.n_actions)
     if not certify:
         solution = solve_system(system, rewards, (model.n_actions + 1) * np.finfo(float).eps * largest)
-        return solution.x, _start_mean(model, solution.x), solution.error_bound, solution.method, None
+        return solution.x, expected(model, policy, solution.x), solution.error_bound, solution.method, None
     rows = model.transitions
     given = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
     low, high_pay, low_pay = twofold.average_rest(*given, paid, indptr, columns, data)
@@ -65,12 +65,6 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
     found = solve_certified(system, low, readable(high_pay), low_pay, inverse_norm(system), slack)
     value = twofold.dot(model.initial, found.high, found.low)
     return found.high, float(value), found.error_bound, found.method, found.certified
-
-
-def _start_mean(model: Model, values: Array) -> float:
-    """J; what the others are where no episode starts does not matter, even infinite."""
-    first = np.flatnonzero(model.initial)
-    return dot(model.initial[first], values[first])
 
 
 def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:

@@ -131,16 +131,7 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
         u = np.where(np.repeat(over, mdp.n_actions), 1.0, u)
     by_move = mdp.reward_data is not None
     pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
-    return Walk(
-        *rows,
-        locked(w),
-        locked(act),
-        locked(u),
-        by_move,
-        locked(pay),
-        locked(mdp.initial),
-        mdp.discount,
-    )
+    return Walk(*rows, locked(w), locked(act), locked(u), by_move, locked(pay), locked(mdp.initial), mdp.discount)
 
 
 def per_decision(

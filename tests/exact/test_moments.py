@@ -14,6 +14,7 @@ import oee_tabular as oee
 from oee_tabular.exact import walks, weight_growth, weight_moments
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
+from oee_tabular.kernels.merged import LANES, PARTS
 
 KINDS = ("per_decision", "trajectory")
 
@@ -297,10 +298,10 @@ def test_moves_to_states_that_stand_side_by_side(rng, timed, based):
     h, k = (rng.normal(size=(x, n)) for x in (steps, steps + 1)) if based else (None, None)
     strips = walks.strips_of(walk)
     offsets, columns, aligned, numbers, *_ = strips
-    columns = columns.reshape(-1, 32).astype(np.int64)
-    assert_array_equal(aligned, (columns == columns[:, :1] + np.arange(32)).all(axis=1))
+    columns = columns.reshape(-1, LANES).astype(np.int64)
+    assert_array_equal(aligned, (columns == columns[:, :1] + np.arange(LANES)).all(axis=1))
     assert not aligned.all()
-    mass = numbers.reshape(-1, 5, 32)[:, 0]
+    mass = numbers.reshape(-1, PARTS, LANES)[:, 0]
     for first, last in itertools.pairwise(offsets):
         assert (2.0 * mass[first] >= mass[first:last].max(axis=0)).all()
     old = walks.centred(walk, steps, shift, scale, None, h, k, True)
