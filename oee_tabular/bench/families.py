@@ -48,7 +48,7 @@ MADE: Mapping[str, Callable[..., Family]] = {
         garnets.dirichlet(10.0), "Every row is far off, at random.", recorded="uniform"
     ),
     "garnet_replaced": garnets.changed(garnets.replaced, "A twentieth of the rows is wrong.", recorded="policy"),
-    "garnet_worse": garnets.changed(garnets.along(-0.25), "Every move is a little worse than simulated, along V."),
+    "garnet_worse": garnets.worse(40),
     "garnet_better": garnets.changed(
         garnets.along(0.25), "Every move is a little better than simulated, along V.", recorded="uniform"
     ),
@@ -73,6 +73,7 @@ MADE: Mapping[str, Callable[..., Family]] = {
 }
 LARGE: Mapping[str, Callable[..., Family]] = {
     "tandem45": lambda: stock.tandem(45),
+    **{f"garnet_worse{n}": garnets.worse(n) for n in (10, 20, 80, 160)},
 }
 
 
@@ -149,7 +150,8 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     Parameters
     ----------
     seed : int from 0; what is random in a family (the Garnets) is another for each seed
-    large : whether those are there that take seconds a log (``tandem45``)
+    large : whether those are there that a run must name: ``tandem45``, which takes seconds a log, and ``garnet_worse`` with
+        10, 20, 80 and 160 states
 
     Returns
     -------

@@ -80,6 +80,17 @@ def same(simulator: FiniteMDP, _: np.random.Generator) -> sparse.csr_array:
     return simulator.transitions
 
 
+def worse(n_states: int) -> Callable[[np.random.Generator], Family]:
+    """What makes a Garnet of that size, a little worse everywhere along V."""
+
+    def make(generator: np.random.Generator) -> Family:
+        simulator = garnet(generator, n_states)
+        about = "Every move is a little worse than simulated, along V."
+        return pair(simulator, along(-0.25)(simulator, generator), about)
+
+    return make
+
+
 def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     """A Garnet that is a little worse everywhere along V: P exp(-.25 z(V)), as ``garnet_worse``, of any size.
 
@@ -96,6 +107,4 @@ def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     """
     if _checks.positive_integer(n_states, "n_states") < SUCCESSORS:
         raise ValueError(f"n_states must be at least {SUCCESSORS}; it is {n_states}")
-    generator = np.random.default_rng([seed, n_states])
-    simulator = garnet(generator, n_states)
-    return pair(simulator, along(-0.25)(simulator, generator), "Every move is a little worse than simulated, along V.")
+    return worse(n_states)(np.random.default_rng([seed, n_states]))

@@ -99,7 +99,7 @@ def mixed_rows(share: Any, one: FiniteMDP, other: FiniteMDP) -> sparse.csr_array
 
 def poisson(mean: float, largest: int) -> Array:
     """Pr(N = 0), ..., Pr(N = largest), the last one Pr(N >= largest)."""
-    law = stats.poisson(mean)
+    law: Any = stats.poisson(mean)
     return np.asarray(np.append(law.pmf(np.arange(largest)), law.sf(largest - 1)))
 
 
