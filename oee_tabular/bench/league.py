@@ -208,7 +208,7 @@ def _league_row(name: str, cells: pd.DataFrame) -> dict[str, Any]:
 def summary(cells: pd.DataFrame) -> dict[str, Any]:
     """Geometric mean, 90% quantile and worst of the ratios, and the shares surely above 1.1 and 1.5."""
     known = cells[cells["ratio"].notna()]
-    worst = known.loc[known["ratio"].idxmax()] if len(known) else None
+    worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
     return {
         "geo": geometric_mean(known["ratio"]),
         "q90": float(known["ratio"].quantile(0.9)) if len(known) else math.nan,

@@ -99,8 +99,8 @@ def mixed_rows(share: Any, one: FiniteMDP, other: FiniteMDP) -> sparse.csr_array
 
 def poisson(mean: float, largest: int) -> Array:
     """Pr(N = 0), ..., Pr(N = largest), the last one Pr(N >= largest)."""
-    law: Any = stats.poisson(mean)
-    return np.asarray(np.append(law.pmf(np.arange(largest)), law.sf(largest - 1)))
+    fewer, rest = stats.poisson.pmf(np.arange(largest), mean), stats.poisson.sf(largest - 1, mean)
+    return np.append(np.asarray(fewer, dtype=np.float64), float(rest))
 
 
 def binomial(n: int, probability: float) -> Array:

@@ -22,12 +22,15 @@ def draw_profile(cells: pd.DataFrame, figure: Figure) -> None:
     figure.set_size_inches(7.0, 4.4)
     ax = figure.subplots()
     shifted = cells[~cells["identical"]]
+    known = shifted["ratio"][(shifted["ratio"] > 0) & np.isfinite(shifted["ratio"])]
+    low, high = (0.5, 2.0) if known.empty else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
     for k, name in enumerate(dict.fromkeys(cells["estimator"])):
         own = shifted[shifted["estimator"] == name]
         ratios = np.sort(own["ratio"].dropna().to_numpy())
-        ratios = np.clip(ratios, 1e-3, 1e3)
         style = series(k)
-        share = np.arange(1, len(ratios) + 1) / max(1, len(own))
+        share = np.arange(len(ratios) + 1) / max(1, len(own))
+        ratios = np.concatenate([[low], np.clip(ratios, low, high)])
+        ratios, share = np.append(ratios, high), np.append(share, share[-1])
         ax.step(ratios, share, where="post", color=style["color"], ls=style["linestyle"], lw=1.7, label=shown(name))
     ax.axvline(1.0, color=ink(), lw=0.9, ls=(0, (4, 2)))
     ax.set_xscale("log")
@@ -62,4 +65,5 @@ def draw_heat(cells: pd.DataFrame, figure: Figure) -> None:
     assert image is not None
     bar = figure.colorbar(image, ax=list(axes), shrink=0.6)
     bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])
+    bar.ax.tick_params(labelsize=7)
     bar.set_label("RMSE over the reference's", fontsize="small")

@@ -19,11 +19,11 @@ PARTING = 3.0  # sizes below it, and from it on, are stated apart
 WIDE = (10.0, 30.0)  # sizes at which widths are compared
 EXPLAINED = (
     "RMSE over the better of maximum likelihood (the simulator in unseen rows) and the bare simulator on the same logs, over "
-    "cells (family x size): geometric mean (geo), 90% quantile, worst; share of cells whose ratio is surely above 1.1, 1.5 (the "
-    "5% quantile of the paired bootstrap over the seeds is). `geo, over bound`: over the square root of the efficiency bound / n. "
-    "Where the target is the simulator (identical): over maximum likelihood alone. Coverage and width of the interval that the "
-    "estimator reports, over logs of at least 3 moves per open row that hold more than 90% of the policy's time; width over that "
-    "of maximum likelihood's +- 1.96 standard errors. Seconds: of one log, processor time."
+    "cells (family x size): geometric mean (geo), 90% quantile, worst; share of cells whose ratio is surely above 1.1, 1.5 "
+    "(the 5% quantile of the paired bootstrap over the seeds is). `geo, over bound`: over the square root of the efficiency "
+    "bound / n. Where the target is the simulator (identical): over maximum likelihood alone. Coverage and width of the "
+    "interval that the estimator reports, over logs of at least 3 moves per open row that hold more than 90% of the policy's "
+    "time; width over that of maximum likelihood's +- 1.96 standard errors. Seconds: of one log, processor time."
 )
 
 
