@@ -99,8 +99,10 @@ def mixed_rows(share: Any, one: FiniteMDP, other: FiniteMDP) -> sparse.csr_array
 
 def poisson(mean: float, largest: int) -> Array:
     """Pr(N = 0), ..., Pr(N = largest), the last one Pr(N >= largest)."""
-    fewer, rest = stats.poisson.pmf(np.arange(largest), mean), stats.poisson.sf(largest - 1, mean)
-    return np.append(np.asarray(fewer, dtype=np.float64), float(rest))
+    found = np.empty(largest + 1)
+    found[:largest] = stats.poisson.pmf(np.arange(largest), mean)
+    found[largest] = stats.poisson.sf(largest - 1, mean)
+    return found
 
 
 def binomial(n: int, probability: float) -> Array:
@@ -112,4 +114,4 @@ def spread(n_states: int, states: Any) -> Array:
     """The uniform distribution over these states, (S,)."""
     found = np.zeros(n_states)
     found[states] = 1.0
-    return found / found.sum()
+    return np.asarray(found / found.sum())
