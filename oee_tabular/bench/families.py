@@ -89,6 +89,13 @@ class Families(Mapping[str, Family]):
     Attributes
     ----------
     seed, left_out
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> mine = Families({"grid": lambda: oee.bench.families()["floor_motor"]}, seed=0, left_out={})
+    >>> list(mine), mine["grid"].about
+    (['grid'], 'One of the four motors is weak.')
     """
 
     def __init__(self, makers: Mapping[str, Callable[..., Family]], seed: int, left_out: Mapping[str, str]):

@@ -211,7 +211,7 @@ def summary(cells: pd.DataFrame) -> dict[str, Any]:
     worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
     return {
         "geo": geometric_mean(known["ratio"]),
-        "q90": float(known["ratio"].quantile(0.9)) if len(known) else math.nan,
+        "q90": float(known["ratio"].quantile(0.9, interpolation="higher")) if len(known) else math.nan,
         "worst": math.nan if worst is None else float(worst["ratio"]),
         "worst cell": "" if worst is None else f"{worst['family']} at {worst['size']:g}",
         **{f"above {limit:g}": float((known["low"] > limit).mean()) if len(known) else math.nan for limit in LIMITS},

@@ -126,7 +126,8 @@ def run(
     families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
         makes a mapping name -> Family, or such a mapping
     sizes : moves per open row (an (s, a) with more than one next state in the simulator); n = round(size * open rows)
-    seeds : logs of each cell; seed : the first one
+    seeds : logs of each cell
+    seed : the first one, from 0; a seed's rows are the same in any run
     jobs : processes on this machine; -1: one a core
     dask : address of a dask scheduler; the cells go there instead
     output : folder that keeps finished cells: an interrupted run goes on; None: nothing is kept
