@@ -13,7 +13,7 @@ typeguard below 3, which it does not ask for; the extra does. Their importance s
     pip install 'oee-tabular[offline-rl-ope]'   oee bench --estimators oee_tabular.bench.adapters:OfflineRLOPE
 
 References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement learning and off-policy evaluation,
-2023. [2] offline-rl-ope, https://pypi.org/project/offline-rl-ope.
+2023. [2] J. Spear, offline-rl-ope, https://pypi.org/project/offline-rl-ope.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def queue(
         costs = -0.1 * np.arange(25.0)[:, None] - 0.4 * np.arange(2.0)
         return FiniteMDP(transitions_of(25, 2, moves), costs, spread(25, range(25)), 0.98)
 
-    return pair(rows(*believed), rows(*real), about, recorded=recorded)
+    return pair(rows(*believed), rows(*real), about, recorded=recorded, length=50)
 
 
 def tandem(size: int = 45) -> Family:
