@@ -26,7 +26,7 @@ from oee_tabular.ratio.box import Box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
 from oee_tabular.ratio.program_types import LinearProgram
-from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
+from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
 from oee_tabular.ratio.sgd import SgdOptions, SgdTrace, descend_linear
 from oee_tabular.ratio.tilt import feature_array
@@ -219,6 +219,8 @@ def fit_linear(
     safe = np.maximum(zeta, 1e-12)
     bend = observed / safe**2
     details |= {"weights": found.weights, "ridge": strength, "lower": box.lower, "upper": box.upper}
+    method = "linear" if kernel is None else "kernel"
+    information = (phi * bend[:, None]).T @ phi + total * strength * np.eye(phi.shape[1])
     influence = Influence(
         frequencies=np.where(spread(n_row, indptr) > 0, observed / spread(np.maximum(n_row, 1e-300), indptr), 0.0),
         row_counts=n_row,
@@ -226,10 +228,7 @@ def fit_linear(
         weights=weights,
         stiffness=weights / safe,
         share=np.zeros(len(n_row)),
-        prior=zeta * weights,
         indptr=indptr,
-        scores=phi / safe[:, None],
-        information=(phi * bend[:, None]).T @ phi + total * strength * np.eye(phi.shape[1]),
+        parts=(Part(method, 1.0, 0.0, zeta * weights, phi / safe[:, None], information, gap=found.gap),),
     )
-    method = "linear" if kernel is None else "kernel"
     return make_result(simulator, zeta, method, found.gap, observed, details, influence)
