@@ -19,7 +19,7 @@ from scipy import stats
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import policy_value, state_values, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence
+from oee_tabular.inference.ambiguity import Evidence, simulated_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def _other_starts(evidence: Evidence, sign: float, limit: float) -> list[Array]:
     """Members of the set on the way from the frequencies to the simulator's rows, and to its best next states."""
     matrix = evidence.model.transitions
     rows, starts = evidence.rows, evidence.indptr[:-1]
-    simulator = matrix.data / np.add.reduceat(matrix.data, starts)[rows]
+    simulator = simulated_rows(evidence)
     values = state_values(evidence.with_rows(simulator), evidence.policy, horizon=evidence.horizon)
     pay = 0.0 if evidence.model.reward_data is None else evidence.model.reward_data
     ahead = sign * (pay + evidence.model.discount * values[matrix.indices])

@@ -1,0 +1,103 @@
+"""The one interval that stands beside each value, the value that stands inside it, and where the value comes from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Any
+
+from oee_tabular import _printing
+from oee_tabular._checks import Array
+from oee_tabular.estimators import Estimate, ModelBased, Problem
+from oee_tabular.inference import Interval
+
+LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
+METHODS: Mapping[str, str] = {
+    LIKELIHOOD: "all values that a model in keeping with the log can have; where the log has nothing, every move that the "
+    "simulator allows is possible",
+    "one-step": "value plus or minus a normal quantile times sqrt(variance under the corrected simulator + that of "
+    "state-action pairs never recorded)",
+    OWN: "as the estimator gives it",
+    NOISE: "value plus or minus a normal quantile times the standard error: the log's (or the rollouts') noise alone",
+}
+LEAST_COVERAGE = 0.9  # below it no interval that counts the noise alone
+_OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
+
+
+def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float) -> Estimate:
+    """The estimate with the interval to quote, and a value inside it.
+
+    A value that the log corrects (``one_step_value`` among its diagnostics) has the likelihood interval ``sure``, where there
+    is one; outside of it stands no value: the one-step value takes its place, or else maximum likelihood's
+    (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus or minus a
+    normal quantile times the standard error, where that counts what matters: not below ``LEAST_COVERAGE``, not where the
+    variance is not known. ``diagnostics["interval_method"]`` names what it is.
+    """
+    facts = estimate.diagnostics
+    if sure is not None and sure.status == "ok" and "one_step_value" in facts:
+        return _inside(estimate, sure, problem, policy)
+    quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
+    if estimate.interval is not None:
+        if "interval_method" not in facts or level == _OWN_LEVEL:
+            return estimate
+        factor = quantile / NormalDist().inv_cdf(0.5 + _OWN_LEVEL / 2.0)
+        lower, upper = (estimate.value + factor * (end - estimate.value) for end in estimate.interval)
+        return replace(estimate, interval=(lower, upper))
+    error = estimate.standard_error
+    if not error or not math.isfinite(estimate.value) or _measured(facts) < LEAST_COVERAGE:
+        return estimate
+    ends = (estimate.value - quantile * error, estimate.value + quantile * error)
+    return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
+
+
+def _measured(facts: Mapping[str, Any]) -> float:
+    """The share of the policy's time in state-action pairs whose variance the log tells; 1 where that has no meaning."""
+    return float(facts.get("coverage", 1.0) - facts.get("single_share", 0.0))
+
+
+def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array) -> Estimate:
+    facts, value, error = (
+        estimate.diagnostics | {"interval_method": LIKELIHOOD},
+        estimate.value,
+        estimate.standard_error,
+    )
+    room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
+    low, high = sure.lower - room, sure.upper + room
+    if not low <= value <= high:
+        facts |= {"replaced_value": value, "replaced_by": "one-step value"}
+        value, error = facts["one_step_value"], facts.get("one_step_standard_error", error)
+    if not low <= value <= high:
+        facts["replaced_by"] = "maximum likelihood's value"
+        value = ModelBased(fallback="simulator")(problem, policy).value
+    return replace(
+        estimate, value=value, standard_error=error, interval=(min(sure.lower, value), max(sure.upper, value)),
+        diagnostics=facts,
+    )  # fmt: skip
+
+
+def way(estimate: Estimate, scale: float) -> str:
+    """How a value moves from the simulator to the log, and where it was left; "" where the log does not correct it."""
+    facts = estimate.diagnostics
+    if "one_step_value" not in facts:
+        return ""
+    form = ".4g" if estimate.interval is None else _printing.spec(*(end * scale for end in estimate.interval))
+    show = {name: format(x * scale, form) for name, x in facts.items() if name in VALUES}
+    before = facts.get("replaced_value", estimate.value)
+    text = f"corrected by the log {estimate.value * scale:{form}}"
+    if "simulator_value" in show:
+        text = f"the simulator says {show['simulator_value']}; {text}"
+    model = show.get("model_value", format(before * scale, form))
+    text += f" (exact value of zeta * P {model}, one-step {show['one_step_value']}, moved {facts.get('moved', 0.0):.0%}"
+    if "replaced_by" in facts:
+        text += f" to {show['replaced_value']}; outside the interval, so this is {facts['replaced_by']}"
+    return text + ")"
+
+
+VALUES = frozenset(  # diagnostics that are values, or errors of values
+    (
+        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "maximum_likelihood_value",
+        "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
+    )
+)  # fmt: skip
