@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
@@ -85,7 +86,7 @@ def how_sure(
         intervals,
         tuple(distance),
         {name: _width(found, confidence, scale) for name, found in intervals.items()},
-        next="" if endless else _next(list(evidences.values())),
+        next="" if endless else _next(list(evidences.values()), confidence),
         comparison=compare_policies(problem, policies, confidence=each) if several else None,
     )
 
@@ -185,28 +186,28 @@ def _between(found: Interval, scale: float) -> str:
     return f"between {lower:{form}} and {upper:{form}}"
 
 
-def _next(evidences: Sequence[Evidence]) -> str:
-    """The (s, a) whose next move narrows the intervals most: never recorded ones first, then argmax of the gain.
+def _next(evidences: Sequence[Evidence], confidence: float) -> str:
+    """The (s, a) whose next move narrows the policies' intervals most, by what it may take off their widths, summed.
 
-    A row never recorded counts by the range of the gradient in it, summed over the policies; a recorded one by the share of a
-    policy's variance that one more move takes away, c / (n (n + 1)) / sum c / n, the mean over the policies.
+    Off a row never recorded the range of the gradient in it (it stood at its worst); off a recorded one, of variance c / n, z
+    times c / (n (n + 1)) / sqrt(sum c / n): by so much 2 z sqrt(sum c / n) falls.
     """
     first = evidences[0]
     starts, rows, n = first.indptr[:-1], first.rows, np.maximum(first.n, 1.0)
-    never, share = np.zeros(len(n)), np.zeros(len(n))
+    gain, share = np.zeros(len(n)), np.zeros(len(n))
     for evidence in evidences:
         gradient = transition_gradient(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
         mean = np.add.reduceat(evidence.phat * gradient, starts)
-        cost = np.where(first.n > 0, np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts), 0.0)
-        total = float(np.sum(cost / n))
-        share += cost / n / (total * len(evidences)) if total > 0 else 0.0
+        cost = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts) / n * (first.n > 0)
+        total = max(float(cost.sum()), 1e-300)
         width = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
-        never += np.where((first.n == 0) & first.open_rows & reached_rows(evidence), width, 0.0)
-    gain = share / (n + 1.0)
-    k = int(np.argmax(never if never.any() else gain))
-    why = "never recorded" if never.any() else f"{first.n[k]:.4g} moves so far, {100 * share[k]:.0f}% of the variance"
-    if not never.any() and not gain.any():
+        never = (first.n == 0) & first.open_rows & reached_rows(evidence)
+        share += cost / total / len(evidences)
+        gain += np.where(never, width, NormalDist().inv_cdf(0.5 + confidence / 2.0) * cost / (n + 1.0) / np.sqrt(total))
+    if not gain.any():
         return "More moves would not narrow it."
+    k = int(np.argmax(gain))
+    why = f"{first.n[k]:.4g} moves so far, {100 * share[k]:.0f}% of the variance" if first.n[k] else "never recorded"
     state, action = divmod(k, first.model.n_actions)
     return f"What would help most: moves of action {action} in state {state} ({why})."
 

@@ -116,15 +116,21 @@ def first_words(report: Report, found: list[Answer]) -> tuple[str, str]:
     if not valued:
         return "No estimator could give the value of a policy in the target.", "The notes below say why."
     best = max(valued, key=lambda answer: answer.value)
-    beside = ""
-    if best.simulator is not None and best.estimator != "simulator":
-        beside = f"The simulator alone says {number(best.simulator)}."
-    if best.truth is not None:
-        beside += f" The exact value in the target, which is known here, is {number(best.truth)}."
     if len(found) == 1:
-        return f"In the target, the policy “{best.policy}” is worth {_worth(best, report)}.", beside.strip()
-    text = report.sureness.ranking
-    return text, f"“{best.policy}” is worth {_worth(best, report)}. {beside}".strip()
+        return f"In the target, the policy “{best.policy}” is worth {_worth(best, report)}.", _known(best)
+    worth = [f"“{a.policy}” is worth {_worth(a, report)}" for a in sorted(valued, key=lambda answer: -answer.value)]
+    more = f" {len(worth) - 3} more are below." if len(worth) > 3 else ""
+    return report.sureness.ranking, f"{'; '.join(worth[:3])}.{more}"
+
+
+def _known(answer: Answer) -> str:
+    """What the simulator says, and the truth where it is known."""
+    told = []
+    if answer.simulator is not None and answer.estimator != "simulator":
+        told.append(f"The simulator alone says {number(answer.simulator)}.")
+    if answer.truth is not None:
+        told.append(f"The exact value in the target, which is known here, is {number(answer.truth)}.")
+    return " ".join(told)
 
 
 def _worth(answer: Answer, report: Report) -> str:

@@ -66,10 +66,10 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array)
     room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
     low, high = sure.lower - room, sure.upper + room
     if not low <= value <= high:
-        facts |= {"replaced_value": value, "replaced_by": "one-step value"}
+        facts |= {"replaced_value": value, "replaced_by": "the one-step value"}
         value, error = facts["one_step_value"], facts.get("one_step_standard_error", error)
     if not low <= value <= high:
-        facts["replaced_by"] = "maximum likelihood's value"
+        facts["replaced_by"] = "the maximum-likelihood value"
         value = ModelBased(fallback="simulator")(problem, policy).value
     return replace(
         estimate, value=value, standard_error=error, interval=(min(sure.lower, value), max(sure.upper, value)),
