@@ -15,12 +15,10 @@ from oee_tabular.inference import Interval
 
 LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {
-    LIKELIHOOD: "all values that a model in keeping with the log can have; where the log has nothing, every move that the "
-    "simulator allows is possible",
-    "one-step": "value plus or minus a normal quantile times sqrt(variance under the corrected simulator + that of "
-    "state-action pairs never recorded)",
+    LIKELIHOOD: "every value in keeping with the log; where it has nothing, any move that the simulator makes is possible",
+    "one-step": "value plus or minus normal quantile x standard error, to which pairs never recorded add as if recorded once",
     OWN: "as the estimator gives it",
-    NOISE: "value plus or minus a normal quantile times the standard error: the log's (or the rollouts') noise alone",
+    NOISE: "value plus or minus normal quantile x standard error: the noise of the log, or of the rollouts, alone",
 }
 LEAST_COVERAGE = 0.9  # below it no interval that counts the noise alone
 _OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
@@ -46,8 +44,10 @@ def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: 
         lower, upper = (estimate.value + factor * (end - estimate.value) for end in estimate.interval)
         return replace(estimate, interval=(lower, upper))
     error = estimate.standard_error
-    if not error or not math.isfinite(estimate.value) or _measured(facts) < LEAST_COVERAGE:
+    if error is None or not math.isfinite(estimate.value) or _measured(facts) < LEAST_COVERAGE:
         return estimate
+    if error <= 1e-12 * max(1.0, abs(estimate.value)):  # 0, to roundoff
+        return replace(estimate, standard_error=0.0)
     ends = (estimate.value - quantile * error, estimate.value + quantile * error)
     return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
 
