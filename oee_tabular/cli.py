@@ -25,8 +25,10 @@ from oee_tabular.cli_continuous import (
 )
 from oee_tabular.cli_inputs import (
     ESTIMATORS_HELP,
+    FEATURES_HELP,
     POLICY_HELP,
     SIMULATOR_HELP,
+    TIE_HELP,
     embedded,
     from_files,
     policies_of,
@@ -69,6 +71,8 @@ def evaluate(
         bool | None, typer.Option("--normalized/--raw", help="Multiply values by (1 - discount).", show_default=False)
     ] = None,
     estimators: Annotated[str | None, typer.Option(help=f"Comma-separated: {ESTIMATORS_HELP}.")] = None,
+    features: Annotated[Path | None, typer.Option(help=FEATURES_HELP)] = None,
+    tie: Annotated[Path | None, typer.Option(help=TIE_HELP)] = None,
     rewards: Annotated[str, typer.Option(help="Rewards that model-based values pay: simulator or log.")] = "simulator",
     action_noise: Annotated[
         float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
@@ -102,6 +106,8 @@ def evaluate(
         "discount": discount,
         "rewards": rewards,
         "action_noise": action_noise,
+        "features": features,
+        "tie": tie,
     }
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)

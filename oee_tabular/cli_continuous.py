@@ -78,6 +78,12 @@ def from_states(
             raise ValueError(
                 f"--{name.replace('_', '-')} must be left out for a continuous task; it is {options[name]}"
             )
+    for name in ("features", "tie"):
+        if options[name] is not None:
+            raise ValueError(
+                f"--{name} must be left out for a continuous task, whose moves are not between numbered states; "
+                f"it is {str(options[name])!r}"
+            )
     simulator = continuous_simulator(spec)
     if target is not None and not is_continuous(target):
         raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")

@@ -23,6 +23,11 @@ POLICY_HELP = (
     "and arrays of its cells"
 )
 
+_ENTRIES = (
+    "file of the simulator's transitions, .csv (columns state, action, next_state, ...) or .npy (S, A, S) or (entries,)"
+)
+FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
+TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."
 ESTIMATORS_HELP = (
     "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, "
     "dr-beta, dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
@@ -168,6 +173,8 @@ def from_files(
     """The report on a simulator, a log and policies from files."""
     from dataclasses import replace
 
+    from oee_tabular.cli_entries import own_rows
+    from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
 
     task = task_of(simulator, options["discount"])
@@ -178,7 +185,15 @@ def from_files(
     facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
     if options["action_noise"]:
         facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
-    return run(problem, policies_of(policy, task), target=truth, normalized=normalized, facts=facts, **common)
+    own, said = own_rows(options, task.mdp)
+    left_out: list[str] = []
+    if own:
+        names = common["estimators"]
+        if names is None:
+            names, left_out = default_names(problem)
+        common = common | {"estimators": named_estimators(names, truth) | own}
+    report = run(problem, policies_of(policy, task), target=truth, normalized=normalized, facts=facts | said, **common)
+    return replace(report, warnings=(*report.warnings, *left_out))
 
 
 def embedded(
@@ -194,7 +209,8 @@ def embedded(
     from oee_tabular.report import evaluate as run
     from oee_tabular.tasks import named_task
 
-    for name, value in (("behavior", behavior), ("target", target), ("action-noise", options["action_noise"])):
+    given = {"behavior": behavior, "target": target, "action-noise": options["action_noise"]}
+    for name, value in (given | {name: options[name] for name in ("features", "tie")}).items():
         if value:
             raise ValueError(f"--{name} needs --simulator and --log")
     settings: dict[str, Any] = {"rewards": options["rewards"]}

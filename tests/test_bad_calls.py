@@ -114,6 +114,14 @@ TABLE = {
         lambda: mdp(terminal_state=[0.5]),
         r"terminal_state must be 1 to 2 integers; got float64",
     ),
+    "a layout of another length": (
+        lambda: mdp(layout=[0.0, 1.0, 2.0]),
+        r"^layout must have shape \(2,\) or \(2, c\), a place for each state; it has shape \(3,\)$",
+    ),
+    "nan in a layout": (
+        lambda: mdp(layout=[[0.0, 1.0], [np.nan, 0.0]]),
+        r"^layout\[1, 0\] must be finite; it is nan$",
+    ),
     "other transitions of another size": (
         lambda: mdp().with_transitions(GRID.transitions),
         r"transitions must be for 2 states and 2 actions; they are for 9 and 4",

@@ -55,15 +55,7 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
         arrays.pop(_files.KIND)
         return _from_columns(kind, arrays, name)
     if suffix == ".csv":
-        import pandas as pd
-
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
-                frame = pd.read_csv(name, index_col=False)
-        except (pd.errors.ParserWarning, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-            raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
-        return _from_columns(kind, _frame_columns(frame, name), name)
+        return _from_columns(kind, _frame_columns(csv_frame(name), name), name)
     if suffix == ".parquet":
         import pandas as pd
 
@@ -78,6 +70,18 @@ def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
     if is_minari(name):
         return _load_minari(kind, name)
     raise ValueError(_unknown(name))
+
+
+def csv_frame(name: str) -> Any:
+    """A CSV file as a DataFrame; a ValueError for what is no table with a header."""
+    import pandas as pd
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
+            return pd.read_csv(name, index_col=False)
+    except (pd.errors.ParserWarning, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
 
 
 def is_minari(name: str) -> bool:

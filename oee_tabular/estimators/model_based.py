@@ -116,7 +116,9 @@ class ModelBased(ExactLimit):
             data, defined = align(base.transition_rewards, matrix)
             data = np.where(defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)])
             rewards = sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-        return FiniteMDP(matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state)
+        return FiniteMDP(
+            matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state, layout=base.layout
+        )
 
 
 def _standard_error(model: FiniteMDP, totals: Array, gradient: Array) -> float:

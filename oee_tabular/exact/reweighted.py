@@ -74,7 +74,7 @@ class ReweightedModel:
     transitions : csr (S*A, S), zeta * P; nonnegative, rows of any sum
     rewards : (S, A) of a step: sum_s' zeta P r(s, a, s'), or the simulator's r(s, a)
     reward_data : r(s, a, s') aligned with ``transitions.data``, or None
-    initial, discount, terminal_state : the simulator's
+    initial, discount, terminal_state, layout : the simulator's
 
     Examples
     --------
@@ -94,6 +94,7 @@ class ReweightedModel:
     initial: Array
     discount: float
     terminal_state: IntArray
+    layout: Array | None = None
 
 
 def require_model(value: object) -> None:
@@ -146,4 +147,5 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
         mdp.initial,
         mdp.discount,
         mdp.terminal_state,
+        mdp.layout,
     )

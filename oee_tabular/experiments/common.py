@@ -47,7 +47,7 @@ def small_grids() -> tuple[FiniteMDP, FiniteMDP]:
     made = []
     for slip in (SIMULATED_SLIP, REAL_SLIP):
         base = gridworld(5, slip, discount=0.95)
-        made.append(FiniteMDP(base.transitions, (row + column - 8) / 8, base.initial, 0.95))
+        made.append(base.with_rewards((row + column - 8) / 8))
     return made[0], made[1]
 
 

@@ -110,7 +110,7 @@ def frequencies(counts: sparse.csr_array, like: FiniteMDP) -> FiniteMDP:
     scale = sparse.diags_array(np.divide(1.0, totals, out=np.zeros_like(totals), where=totals > 0))
     empty = np.flatnonzero(totals == 0)
     stay = sparse.csr_array((np.ones(len(empty)), (empty, empty // like.n_actions)), shape=counts.shape)
-    return FiniteMDP(scale @ counts + stay, like.rewards, like.initial, like.discount)
+    return FiniteMDP(scale @ counts + stay, like.rewards, like.initial, like.discount, layout=like.layout)
 
 
 def run_values(log: ContinuousTransitions) -> Array:

@@ -8,6 +8,7 @@ r(s, a) = sum_s' P(s' | s, a) r(s, a, s'), which never stands in for it where a 
 from __future__ import annotations
 
 import os
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, find, row_of_entry, row_sums
+from oee_tabular.mdp.layout import check_layout
 
 KIND = "finite_mdp"
 
@@ -39,6 +41,8 @@ class FiniteMDP:
     terminal_state : (S0,) integers, optional
         For s below S0, the number of the environment's own states: where a transition that *terminates* on entering s
         leads. By default s itself.
+    layout : (S,) or (S, c) array, optional
+        Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``).
 
     Attributes
     ----------
@@ -46,7 +50,7 @@ class FiniteMDP:
     transitions : csr_array of shape (S*A, S), without explicit zeros
     rewards : (S, A) expected reward
     transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
-    initial, discount, terminal_state
+    initial, discount, terminal_state, layout ((S, c) or None)
 
     Raises
     ------
@@ -66,6 +70,7 @@ class FiniteMDP:
         "_reward_data",
         "discount",
         "initial",
+        "layout",
         "n_actions",
         "n_states",
         "rewards",
@@ -82,10 +87,18 @@ class FiniteMDP:
     initial: Array
     discount: float
     terminal_state: IntArray
+    layout: Array | None
     _reward_data: Array | None
 
     def __init__(
-        self, transitions: Any, rewards: Any, initial: Any, discount: float, *, terminal_state: Any = None
+        self,
+        transitions: Any,
+        rewards: Any,
+        initial: Any,
+        discount: float,
+        *,
+        terminal_state: Any = None,
+        layout: Any = None,
     ) -> None:
         matrix, n_states, n_actions = _transition_rows(transitions)
         table, expected = _reward_table(rewards, matrix, n_states, n_actions)
@@ -105,6 +118,7 @@ class FiniteMDP:
             "initial": _checks.freeze(_checks.distribution(initial, "initial", (n_states,))),
             "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
             "terminal_state": _checks.freeze(terminal),
+            "layout": None if layout is None else check_layout(layout, n_states),
             "_reward_data": data,
         }
         for name, value in values.items():
@@ -117,7 +131,7 @@ class FiniteMDP:
         raise AttributeError(f"FiniteMDP is immutable; cannot delete {name!r}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (self._arguments(), self.terminal_state)
+        return partial(type(self), **self._arguments()), ()
 
     def __repr__(self) -> str:
         form = "r(s, a)" if self.transition_rewards is None else "r(s, a, s')"
@@ -175,16 +189,19 @@ class FiniteMDP:
                     f"the first: {'; '.join(moves)}"
                 )
             rewards = self.transition_rewards
-        return type(self)(matrix, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+        return self._changed(transitions=matrix, rewards=rewards)
 
     def with_rewards(self, rewards: Any) -> Self:
         """The same dynamics with other rewards, in any of the constructor's forms."""
-        return type(self)(self.transitions, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+        return self._changed(rewards=rewards)
 
     def with_discount(self, discount: float) -> Self:
         """The same MDP with another discount."""
-        rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        return type(self)(self.transitions, rewards, self.initial, discount, terminal_state=self.terminal_state)
+        return self._changed(discount=discount)
+
+    def with_layout(self, layout: Any) -> Self:
+        """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
+        return self._changed(layout=layout)
 
     def with_action_noise(self, epsilon: float) -> Self:
         """With probability epsilon the action is replaced by a uniform one (which may be the same).
@@ -206,7 +223,7 @@ class FiniteMDP:
             flow.data = self.transitions.data * self._reward_data
             total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
             rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
-        return type(self)(matrix, rewards, self.initial, self.discount, terminal_state=self.terminal_state)
+        return self._changed(transitions=matrix, rewards=rewards)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an npz of plain arrays, whole or not at all."""
@@ -228,6 +245,8 @@ class FiniteMDP:
         else:
             for part in ("data", "indices", "indptr"):
                 arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
+        if self.layout is not None:
+            arrays["layout"] = self.layout
         return arrays
 
     @classmethod
@@ -253,7 +272,7 @@ class FiniteMDP:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{str(path)!r} must hold the parts of a FiniteMDP; {error}") from None
         try:
-            return cls(transitions, rewards, *rest, terminal_state=terminal)
+            return cls(transitions, rewards, *rest, terminal_state=terminal, layout=arrays.get("layout"))
         except ValueError as error:
             raise ValueError(f"{str(path)!r}: {error}") from None
 
@@ -264,7 +283,8 @@ class FiniteMDP:
         State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
         an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
         reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
-        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation.
+        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
+        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state.
 
         Raises
         ------
@@ -274,16 +294,16 @@ class FiniteMDP:
         """
         from oee_tabular.mdp.gymnasium_table import read_table
 
-        table = read_table(env)
-        return cls(table.transitions, table.rewards, table.initial, discount, terminal_state=table.terminal_state)
+        return cls(**vars(read_table(env)), discount=discount)
 
-    def _arguments(self) -> tuple[Any, ...]:
+    def _arguments(self) -> dict[str, Any]:
         rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        return self.transitions, rewards, self.initial, self.discount
+        same = ("transitions", "initial", "discount", "terminal_state", "layout")
+        return {"rewards": rewards} | {name: getattr(self, name) for name in same}
 
-
-def _rebuild(arguments: tuple[Any, ...], terminal_state: IntArray) -> FiniteMDP:
-    return FiniteMDP(*arguments, terminal_state=terminal_state)
+    def _changed(self, **changes: Any) -> Self:
+        """The same MDP with other arguments of the constructor."""
+        return type(self)(**self._arguments() | changes)
 
 
 def name_move(matrix: sparse.csr_array, entry: int, n_actions: int) -> str:

@@ -28,12 +28,13 @@ _HARMLESS = {
 
 @dataclass(frozen=True)
 class Table:
-    """The parts of a FiniteMDP."""
+    """The parts of a FiniteMDP, by the names of its arguments."""
 
     transitions: sparse.csr_array
     rewards: sparse.csr_array
     initial: Array
     terminal_state: IntArray
+    layout: Array | None
 
 
 def read_table(env: Any) -> Table:
@@ -52,7 +53,7 @@ def read_table(env: Any) -> Table:
             "env must have all its dynamics in the table P; a fickle Taxi passenger changes its destination outside it "
             f"(fickle_probability={base.fickle_probability:g}): use fickle_passenger=False"
         )
-    return _build(table, np.array(base.initial_state_distrib, dtype=np.float64))
+    return _build(table, np.array(base.initial_state_distrib, dtype=np.float64), _map_of(base, len(table)))
 
 
 def _refuse_changing_wrappers(env: Any) -> None:
@@ -66,7 +67,17 @@ def _refuse_changing_wrappers(env: Any) -> None:
         layer = layer.env
 
 
-def _build(table: Any, initial: Array) -> Table:
+def _map_of(base: Any, n_states: int) -> Array | None:
+    """(S, 2) row and column of each state of an environment on a map; None where there is no map with a cell a state."""
+    shapes: tuple[Any, ...] = (getattr(getattr(base, "desc", None), "shape", None), getattr(base, "shape", None))
+    for shape in shapes:
+        cells = isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)
+        if cells and shape[0] * shape[1] == n_states:
+            return np.stack(np.divmod(np.arange(n_states), shape[1]), axis=1).astype(np.float64)
+    return None
+
+
+def _build(table: Any, initial: Array, layout: Array | None) -> Table:
     n_own, n_actions = len(table), len(table[0])
     outcomes = np.array(
         [
@@ -101,4 +112,6 @@ def _build(table: Any, initial: Array) -> Table:
     flow = canonical(sparse.csr_array((weights * paid, (rows, columns)), shape=shape), drop_zeros=False)
     mean, _ = align(flow, transitions)
     rewards = sparse.csr_array((mean / transitions.data, transitions.indices, transitions.indptr), shape)
-    return Table(transitions, rewards, np.concatenate([initial, np.zeros(len(twins))]), terminal_state)
+    if layout is not None:
+        layout = np.concatenate([layout, layout[twins]])
+    return Table(transitions, rewards, np.concatenate([initial, np.zeros(len(twins))]), terminal_state, layout)

@@ -16,12 +16,12 @@ Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
-
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.ratio import _strength as kernel
 from oee_tabular.ratio.segments import segment_sums, spread
 
 SMALLEST, LARGEST = (
@@ -60,28 +60,21 @@ class StrengthChoice:
 
 def log_rising(base: Array, n: Array) -> Array:
     """ln Gamma(base + n) - ln Gamma(base) for n > 0, without the cancellation of two large logarithms."""
-    return np.asarray(special.gammaln(n) - special.betaln(base, n))
+    pairs = zip(np.ravel(base).tolist(), np.ravel(n).tolist(), strict=True)
+    return np.array([kernel.log_rising(b, k) for b, k in pairs]).reshape(np.shape(base))
 
 
 def evidence(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
     """Log marginal likelihood of the counts, one kappa or one a row."""
-    return float(_evidence_by_row(strength, observed, prior, indptr).sum())
+    n_rows = len(indptr) - 1
+    each = np.arange(n_rows)
+    kappa = np.broadcast_to(np.asarray(strength, dtype=np.float64), (n_rows,)).copy()
+    return float(_criterion(observed, prior, indptr, each, n_rows, "evidence")(kappa).sum())
 
 
 def leave_one_out(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
     """Log predictive probability of each move, given all the others."""
     return float(_leave_one_out_by_row(strength, observed, prior, indptr).sum())
-
-
-def _evidence_by_row(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> Array:
-    n_row = segment_sums(observed, indptr)
-    kappa = np.broadcast_to(strength, n_row.shape)
-    rows, seen = n_row > 0, observed > 0
-    gained = np.zeros(len(observed))
-    gained[seen] = log_rising((spread(kappa, indptr) * prior)[seen], observed[seen])
-    total = segment_sums(gained, indptr)
-    total[rows] -= log_rising(kappa[rows], n_row[rows])
-    return total
 
 
 def _leave_one_out_by_row(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> Array:
@@ -116,18 +109,25 @@ def kinds_of_rows(weights: Array, observed: Array, indptr: IntArray) -> IntArray
 
 
 def choose_strength(
-    observed: Array, prior: Array, weights: Array, indptr: IntArray, criterion: str = "evidence"
+    observed: Array,
+    prior: Array,
+    weights: Array,
+    indptr: IntArray,
+    criterion: str = "evidence",
+    *,
+    kind: IntArray | None = None,
 ) -> StrengthChoice:
     """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
 
-    A grid of five a decade, then three finer grids around the best point. ``weights`` is the simulator's P.
+    A grid of five a decade, then three finer grids around the best point. ``weights`` is the simulator's P; ``kind`` the
+    rows' kinds where they are known already.
     """
-    by_row = _evidence_by_row if criterion == "evidence" else _leave_one_out_by_row
-    kind = kinds_of_rows(weights, observed, indptr)
+    kind = kinds_of_rows(weights, observed, indptr) if kind is None else kind
     n_kinds = int(kind.max()) + 1
+    score = _criterion(observed, prior, indptr, kind, n_kinds, criterion)
     grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 41)
     width = grid[1] - grid[0]
-    scores = np.array([np.bincount(kind, by_row(float(np.exp(t)), observed, prior, indptr), n_kinds) for t in grid])
+    scores = np.array([score(np.full(n_kinds, np.exp(t))) for t in grid])
     value = scores.max(axis=0)
     level = scores >= value - 1e-9 * (1.0 + np.abs(value))  # where the moves do not tell, the prior is believed
     best = grid[len(grid) - 1 - np.argmax(level[::-1], axis=0)]
@@ -135,7 +135,7 @@ def choose_strength(
         center = best
         for offset in np.linspace(-width, width, 9):
             trial = np.clip(center + offset, grid[0], grid[-1])
-            found = np.bincount(kind, by_row(np.exp(trial)[kind], observed, prior, indptr), n_kinds)
+            found = score(np.exp(trial))
             best, value = np.where(found > value, trial, best), np.maximum(found, value)
         width /= 4.0
     strength = np.exp(best)
@@ -155,6 +155,25 @@ def choose_strength(
         curve=scores.sum(axis=1),
         kinds=table,
     )
+
+
+def _criterion(
+    observed: Array, prior: Array, indptr: IntArray, kind: IntArray, n_kinds: int, name: str
+) -> Callable[[Array], Array]:
+    """The criterion of each kind's rows as a function of the kinds' kappas."""
+    if name != "evidence":
+        return lambda kappa: np.bincount(kind, _leave_one_out_by_row(kappa[kind], observed, prior, indptr), n_kinds)
+    n_row, seen = segment_sums(observed, indptr), observed > 0
+    rows = np.flatnonzero(n_row > 0)
+    ends = np.concatenate([[0], np.cumsum(segment_sums(seen.astype(np.int64), indptr)[rows])]).astype(np.int64)
+    data = np.ascontiguousarray(kind[rows], dtype=np.int64), ends, observed[seen], prior[seen], n_row[rows]
+
+    def evidence_of(kappa: Array) -> Array:
+        found = np.zeros(n_kinds)
+        kernel.evidence_by_kind(kappa, *data, found)
+        return found
+
+    return evidence_of
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

@@ -71,7 +71,7 @@ def defensive_mixture(
     matrix.data /= row_sums(matrix)[row_of_entry(matrix)]
     rewards = np.sum([share * part.mdp.rewards for share, part in zip(shares, every, strict=True)], axis=0)
     own = simulator.mdp
-    mdp = FiniteMDP(matrix, rewards, own.initial, own.discount)
+    mdp = FiniteMDP(matrix, rewards, own.initial, own.discount, layout=own.layout)
     said = {"epsilon": weight, "others": [other.task.parameters() for other in others]}
     return replace(simulator, mdp=mdp, metadata=simulator.metadata | {"defensive": said})
 

@@ -3,7 +3,7 @@
 N x N cells (row, column), numbered row * N + column; start (0, 0), goal (N-1, N-1), absorbing, with no reward from then
 on. Actions: 0 row + 1, 1 row - 1, 2 column + 1, 3 column - 1. The intended direction is taken with probability 1 - slip,
 each of the other three with slip / 3; a move into a wall stays in place. Reward: -0.2 times the Manhattan distance to
-the goal.
+the goal. The layout has row and column.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
         )
     initial = np.zeros(n_states)
     initial[0] = 1.0
-    return FiniteMDP(transitions, rewards, initial, discount)
+    return FiniteMDP(transitions, rewards, initial, discount, layout=np.column_stack([row, column]))
 
 
 def gridworld_expert(size: int) -> Array:

@@ -173,7 +173,9 @@ def _renamed(mdp: FiniteMDP, states: IntArray, actions: IntArray) -> FiniteMDP:
         rewards = mdp.rewards[np.ix_(back_s, back_a)]
     else:
         rewards = mdp.transition_rewards.toarray().reshape(shape)[index]
-    return FiniteMDP(mdp.transitions.toarray().reshape(shape)[index], rewards, mdp.initial[back_s], mdp.discount)
+    layout = None if mdp.layout is None else mdp.layout[back_s]
+    renamed = mdp.transitions.toarray().reshape(shape)[index]
+    return FiniteMDP(renamed, rewards, mdp.initial[back_s], mdp.discount, layout=layout)
 
 
 def _table(table: Array, states: IntArray, actions: IntArray) -> Array:

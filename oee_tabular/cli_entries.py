@@ -1,0 +1,193 @@
+"""A user's own numbers for the simulator's transitions: the files of ``--features`` and ``--tie``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular import _files
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import find, row_of_entry
+from oee_tabular.data.files import csv_frame
+from oee_tabular.estimators import Estimator, OffEnvironment
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.ratio import transition_ratio
+
+MOVE = ("state", "action", "next_state")
+NAMELESS = "Unnamed: "  # what pandas calls a column without a name
+WHOLE = 2.0**53  # up to which a float is the integer that was written
+
+
+def own_rows(files: Mapping[str, Path | None], simulator: FiniteMDP) -> tuple[dict[str, Estimator], dict[str, str]]:
+    """Rows for the report, by name, and its facts, of the files given for "features" and "tie"."""
+    rows: dict[str, Estimator] = {}
+    facts = {}
+    if (path := files["features"]) is not None:
+        features, names = features_of(path, simulator)
+        rows["oee-features"] = OffEnvironment(ratio=partial(transition_ratio, features=features))
+        facts["features"] = f"{path} ({', '.join(names)})"
+    if (path := files["tie"]) is not None:
+        keys = tie_of(path, simulator)
+        rows["oee-tied"] = OffEnvironment(ratio=partial(transition_ratio, method="tied", tie=keys))
+        facts["tie"] = f"{path} ({len(np.unique(keys))} keys)"
+    return rows, facts
+
+
+def features_of(path: Path, simulator: FiniteMDP) -> tuple[Array, list[str]]:
+    """(entries, d) finite numbers on ``simulator.transitions.data``, and their names.
+
+    A .npy holds (entries,), (entries, d), (S, A, S) or (S, A, S, d), numbered as the simulator's transitions are; what a dense
+    one has where P is 0 is not looked at. A .csv has a move a row: columns state, action, next_state, and one for each
+    feature, which is 0 in moves that are not in the file.
+    """
+    if _is_table(path, "--features"):
+        names, columns, entry = _table(path, simulator)
+        values = np.zeros((simulator.transitions.nnz, len(names)))
+        for k, column in enumerate(columns):
+            values[entry, k] = _finite(column, names[k], path)
+        return values, names
+    found = np.asarray(_entries(path, simulator, columns=True), dtype=np.float64).reshape(simulator.transitions.nnz, -1)
+    bad = np.argwhere(~np.isfinite(found))
+    if bad.size:
+        j, k = (int(i) for i in bad[0])
+        where = name_move(simulator.transitions, j, simulator.n_actions)
+        raise ValueError(f"{str(path)!r} must be finite; feature {k} at {where} is {found[j, k]}")
+    return found, [f"feature {k}" for k in range(found.shape[1])]
+
+
+def tie_of(path: Path, simulator: FiniteMDP) -> NDArray[Any]:
+    """(entries,) integer keys: files as in ``features_of``, but with one number a move, and none may be left out."""
+    if not _is_table(path, "--tie"):
+        keys = _entries(path, simulator, columns=False)
+        if keys.dtype.kind not in "iu":
+            raise ValueError(f"{str(path)!r} must hold integer keys; it holds {keys.dtype}")
+        return keys
+    names, columns, entry = _table(path, simulator)
+    if len(names) > 1:
+        raise ValueError(f"{str(path)!r} must have one column of keys beside {_words(MOVE)}; it has {_words(names)}")
+    written = _integers(columns[0], names[0], path)
+    matrix = simulator.transitions
+    absent = np.setdiff1d(np.arange(matrix.nnz), entry)
+    if absent.size:
+        first = name_move(matrix, int(absent[0]), simulator.n_actions)
+        raise ValueError(
+            f"{str(path)!r} must have a key for every transition of the simulator; {absent.size} of {matrix.nnz} have none, "
+            f"the first: {first}"
+        )
+    keys = np.empty(matrix.nnz, dtype=written.dtype)
+    keys[entry] = written
+    return keys
+
+
+def _is_table(path: Path, option: str) -> bool:
+    suffix = path.suffix.lower()
+    if suffix not in (".npy", ".csv"):
+        raise ValueError(f"{option} must be a .npy or .csv file; got {str(path)!r}")
+    return suffix == ".csv"
+
+
+def _entries(path: Path, simulator: FiniteMDP, *, columns: bool) -> NDArray[Any]:
+    """The array of a .npy on the entries: (entries,), or (entries, d) where there may be ``columns``."""
+    arrays = _files.read_npz(path)
+    if "array" not in arrays:
+        raise ValueError(f"{str(path)!r} must hold one array, as numpy.save writes it; it holds {_words(arrays)}")
+    array = arrays["array"]
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{str(path)!r} must hold real numbers; it holds {array.dtype}")
+    matrix, shape = simulator.transitions, (simulator.n_states, simulator.n_actions, simulator.n_states)
+    given = array.shape
+    if given[:3] == shape:
+        array = array.reshape(matrix.shape[0], *given[2:])[row_of_entry(matrix), matrix.indices]
+    if array.shape[:1] != (matrix.nnz,) or array.ndim > 1 + columns or array.size == 0:
+        rule = f"({matrix.nnz},), in the order of the simulator's transitions, or {shape}"
+        more = ", or either with a last axis of features" if columns else ""
+        raise ValueError(f"{str(path)!r} must have shape {rule}{more}; it has shape {given}")
+    return array
+
+
+def _table(path: Path, simulator: FiniteMDP) -> tuple[list[str], list[Any], IntArray]:
+    """Names and columns of a .csv beside its moves, and the entry of the simulator's transitions that each row is about."""
+    frame = csv_frame(str(path))
+    if not set(MOVE) <= set(frame.columns):
+        raise ValueError(f"{str(path)!r} must have the columns {_words(MOVE)}; it has {_words(frame.columns)}")
+    names = [str(label) for label in frame.columns if label not in MOVE]
+    if any(name.startswith(NAMELESS) for name in names):
+        raise ValueError(
+            f"{str(path)!r} must have a name for every column; it has {_words(frame.columns)} (a written index?)"
+        )
+    if not names or len(frame) == 0:
+        rule = "a column of numbers beside its moves" if len(frame) else "at least one row"
+        raise ValueError(f"{str(path)!r} must have {rule}; it has none")
+    sizes = (simulator.n_states, simulator.n_actions, simulator.n_states)
+    s, a, following = (_below(frame[label], label, size, path) for label, size in zip(MOVE, sizes, strict=True))
+    entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
+
+    def move(row: int) -> str:
+        return f"s={s[row]}, a={a[row]} -> s'={following[row]}"
+
+    outside = np.flatnonzero(~stored)
+    if outside.size:
+        more = f" ({outside.size} such rows in all)" if outside.size > 1 else ""
+        raise ValueError(
+            f"row {outside[0]} of {str(path)!r} must be a move of the simulator, which gives probability 0 to "
+            f"{move(int(outside[0]))}{more}"
+        )
+    again = np.setdiff1d(np.arange(len(entry)), np.unique(entry, return_index=True)[1])
+    if again.size:
+        row = int(again[0])
+        before = int(np.argmax(entry == entry[row]))
+        raise ValueError(f"row {row} of {str(path)!r} must be a move of its own; {move(row)} is row {before} already")
+    return names, [frame[label] for label in names], entry
+
+
+def _below(column: Any, label: str, size: int, path: Path) -> IntArray:
+    """Integers in 0..size-1."""
+    numbers = _integers(column, label, path)
+    bad = np.flatnonzero((numbers < 0) | (numbers >= size))
+    if bad.size:
+        raise ValueError(f"{_column(label, path)} must be in 0..{size - 1}; row {bad[0]} has {numbers[bad[0]]}")
+    return numbers.astype(np.int64)
+
+
+def _integers(column: Any, label: str, path: Path) -> NDArray[Any]:
+    """Whole numbers, as integers."""
+    if column.dtype.kind in "iu":
+        return np.asarray(column.to_numpy())
+    numbers = _finite(column, label, path)
+    bad = np.flatnonzero((numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE))
+    if bad.size:
+        raise ValueError(
+            f"{_column(label, path)} must have an integer in every row; row {bad[0]} has {numbers[bad[0]]}"
+        )
+    return numbers.astype(np.int64)
+
+
+def _finite(column: Any, label: str, path: Path) -> Array:
+    """Finite numbers."""
+    import pandas as pd
+
+    missing = np.flatnonzero(column.isna().to_numpy())
+    if missing.size:
+        raise ValueError(
+            f"{_column(label, path)} must have a finite number in every row; row {missing[0]} has none or nan"
+        )
+    numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        found = column.iloc[int(bad[0])]
+        raise ValueError(f"{_column(label, path)} must have a finite number in every row; row {bad[0]} has {found}")
+    return np.asarray(numbers)
+
+
+def _column(label: str, path: Path) -> str:
+    return f"column {label!r} of {str(path)!r}"
+
+
+def _words(names: Any) -> str:
+    return ", ".join(str(name) for name in names) or "none"
