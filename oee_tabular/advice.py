@@ -55,6 +55,7 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
     """What a reader must know before using this number; ``scale`` multiplies values that are shown."""
     facts = estimate.diagnostics
     no_interval = estimate.interval is None and estimate.standard_error is not None
+    bare = estimate.standard_error is not None and "one_step_value" not in facts  # an error that unseen rows are not in
     found: list[Finding] = []
 
     def add(kind: str, severity: float, figure: str, text: str) -> None:
@@ -74,7 +75,7 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
                 "What is said of them comes from moves of the same kind elsewhere (the tie)."
                 if "n_keys" in facts
                 else "Nothing there is learned from the target"
-                + (", and the standard error does not cover it" if "one_step_value" not in facts else "")
+                + (", and the standard error does not cover it" if bare else "")
                 + (": there is no interval." if no_interval else ".")
             ),
         )

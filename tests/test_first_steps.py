@@ -84,7 +84,7 @@ def test_single_precision_is_scaled():
 
 def corrected(value, one_step):
     """Stands for an estimator that corrects by the log."""
-    facts = {"one_step_value": one_step, "one_step_standard_error": 0.02}
+    facts = {"one_step_value": one_step, "one_step_standard_error": 0.02, "row_sum_error": 0.0, "coverage": 1.0}
     return lambda problem, policy, *, seed=None: Estimate(value, 0.01, diagnostics=facts)
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import dataclass, field
+from functools import partial
 from statistics import NormalDist
 
 import numpy as np
@@ -44,7 +45,7 @@ class Corrected:
     def __call__(self, problem, policy, *, seed=None):
         facts = {
             "one_step_value": self.one_step, "one_step_standard_error": 0.2, "interval_method": "one-step",
-            "model_value": self.value, "moved": 0.0, "simulator_value": -3.0, "coverage": 0.5,
+            "model_value": self.value, "moved": 0.0, "simulator_value": -3.0, "coverage": 0.5, "row_sum_error": 0.0,
         }  # fmt: skip
         ends = (self.value - 1.96 * self.error, self.value + 1.96 * self.error)
         return Estimate(self.value, self.error, ends, facts | self.facts)
@@ -135,7 +136,7 @@ def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_
     wide = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0, 2.2)}, confidence=0.99))
     assert_allclose(wide["upper"] - 2.0, 0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975))
     assert (
-        "mine: The simulator says -3.000; corrected by the log 2.000 (exact value of zeta * P 2.000, one-step 2.200,"
+        "mine: The simulator says -3; corrected by the log 2.000 (exact value of zeta * P 2.000, one-step 2.200,"
         in (str(found))
     )
 
@@ -160,12 +161,39 @@ def test_a_value_outside_gives_way_to_the_one_step_value_or_to_maximum_likelihoo
         assert any(
             f"own value, {shown}, lies outside the interval that the log allows; {by} stands" in text for text in told
         )
-        assert f"moved 0% to {shown}; outside the interval, so this is {by})" in str(report)
+        assert f"moved 0% to {shown}: outside the interval, so this is {by})" in str(report)
         page = report.to_html()
         assert f"is worth about {within(row['value'], row['lower'], row['upper'])}" in page
     kept = row_of(oee.evaluate(problem, {"mine": MINE}, estimators={"oee": Corrected(inside, far)}))
     assert kept["value"] == inside
     assert "replaced_value" not in kept
+
+
+def test_ratios_of_every_kind_have_the_interval_to_quote():
+    """A tie, the joint ratio and a ratio that is given have no standard error; their rows sum to 1 all the same."""
+    problem = even(2000)
+    sure = oee.interval(problem, MINE)
+    keys = np.arange(SIMULATOR.transitions.nnz) % 7
+    kinds = {
+        "tied": partial(oee.transition_ratio, method="tied", tie=keys),
+        "joint": "joint",
+        "given": oee.true_ratio(TARGET, SIMULATOR),
+        "none": partial(oee.transition_ratio, prior="none"),
+    }
+    report = oee.evaluate(
+        problem, {"mine": MINE}, estimators={name: OffEnvironment(kind) for name, kind in kinds.items()}
+    )
+    for name in kinds:
+        row = row_of(report, name)
+        assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
+    assert row_of(report, "tied")["replaced_by"] == "the maximum-likelihood value"
+    assert "orrected by the log: tied " in str(report)
+    product = OffEnvironment(evaluation="monte_carlo")
+    other = oee.evaluate(
+        problem, {"mine": MINE}, estimators={"product": product, "quotient": OffEnvironment("ratio_of_ratios")}
+    )
+    assert row_of(other, "product")["interval_method"] == "standard error"
+    assert row_of(other, "quotient")["lower"] is None
 
 
 def test_no_interval_of_a_model_that_the_log_covers_too_little():

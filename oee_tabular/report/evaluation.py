@@ -135,16 +135,14 @@ def evaluate(
 
 def _told(sure: Sureness, results: Sequence[Result], scale: float) -> Sureness:
     """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
-    policies = {}
-    for name in dict.fromkeys(result.policy for result in results):
-        own = [result for result in results if result.policy == name]
-        ways = {r.estimator: way(r.estimate, scale) for r in own}
-        told = [text for text in ways.values() if text]
-        if len(told) > 1:
-            told = [f"{estimator}: {text}" for estimator, text in ways.items() if text]
-        said = [sure.policies.get(name, ""), *(f"{text[0].upper()}{text[1:]}." for text in told)]
-        policies[name] = " ".join(filter(None, said))
-    values = {name: headline([r for r in results if r.policy == name]).estimate.value for name in policies}
+    by_policy: dict[str, list[Result]] = {}
+    for result in results:
+        by_policy.setdefault(result.policy, []).append(result)
+    policies = {
+        name: " ".join(filter(None, (sure.policies.get(name), way({r.estimator: r.estimate for r in own}, scale))))
+        for name, own in by_policy.items()
+    }
+    values = {name: headline(own).estimate.value for name, own in by_policy.items()}
     return ranked(replace(sure, policies=policies), values)
 
 

@@ -24,17 +24,22 @@ LEAST_COVERAGE = 0.9  # below it no interval that counts the noise alone
 _OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 
 
+def corrected(estimate: Estimate) -> bool:
+    """Whether it is the exact value of a model zeta * P, rows summing to 1, whatever it is called."""
+    return {"row_sum_error", "coverage"} <= estimate.diagnostics.keys()
+
+
 def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float) -> Estimate:
     """The estimate with the interval to quote, and a value inside it.
 
-    A value that the log corrects (``one_step_value`` among its diagnostics) has the likelihood interval ``sure``, where there
+    A value that the log corrects has the likelihood interval ``sure``, where there
     is one; outside of it stands no value: the one-step value takes its place, or else maximum likelihood's
     (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus or minus a
     normal quantile times the standard error, where that counts what matters: not below ``LEAST_COVERAGE``, not where the
     variance is not known. ``diagnostics["interval_method"]`` names what it is.
     """
     facts = estimate.diagnostics
-    if sure is not None and sure.status == "ok" and "one_step_value" in facts:
+    if sure is not None and sure.status == "ok" and corrected(estimate):
         return _inside(estimate, sure, problem, policy)
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
     if estimate.interval is not None:
@@ -67,7 +72,7 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array)
     low, high = sure.lower - room, sure.upper + room
     if not low <= value <= high:
         facts |= {"replaced_value": value, "replaced_by": "the one-step value"}
-        value, error = facts["one_step_value"], facts.get("one_step_standard_error", error)
+        value, error = facts.get("one_step_value", math.nan), facts.get("one_step_standard_error")
     if not low <= value <= high:
         facts["replaced_by"] = "the maximum-likelihood value"
         value = ModelBased(fallback="simulator")(problem, policy).value
@@ -77,22 +82,36 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array)
     )  # fmt: skip
 
 
-def way(estimate: Estimate, scale: float) -> str:
-    """How a value moves from the simulator to the log, and where it was left; "" where the log does not correct it."""
-    facts = estimate.diagnostics
-    if "one_step_value" not in facts:
+def way(estimates: Mapping[str, Estimate], scale: float) -> str:
+    """How the values that the log corrects, by estimator, move from the simulator to the log, and where they were left."""
+    told = {name: _steps(estimate, scale) for name, estimate in estimates.items() if corrected(estimate)}
+    if not told:
         return ""
+    said = (
+        f" {next(iter(told.values()))}"
+        if len(told) == 1
+        else ": " + "; ".join(f"{k} {text}" for k, text in told.items())
+    )
+    known = (estimates[name].diagnostics.get("simulator_value") for name in told)
+    simulator = next((value for value in known if value is not None), None)
+    if simulator is None:
+        return f"Corrected by the log{said}."
+    return f"The simulator says {simulator * scale:.4g}; corrected by the log{said}."
+
+
+def _steps(estimate: Estimate, scale: float) -> str:
+    facts = estimate.diagnostics
     form = ".4g" if estimate.interval is None else _printing.spec(*(end * scale for end in estimate.interval))
     show = {name: format(x * scale, form) for name, x in facts.items() if name in VALUES}
-    before = facts.get("replaced_value", estimate.value)
-    text = f"corrected by the log {estimate.value * scale:{form}}"
-    if "simulator_value" in show:
-        text = f"the simulator says {show['simulator_value']}; {text}"
-    model = show.get("model_value", format(before * scale, form))
-    text += f" (exact value of zeta * P {model}, one-step {show['one_step_value']}, moved {facts.get('moved', 0.0):.0%}"
+    value = format(estimate.value * scale, form)
+    steps = [f"exact value of zeta * P {show.get('model_value', show.get('replaced_value', value))}"]
+    if "one_step_value" in facts:
+        steps.append(f"one-step {show['one_step_value']}")
+        steps.append(f"moved {facts.get('moved', 0.0):.0%}")
     if "replaced_by" in facts:
-        text += f" to {show['replaced_value']}; outside the interval, so this is {facts['replaced_by']}"
-    return text + ")"
+        steps[-1] += f" to {show['replaced_value']}" if "one_step_value" in facts else ""
+        steps[-1] += f": outside the interval, so this is {facts['replaced_by']}"
+    return f"{value} ({', '.join(steps)})"
 
 
 VALUES = frozenset(  # diagnostics that are values, or errors of values

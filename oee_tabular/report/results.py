@@ -16,7 +16,7 @@ from oee_tabular import __version__, _files, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.quoting import METHODS, OWN, VALUES
+from oee_tabular.report.quoting import METHODS, OWN, VALUES, corrected
 from oee_tabular.sureness import Sureness, as_records
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ def headline(results: Sequence[Result]) -> Result:
 
     def order(result: Result) -> tuple[bool, bool, bool]:
         estimate = result.estimate
-        corrected = "one_step_value" in estimate.diagnostics
-        return not math.isfinite(estimate.value), not corrected, result.estimator == "simulator"
+        return not math.isfinite(estimate.value), not corrected(estimate), result.estimator == "simulator"
 
     return min(results, key=order)
 
