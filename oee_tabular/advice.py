@@ -55,7 +55,7 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
     """What a reader must know before using this number; ``scale`` multiplies values that are shown."""
     facts = estimate.diagnostics
     no_interval = estimate.interval is None and estimate.standard_error is not None
-    bare = estimate.standard_error is not None and "one_step_value" not in facts  # an error that unseen rows are not in
+    bare = estimate.standard_error is not None and "one_step_distance" not in facts  # unseen rows are not in it
     found: list[Finding] = []
 
     def add(kind: str, severity: float, figure: str, text: str) -> None:

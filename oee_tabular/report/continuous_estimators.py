@@ -102,6 +102,7 @@ class Calibrated:
         )
         facts = found.diagnostics
         value, error = facts["calibrated_value"], facts["calibrated_standard_error"]
-        kept = {name: x for name, x in facts.items() if name not in VALUES and not name.startswith("calibrated")}
+        raw_only = VALUES | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
+        kept = {name: x for name, x in facts.items() if name not in raw_only}
         ends = None if found.interval is None or error is None else (value - 1.96 * error, value + 1.96 * error)
         return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept)
