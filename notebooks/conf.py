@@ -43,6 +43,7 @@ MODULES = (
     "testing",
     "report",
     "plots",
+    "bench",
 )
 
 SECTIONS = {

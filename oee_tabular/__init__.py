@@ -60,6 +60,7 @@ _EXPORTS = {
     "Report": "report",
 }
 _MODULES = (
+    "bench",
     "data",
     "estimators",
     "exact",
@@ -74,7 +75,20 @@ _MODULES = (
 )
 
 if TYPE_CHECKING:
-    from oee_tabular import data, estimators, exact, inference, mdp, plots, ratio, report, simulate, tasks, testing
+    from oee_tabular import (
+        bench,
+        data,
+        estimators,
+        exact,
+        inference,
+        mdp,
+        plots,
+        ratio,
+        report,
+        simulate,
+        tasks,
+        testing,
+    )
     from oee_tabular.data import ContinuousTransitions, Transitions
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
@@ -119,6 +133,7 @@ __all__ = [
     "TransitionRatio",
     "Transitions",
     "action_values",
+    "bench",
     "check_assumptions",
     "data",
     "density_ratio",

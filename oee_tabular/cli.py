@@ -268,6 +268,33 @@ def reproduce(
 
 
 @app.command()
+def bench(
+    estimators: Annotated[
+        str, typer.Option(help=f"Comma-separated: evaluate (as printed), MODULE:OBJECT, {ESTIMATORS_HELP}.")
+    ] = "oee,model-based",
+    sizes: Annotated[
+        str | None, typer.Option(help="Moves per open row, comma-separated.", show_default="0.3,1,3,10,30")
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Logs of each family and size.")] = 40,
+    families: Annotated[
+        str | None, typer.Option(help="Names, comma-separated, or MODULE:FUNCTION of your own.", show_default="all")
+    ] = None,
+    seed: Seed = 0,
+    jobs: Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")] = -1,
+    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")] = None,
+    output: Annotated[
+        Path, typer.Option(help="Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.")
+    ] = Path("results/bench"),
+    fresh: Annotated[bool, typer.Option("--fresh", help="Empty the folder first.")] = False,
+) -> None:
+    """Measure estimators on families of environment shift where the truth is exact. An interrupted run goes on."""
+    from oee_tabular.bench.command import bench as run
+
+    run(estimators=estimators, sizes=sizes, seeds=seeds, seed=seed, families=families, jobs=jobs, dask=dask, output=output,
+        fresh=fresh, say=typer.echo)  # fmt: skip
+
+
+@app.command()
 def check(
     estimator: Annotated[str, typer.Argument(help="MODULE:OBJECT, an estimator, or what makes one without arguments.")],
     seed: Seed = 0,

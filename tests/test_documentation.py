@@ -11,7 +11,20 @@ import pytest
 
 import oee_tabular
 
-PARTS = ("mdp", "data", "exact", "simulate", "tasks", "ratio", "estimators", "inference", "testing", "report", "plots")
+PARTS = (
+    "mdp",
+    "data",
+    "exact",
+    "simulate",
+    "tasks",
+    "ratio",
+    "estimators",
+    "inference",
+    "testing",
+    "report",
+    "plots",
+    "bench",
+)
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :|$)", re.MULTILINE)
 

@@ -94,7 +94,7 @@ class DoublyRobust(ExactLimit):
         generator = _checks.generator(seed)
         if self.data == "transitions":
             return self._on_transitions(problem, pi, generator)
-        zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
         if self.data == "rollouts":
             return self._on_rollouts(problem, pi, zeta, generator)
         found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
@@ -114,7 +114,7 @@ class DoublyRobust(ExactLimit):
         where: Model = model
         diagnostics: dict[str, Any] = {"standard_error_of": "log", "simulator_value": base.value}
         if self.weights == "occupancy":
-            zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+            zeta = OffEnvironment(ratio=self.ratio).fit(problem, policy, generator)
             where = reweight(model, zeta)
             diagnostics["gap"] = zeta.gap
         gradient = transition_gradient(where, policy, horizon=problem.horizon, values_of=model)

@@ -68,7 +68,7 @@ class Magic(ExactLimit):
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = check_policy(policy, problem.simulator)
         generator = _checks.generator(seed)
-        zeta = OffEnvironment(ratio=self.ratio).fit(problem, generator)
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
         found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=True)
         n, columns = found.partial.shape
         if np.isnan(found.total) or n < 2:

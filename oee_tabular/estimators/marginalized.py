@@ -70,7 +70,7 @@ class Marginalized(ExactLimit):
 
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = check_policy(policy, problem.simulator)
-        zeta = OffEnvironment(ratio=self.ratio).fit(problem, _checks.generator(seed))
+        zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
         model = reweight(problem.model, zeta)
         counts = row_sums(problem.counts)
         pay = _rewards_of_rows(problem)

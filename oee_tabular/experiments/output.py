@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,18 +60,28 @@ def write(experiment: Experiment, store: Store) -> list[Path]:
 
 def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) -> dict[str, bytes]:
     """The figure as svg and png: the same bytes for the same table."""
+
+    def draw(figure: Figure) -> None:
+        experiment.draw(table, summary, figure)
+        share_legend(figure)
+
+    return {f"figure.{kind}": content for kind, content in drawn(draw, salt=experiment.id).items()}
+
+
+def drawn(draw: Callable[[Figure], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")) -> dict[str, bytes]:
+    """The bytes of the figure that ``draw`` makes, by kind, without a date."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    metadata: dict[str, Any] = {"svg": {"Date": None}, "png": {"Software": None}}
     found = {}
-    with mpl.rc_context({"svg.hashsalt": experiment.id, "svg.fonttype": "none"}):
+    with mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
-        experiment.draw(table, summary, figure)
-        share_legend(figure)
-        for kind, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
+        draw(figure)
+        for kind in kinds:
             buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=110, metadata=metadata)
-            found[f"figure.{kind}"] = buffer.getvalue()
+            figure.savefig(buffer, format=kind, dpi=110, metadata=metadata[kind])
+            found[kind] = buffer.getvalue()
     return found
 
 

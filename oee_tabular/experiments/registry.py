@@ -132,12 +132,18 @@ def _known(value: Any, values: tuple[Scalar, ...]) -> Scalar:
 
 @dataclass(frozen=True)
 class Settings:
-    """What a results folder was made from."""
+    """What a results folder was made from.
+
+    ``asked`` are settings that are no axes (JSON's types): results of others are not taken for these. ``modules`` are a
+    user's modules that the cells run: their files are part of the code.
+    """
 
     experiment: str
     axes: Mapping[str, tuple[Scalar, ...]]
     repetitions: int
     seed: int
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    modules: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
@@ -156,6 +162,7 @@ class Settings:
             "axes": {name: list(values) for name, values in self.axes.items()},
             "repetitions": self.repetitions,
             "seed": self.seed,
+            **({"asked": dict(self.asked)} if self.asked else {}),
         }
 
 

@@ -38,7 +38,7 @@ def run_cell(run: Callable[[Cell, Stream], list[Row]], settings: Settings, cell:
     import numba
     from threadpoolctl import threadpool_limits
 
-    refuse_other_code(code_version(), code)
+    refuse_other_code(code_version(*settings.modules), code)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:

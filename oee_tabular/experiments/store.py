@@ -10,31 +10,44 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.experiments.registry import Cell, Row, Settings
+from oee_tabular.testing.command import own_modules
 
 PACKAGE = Path(__file__).parents[1]
 SOURCES = (".py", ".csv", ".xml", ".npz")
-FILES = ("settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png")
+FILES = (
+    "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
+    "cells.csv", "league.csv", "league.md", "shown.json", "profile.png", "heat.png",
+)  # fmt: skip
 
 
 @functools.cache
-def code_version() -> str:
-    """The package's version and a digest of its files: what a result depends on, besides the settings and the libraries."""
+def code_version(*modules: str) -> str:
+    """The package's version and a digest of its files: what a result depends on, besides the settings and the libraries.
+
+    The files of a user's ``modules`` count as well, each by itself (not what it imports).
+    """
     digest = hashlib.sha256()
     for path in sorted(path for path in PACKAGE.rglob("*") if path.suffix in SOURCES):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
+    with own_modules():
+        for found in map(importlib.util.find_spec, modules):
+            if found is not None and found.origin is not None and Path(found.origin).is_file():
+                digest.update(Path(found.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
 
 
 def cell_key(settings: Settings, cell: Cell, code: str) -> str:
     """The name of a cell's result."""
-    text = json.dumps([settings.experiment, settings.seed, dict(cell), code], sort_keys=True)
+    asked = [dict(settings.asked)] if settings.asked else []
+    text = json.dumps([settings.experiment, settings.seed, dict(cell), code, *asked], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -60,7 +73,7 @@ class Store:
 
     def __init__(self, folder: Path, settings: Settings, *, fresh: bool = False, code: str | None = None):
         self.folder, self.settings = folder, settings
-        self.code = code_version() if code is None else code
+        self.code = code_version(*settings.modules) if code is None else code
         self._file = folder / "settings.json"
         self._cells = folder / "cells.jsonl"
         if folder.exists() and not folder.is_dir():
@@ -88,6 +101,10 @@ class Store:
                 parts.append(f"{name} {found.get(name)} there, {wanted[name]} asked")
         for name in sorted({*found.get("axes", {}), *wanted["axes"]}):
             there, asked = found.get("axes", {}).get(name), wanted["axes"].get(name)
+            if there != asked:
+                parts.append(f"{name} {there} there, {asked} asked")
+        for name in sorted({*found.get("asked", {}), *wanted.get("asked", {})}):
+            there, asked = found.get("asked", {}).get(name), wanted.get("asked", {}).get(name)
             if there != asked:
                 parts.append(f"{name} {there} there, {asked} asked")
         raise ValueError(

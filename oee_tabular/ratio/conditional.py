@@ -7,7 +7,7 @@ zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean unde
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,14 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, programs
 from oee_tabular.ratio.box import Box, check_ridge
+from oee_tabular.ratio.centre import fit_centre
 from oee_tabular.ratio.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
-from oee_tabular.ratio.result import Influence, TransitionRatio, make_result
+from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
 from oee_tabular.ratio.tilt import Tilt, fit_default_tilt, fit_tilt
 
-PRIORS = ("tilt", "simulator", "none")
+PRIORS = ("average", "tilt", "simulator", "none")
 Ridge = float | str | Callable[[float], float]
 
 
@@ -39,20 +40,23 @@ def fit_conditional(
     ridge: Ridge,
     toward: float | None,
     solver: str,
+    values: Sequence[Array] = (),
 ) -> TransitionRatio:
-    """zeta from counts on the simulator's entries; see ``transition_ratio``."""
+    """zeta from counts on the simulator's entries; see ``transition_ratio``. ``values``: V of the policies that matter."""
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
     n_row = segment_sums(observed, indptr)
-    tilt, told = _tilt(observed, simulator, features, smoothness, solver) if prior == "tilt" else (None, {})
-    base = q if tilt is None else q * tilt.ratio
+    base, parts, told = q, (), {}
+    if prior in ("average", "tilt"):
+        tilt, told, likelihood = _tilt(observed, simulator, features, smoothness, solver)
+        if prior == "tilt":
+            parts = (Part("tilt", 1.0, likelihood, q * tilt.ratio, tilt.scores, tilt.information, gap=tilt.gap),)
+        else:
+            parts = fit_centre(observed, simulator, values, tilt, likelihood, solver=solver)
+            told |= {"centre": [(part.name, part.weight, part.theta) for part in parts]}
+        base = np.asarray(sum(part.weight * part.rows for part in parts))
     kappa, details = _strength(observed, base, q, indptr, prior, strength)
     details |= told
-    if "meaning" in details and "smoothness_gain" in told:
-        details["meaning"] = (
-            f"one tilt for all states does not fit (evidence {told['smoothness_gain']:.3g} nats below); "
-            f"varying over the states, {details['meaning']}"
-        )
     weight = n_row + kappa
     known = weight > 0
     smoothed = (observed + spread(kappa, indptr) * base) / spread(np.where(known, weight, 1.0), indptr)
@@ -62,7 +66,7 @@ def fit_conditional(
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     curvature = np.asarray(bend if toward is None else bend * q)
     zeta, gap, enclosure = _solve(dual.kl_coordinates(p, q, curvature, center), box, indptr, solver)
-    gap = gap if tilt is None else float(np.maximum(gap, tilt.gap))
+    gap = float(np.max([gap, *(part.gap for part in parts)]))
     inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
     safe = np.where(inside, zeta, 1.0)
     influence = Influence(
@@ -72,10 +76,8 @@ def fit_conditional(
         weights=q,
         stiffness=np.where(inside, (p / safe) / safe + curvature, 0.0),
         share=np.divide(n_row, weight, out=np.zeros_like(n_row), where=known),
-        prior=base,
         indptr=indptr,
-        scores=None if tilt is None else tilt.scores,
-        information=None if tilt is None else tilt.information,
+        parts=parts,
     )
     details |= {"prior": prior, "lower": box.lower, "upper": box.upper, **enclosure}
     return make_result(simulator, zeta, "conditional", gap, observed, details, influence)
@@ -83,8 +85,8 @@ def fit_conditional(
 
 def _tilt(
     observed: Array, simulator: FiniteMDP, features: Any, smoothness: float | str, solver: str
-) -> tuple[Tilt | LocalTilt, dict[str, Any]]:
-    """One tilt for all states, or one that varies over them, and its diagnostics."""
+) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
+    """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
     if smoothness not in ("evidence", np.inf):
         smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
     if features is None:
@@ -93,7 +95,7 @@ def _tilt(
         whole = fit_tilt(observed, simulator, features, solver=solver)
     details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
     if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
-        return whole, details
+        return whole, details, whole.evidence
     local = fit_local_tilt(
         observed,
         simulator,
@@ -103,14 +105,15 @@ def _tilt(
         solver=solver,
     )
     if local is None:
-        return whole, details
-    return local, details | {
+        return whole, details, whole.evidence
+    told = {
         "theta_by_state": local.theta / whole.scale,
         "tilt_gap": local.gap,
         "smoothness": local.smoothness,
         "smoothness_gain": local.gain,
         "smoothness_curve": local.curve,
     }
+    return local, details | told, whole.evidence + local.gain
 
 
 def _strength(
@@ -131,7 +134,7 @@ def _strength(
         "strength_score": choice.score,
         "strength_curve": (choice.grid, choice.curve),
         "strength_kinds": choice.kinds,
-        "meaning": meaning(choice, n_row, prior),
+        "meaning": meaning(choice, n_row, "centre" if prior == "average" else prior),
     }
 
 

@@ -26,6 +26,7 @@ from oee_tabular.mdp import FiniteMDP
 
 REST = 1e-4
 LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor
+SMALL = 200  # nodes up to which all eigenvalues are found
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +103,34 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
         weights = sparse.csr_array(onto.T @ weights @ onto)
         weights.sort_indices()
         group = joined[group]
+
+
+def smooth_functions(simulator: FiniteMDP, count: int) -> Array:
+    """The smoothest functions on the graph, (S, count) or fewer columns, each at most 1 in size.
+
+    u = D^-1/2 v, v the eigenvectors 2, 3, ... of the normalised Laplacian I - D^-1/2 W D^-1/2 [2] on at most ``LARGEST``
+    groups. Of a multiple eigenvalue the basis is what the eigensolver gives.
+
+    [2] F. Chung, Spectral Graph Theory, 1997.
+    """
+    graph = neighbours(simulator)
+    penalty, nodes = graph.penalty, graph.penalty.shape[0]
+    if nodes <= 2:
+        return np.zeros((simulator.n_states, 0))
+    edges = sparse.csc_array(sparse.diags_array(penalty.diagonal()) - penalty)
+    degree = np.asarray(edges.sum(axis=1)).reshape(-1)
+    root = np.sqrt(np.where(degree > 0, degree, 1.0))
+    scaling = sparse.diags_array(1.0 / root)
+    laplacian = sparse.csc_array(sparse.eye_array(nodes) - scaling @ edges @ scaling)
+    wanted = min(count, nodes - 2)
+    if nodes <= SMALL:
+        vectors = linalg.eigh(laplacian.toarray(), subset_by_index=[1, wanted])[1]
+    else:
+        values, found = sparse_linalg.eigsh(laplacian, k=wanted + 1, sigma=-1e-3, v0=np.ones(nodes))
+        vectors = found[:, np.argsort(values, kind="stable")[1:]]
+    levels = vectors / root[:, None]
+    levels = levels / np.maximum(np.abs(levels).max(axis=0), 1e-300)
+    return np.asarray(levels[graph.group])
 
 
 def _weights(simulator: FiniteMDP) -> sparse.csr_array:

@@ -96,6 +96,12 @@ class TransitionRatio:
             )
         return simulator.with_transitions(on_pattern(simulator.transitions, data))
 
+    def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
+        """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
+        if self._influence is None:
+            raise ValueError(f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies")
+        return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
+
     @one_thread
     def log_standard_error(self, gradient: Array) -> float | None:
         """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.
@@ -112,18 +118,53 @@ class TransitionRatio:
         """The first-order correction of a function of zeta * P towards maximum likelihood.
 
         sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has visited: it removes, to first order, the bias
-        that the prior brings, and takes on the variance of maximum likelihood.
+        that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under zeta
+        P: a row with a single move has none under its own frequencies.
         """
         return None if self._influence is None else self._influence.one_step(gradient)
 
 
 @dataclass(frozen=True)
 class OneStep:
-    """A one-step correction: what to add, the standard error of the corrected value, and of the correction itself."""
+    """A one-step correction.
+
+    Attributes
+    ----------
+    change : what to add to the value
+    standard_error : of the corrected value, sqrt(sum over visited rows of Var(gradient) / n), variances under zeta P
+    unseen : what rows never visited may add to it: sqrt(sum of Var(gradient)), each as of one move
+    change_error : of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n)
+    """
 
     change: float
     standard_error: float
+    unseen: float
     change_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A candidate in the centre of the prior (``ratio.centre``).
+
+    Attributes
+    ----------
+    name : "simulator", "tilt by log P", or its features
+    weight : its share of the centre
+    evidence : nats, less its prices
+    rows : (entries,) of all rows of the simulator
+    scores, information : d log rows / d parameters, and the parameters' information; None without parameters
+    theta : its parameters by feature, in the features' units
+    gap : of its program
+    """
+
+    name: str
+    weight: float
+    evidence: float
+    rows: Array
+    scores: Array | sparse.csr_array | None = None
+    information: Array | sparse.csc_array | None = None
+    theta: dict[str, float] = field(default_factory=dict)
+    gap: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +175,8 @@ class Influence:
     ----------
     frequencies : n_x / n_sa; row_counts : n_sa; weights : P in each row; kernel : zeta P
     stiffness : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
-    share : of the data in a row, n_sa / (n_sa + strength); prior : the prior's row
-    scores, information : of the tilt, where the prior is one (``Tilt``, dense; ``LocalTilt``, sparse)
+    share : of the data in a row, n_sa / (n_sa + strength)
+    parts : of the prior's centre, with their scores and information (dense; a tilt that varies over the states: sparse)
     """
 
     frequencies: Array
@@ -144,10 +185,8 @@ class Influence:
     weights: Array
     stiffness: Array
     share: Array
-    prior: Array
     indptr: IntArray
-    scores: Array | sparse.csr_array | None = None
-    information: Array | sparse.csc_array | None = None
+    parts: tuple[Part, ...] = ()
 
     def standard_error(self, gradient: Array) -> float:
         """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
@@ -155,26 +194,35 @@ class Influence:
         share = spread(self.share, self.indptr)
         counts = spread(np.maximum(self.row_counts, 1.0), self.indptr)
         each = share * psi / counts
-        if self.scores is not None and self.information is not None:
-            pull = ((1.0 - share) * self.prior * psi) @ self.scores  # d value / d theta
-            if sparse.issparse(self.scores):
-                moved = Factor(self.information).solve(pull)
+        for part in self.parts:
+            if part.scores is None:
+                continue
+            pull = (part.weight * (1.0 - share) * part.rows * psi) @ part.scores  # d value / d theta
+            if sparse.issparse(part.scores):
+                moved = Factor(part.information).solve(pull)
             else:
-                moved = np.linalg.lstsq(self.information, pull)[0]
-            each = each + self.scores @ moved
+                moved = np.linalg.lstsq(part.information, pull)[0]
+            each = each + part.scores @ moved
         return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
 
+    def likeliest(self) -> Array:
+        """n_x / n_sa where the log has been, zeta P elsewhere."""
+        return np.where(spread(self.row_counts > 0, self.indptr), self.frequencies, self.kernel)
+
     def one_step(self, gradient: Array) -> OneStep:
-        """See ``TransitionRatio.one_step``; the correction's own error takes the prior's rows as given."""
-        seen = spread(self.row_counts, self.indptr) > 0
-        change = float(gradient[seen] @ (self.frequencies - self.kernel)[seen])
-        n = np.maximum(self.row_counts, 1.0)
+        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the centre taken as given."""
         visited = self.row_counts > 0
-        corrected = np.sum(np.where(visited, self._variance(gradient) / n, 0.0))
+        seen = spread(visited, self.indptr)
+        change = float(gradient[seen] @ (self.frequencies - self.kernel)[seen])
         mean = spread(segment_sums(self.kernel * gradient, self.indptr), self.indptr)
-        around = segment_sums(self.kernel * (gradient - mean) ** 2, self.indptr)
-        own = np.sum(np.where(visited, (1.0 - self.share) ** 2 * around / n, 0.0))
-        return OneStep(change, float(np.sqrt(corrected)), float(np.sqrt(own)))
+        variance = segment_sums(self.kernel * (gradient - mean) ** 2, self.indptr)
+        each = np.where(visited, variance / np.maximum(self.row_counts, 1.0), 0.0)
+        return OneStep(
+            change,
+            float(np.sqrt(each.sum())),
+            float(np.sqrt(variance[~visited].sum())),
+            float(np.sqrt(np.sum((1.0 - self.share) ** 2 * each))),
+        )
 
     def _variance(self, values: Array) -> Array:
         """Variance of ``values`` under the frequencies of each row."""

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -33,6 +34,7 @@ from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.joint import fit_joint
+from oee_tabular.ratio.library import values_in
 from oee_tabular.ratio.linear import N_CENTERS, fit_linear
 from oee_tabular.ratio.quotient import SimulatorData, fit_quotient
 from oee_tabular.ratio.result import TransitionRatio, make_result
@@ -41,7 +43,7 @@ from oee_tabular.ratio.ties import Tie, tied_ratio
 
 # the options that a method has for itself
 _OWN = {
-    "conditional": {"prior", "strength", "features", "smoothness"},
+    "conditional": {"prior", "strength", "features", "smoothness", "values_of", "horizon"},
     "tied": {"tie", "strength"},
     "linear": {"features"},
     "kernel": {"kernel", "coordinates", "bandwidth", "n_centers"},
@@ -61,6 +63,8 @@ def transition_ratio(
     prior: str | None = None,
     strength: float | str | None = None,
     features: Any = None,
+    values_of: Any = None,
+    horizon: int | None = None,
     smoothness: float | str | None = None,
     tie: Tie | Any = None,
     kernel: str | Kernel | None = None,
@@ -152,6 +156,8 @@ def transition_ratio(
         "prior": prior,
         "strength": strength,
         "features": features,
+        "values_of": values_of,
+        "horizon": horizon,
         "smoothness": smoothness,
         "tie": tie,
         "kernel": kernel,
@@ -166,13 +172,15 @@ def transition_ratio(
     for name, value in options.items():
         if value is not None and name not in _OWN[method]:
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
-    for name in ("features", "smoothness"):
-        if options[name] is not None and prior not in (None, "tilt"):
+    if prior is None:
+        prior = "average" if features is None and smoothness is None else "tilt"
+    for name, users in {"features": ("tilt",), "smoothness": ("tilt",), "values_of": ("average", "tilt")}.items():
+        if options[name] is not None and prior not in users:
             raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
-        prior = "tilt" if prior is None else prior
         _checks.one_of(prior, "prior", PRIORS)
+        steps = _checks.optional_horizon(horizon)
         return fit_conditional(
             observed,
             simulator,
@@ -184,6 +192,7 @@ def transition_ratio(
             ridge=0.0 if ridge is None else ridge,
             toward=toward,
             solver=solver,
+            values=values_in(simulator, _policies(values_of, simulator), steps) if prior == "average" else (),
         )
     if method == "tied":
         for name, value in {"lower": lower, "upper": upper, "ridge": ridge}.items():
@@ -234,6 +243,15 @@ def transition_ratio(
         observed, whole, simulator, simulator_data, behavior_policy=behavior_policy, toward=toward, **common
     )
     return make_result(simulator, quotient.zeta, "ratio_of_ratios", quotient.gap, observed, quotient.details)
+
+
+def _policies(values_of: Any, simulator: FiniteMDP) -> list[Array]:
+    """The policy or policies given, checked."""
+    if values_of is None:
+        return []
+    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and np.ndim(values_of[0]) == 2
+    given = list(values_of) if several else [values_of]
+    return [check_policy(policy, simulator, name="values_of") for policy in given]
 
 
 def _strength(value: float | str | None) -> float:

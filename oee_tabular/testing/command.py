@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 import os
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 from oee_tabular.testing.conformance import Verdicts, check_estimator
@@ -24,18 +26,31 @@ def check(spec: str, *, seed: int = 0, repetitions: int = 8) -> Verdicts:
     ValueError
         A spec of another form, no such module or object, a module that cannot be imported, an object that is no estimator.
     """
+    with own_modules():
+        return check_estimator(own_estimator(spec), seed=seed, repetitions=repetitions)
+
+
+@contextlib.contextmanager
+def own_modules() -> Iterator[None]:
+    """Modules of the current directory can be imported, as those that are installed."""
     folder = os.getcwd()
     sys.path.insert(0, folder)
     try:
-        return check_estimator(_made(_found(spec, folder), spec), seed=seed, repetitions=repetitions)
+        yield
     finally:
         sys.path.remove(folder)
 
 
-def _found(spec: str, folder: str) -> Any:
+def own_estimator(spec: str) -> Any:
+    """The estimator of "module:object", or what a class or function there makes without arguments."""
+    return _made(own_object(spec, "the estimator", "my_package.mine:MyEstimator"), spec)
+
+
+def own_object(spec: str, what: str, example: str) -> Any:
+    """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
     module_name, colon, path = spec.partition(":")
     if not (colon and module_name and path):
-        raise ValueError(f"the estimator must be given as MODULE:OBJECT, my_package.mine:MyEstimator; got {spec!r}")
+        raise ValueError(f"{what} must be given as MODULE:OBJECT, {example}; got {spec!r}")
     if module_name.endswith(".py") or os.sep in module_name:
         hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
         raise ValueError(f"MODULE must be a module's name, not a file's; got {module_name!r} (try {hint}:{path})")
@@ -43,7 +58,9 @@ def _found(spec: str, folder: str) -> Any:
         found = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            raise ValueError(f"module {module_name!r} cannot be found, neither in {folder} nor installed") from None
+            raise ValueError(
+                f"module {module_name!r} cannot be found, neither in {os.getcwd()} nor installed"
+            ) from None
         raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
     except (Exception, SystemExit) as error:
         raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error

@@ -1,0 +1,150 @@
+"""A family of environment shift: a simulator, a target that differs from it, a policy, and how the target is recorded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.data import Transitions
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import occupancy, policy_value
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio import refuse_unsupported
+from oee_tabular.ratio.support import require_pair
+from oee_tabular.simulate import sample_episodes
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A pair of environments whose truth is exact.
+
+    Parameters
+    ----------
+    simulator, target : FiniteMDP
+        Of the same states, actions, rewards, initial distribution and discount; the target stays in the simulator's support.
+    policy : (S, A), whose value in the target is asked
+    data_policy : (S, A), which records the target
+    about : one sentence: what the simulator has wrong
+    horizon : number of rewards of the value; None: the infinite discounted sum
+    length : steps after which a recorded episode is cut
+
+    Raises
+    ------
+    ValueError
+        Another shape; another discount, initial distribution or reward; a target that leaves the simulator's support (the
+        moves are named).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> family = oee.bench.families()["corridor30"]
+    >>> round(family.truth, 2), family.open_rows, family.identical
+    (-28.68, 58, False)
+    >>> log = family.log(100, seed=0)
+    >>> len(log), log.behavior_probability is not None
+    (100, True)
+    """
+
+    simulator: FiniteMDP
+    target: FiniteMDP
+    policy: Array
+    data_policy: Array
+    about: str
+    horizon: int | None = None
+    length: int = 200
+
+    def __post_init__(self) -> None:
+        require_pair(self.target, self.simulator)
+        refuse_unsupported(self.target.transitions, self.simulator, what="target")
+        _require_same(self.target, self.simulator)
+        for name in ("policy", "data_policy"):
+            object.__setattr__(self, name, check_policy(getattr(self, name), self.simulator, name=name))
+        if not isinstance(self.about, str) or not self.about.strip():
+            raise ValueError(f"about must be a sentence that says what the simulator has wrong; got {self.about!r}")
+        object.__setattr__(self, "horizon", _checks.optional_horizon(self.horizon))
+        object.__setattr__(self, "length", _checks.positive_integer(self.length, "length"))
+
+    @cached_property
+    def truth(self) -> float:
+        """J of the policy in the target, exactly."""
+        return policy_value(self.target, self.policy, horizon=self.horizon)
+
+    @cached_property
+    def open_rows(self) -> int:
+        """How many (s, a) have more than one next state in the simulator: the unit of a log's size."""
+        return int((np.diff(self.simulator.transitions.indptr) > 1).sum())
+
+    @cached_property
+    def identical(self) -> bool:
+        """Whether the target is the simulator."""
+        here, there = self.simulator.transitions, self.target.transitions
+        return np.array_equal(here.indices, there.indices) and np.array_equal(here.data, there.data)
+
+    @cached_property
+    def moves_per_state_action(self) -> Array:
+        """(S, A): how many moves from (s, a) an episode records on average, exactly."""
+        running = self.target.with_discount(1.0)
+        visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
+        over = self.target.absorbing()  # an episode ends on arrival; one that starts there has one step
+        visits[over] = self.target.initial[over][:, None] * self.data_policy[over]
+        return np.asarray(visits)
+
+    @cached_property
+    def data_distribution(self) -> Array:
+        """(S, A): the share of each (s, a) among the moves that the episodes record, exactly."""
+        return np.asarray(self.moves_per_state_action / self.moves_per_state_action.sum())
+
+    def size(self, per_row: float) -> int:
+        """The number of moves of a log with ``per_row`` moves per open row, at least 1."""
+        return max(1, round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows))
+
+    def log(self, n: int, seed: Any) -> Transitions:
+        """Exactly ``n`` moves of the data policy in the target: episodes, each cut at ``length``, the last where n is full.
+
+        Parameters
+        ----------
+        n : positive int
+        seed : anything that ``numpy.random.default_rng`` takes
+        """
+        size = _checks.positive_integer(n, "n")
+        generator = _checks.generator(seed)
+        episodes = 1 + math.ceil(1.2 * size / self.moves_per_state_action.sum())
+        while True:
+            whole = sample_episodes(self.target, self.data_policy, episodes, self.length, seed=generator)
+            if len(whole) >= size:
+                columns = {name: column for name, column in whole.columns().items() if name != "truncated"}
+                return Transitions(**{name: column[:size] for name, column in columns.items()})
+            episodes *= 2
+
+    def problem(self, n: int, seed: Any) -> Problem:
+        """The problem of ``log(n, seed)``."""
+        return Problem(self.simulator, self.log(n, seed), horizon=self.horizon, behavior_policy=self.data_policy)
+
+
+def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
+    """Nothing but the dynamics differs: the rest is known to whoever estimates."""
+    if target.discount != simulator.discount:
+        raise ValueError(
+            f"target must have the simulator's discount, {simulator.discount:g}; it has {target.discount:g}"
+        )
+    if not np.array_equal(target.initial, simulator.initial):
+        s = int(np.flatnonzero(target.initial != simulator.initial)[0])
+        raise ValueError(
+            f"target must have the simulator's initial distribution; initial[{s}] is {target.initial[s]:g} there, "
+            f"{simulator.initial[s]:g} in the simulator"
+        )
+    paid = simulator.with_transitions(target.transitions).rewards
+    bad = np.argwhere(~(np.abs(paid - target.rewards) <= 1e-9 * max(1.0, float(np.abs(paid).max()))))
+    if len(bad):
+        s, a = (int(i) for i in bad[0])
+        raise ValueError(
+            f"target must pay the simulator's rewards (simulator.with_transitions makes such a target); at s={s}, a={a} it "
+            f"pays {target.rewards[s, a]:g} on average, with the simulator's rewards {paid[s, a]:g} "
+            f"({len(bad)} such state-action pairs in all)"
+        )

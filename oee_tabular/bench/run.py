@@ -1,0 +1,192 @@
+"""A run of the benchmark: the cells family x size, a seed each repetition, through the experiments' runner and store."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._sparse import row_sums
+from oee_tabular.bench.family import Family
+from oee_tabular.bench.league import League, league_of
+from oee_tabular.bench.measured import REFERENCES, chosen_estimators, measure
+from oee_tabular.bench.source import Source, source_of
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.experiments.output import table_of
+from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
+from oee_tabular.experiments.run import Sweep, run_experiment
+from oee_tabular.experiments.store import Store
+
+SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
+SEEDS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The rows of one cell: a log of a family, every estimator on it."""
+
+    estimators: Mapping[str, Any]
+    source: Source
+
+    def __call__(self, cell: Cell, stream: Stream) -> list[Row]:
+        """One seed of family x size; the seed of the family is the run's first plus the repetition."""
+        seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
+        family = self.source.family(name, seed)
+        own = Stream(stream.experiment, seed, {"family": name, "size": size})
+        problem = family.problem(family.size(size), own.generator(use="log"))
+        facts = {"seed": seed, **facts_of(family, problem)}
+        return [
+            facts | measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))
+            for key, given in self.estimators.items()
+        ]
+
+
+def facts_of(family: Family, problem: Problem) -> Row:
+    """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
+    n, horizon = len(problem.log), family.horizon
+    endless = horizon is None and family.target.discount == 1.0
+    time = occupancy(family.target, family.policy, horizon=family.length if endless else horizon)
+    time = np.where(family.target.absorbing()[:, None], 0.0, time)
+    seen = row_sums(problem.counts).reshape(time.shape) > 0
+    bound = np.inf
+    if not endless:
+        bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
+    return {
+        "n": n,
+        "open_rows": family.open_rows,
+        "identical": family.identical,
+        "truth": family.truth,
+        "covered": float(time[seen].sum() / time.sum()) if time.sum() > 0 else 1.0,
+        "bound": bound / n if np.isfinite(bound) else float("nan"),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a run is to do: an experiment of the registry's kind and its settings."""
+
+    experiment: Experiment
+    settings: Settings
+    source: Source
+
+
+def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0) -> Plan:
+    """Check the arguments of ``run`` and make every family once."""
+    count = _checks.positive_integer(seeds, "seeds")
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    chosen = chosen_estimators(estimators)
+    source = source_of(families, int(seed))
+    experiment = Experiment(
+        id="bench",
+        title="Estimators on families of environment shift",
+        axes={"family": source.names, "size": _sizes(sizes)},
+        run=Cells({name: name for name in REFERENCES} | chosen, source),
+        keys=("family", "size", "estimator"),
+        measures=("error",),
+        draw=lambda table, summary, figure: None,
+        caption="",
+        repetitions=count,
+        group="bench",
+    )
+    asked = {"estimators": list(chosen), "families": source.label}
+    modules = tuple(sorted({*_modules(chosen), *_modules({"families": source.given})}))
+    return Plan(experiment, Settings("bench", experiment.axes, count, int(seed), asked, modules), source)
+
+
+def run(
+    estimators: Any = ("oee", "model-based"),
+    *,
+    families: Any = None,
+    sizes: Any = SIZES,
+    seeds: int = SEEDS,
+    seed: int = 0,
+    jobs: int = 1,
+    dask: str | None = None,
+    output: Any = None,
+    fresh: bool = False,
+    progress: bool = False,
+) -> League:
+    """Measure estimators on families of environment shift where the truth is exact.
+
+    Each cell is a family and a size of its logs; each seed of a cell another log (and, where a family has random parts,
+    another pair). Two references are always measured on the same logs: maximum likelihood with the simulator in unseen rows,
+    and the simulator's value.
+
+    Parameters
+    ----------
+    estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and interval that ``oee.evaluate`` prints),
+        "module:object", estimators; one or several, or a mapping name -> one of these
+    families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
+        makes a mapping name -> Family, or such a mapping
+    sizes : moves per open row (an (s, a) with more than one next state in the simulator); n = round(size * open rows)
+    seeds : logs of each cell
+    seed : the first one, from 0; a seed's rows are the same in any run
+    jobs : processes on this machine; -1: one a core
+    dask : address of a dask scheduler; the cells go there instead
+    output : folder that keeps finished cells: an interrupted run goes on; None: nothing is kept
+    fresh : empty the folder first
+    progress : whether a bar is shown
+
+    Returns
+    -------
+    League
+        ``table`` (a row for each family, size, seed and estimator), ``cells`` (over the seeds), ``league`` (over the cells).
+
+    Raises
+    ------
+    ValueError
+        Bad arguments; a family that cannot be made. What an estimator raises is a row with its reason.
+
+    Notes
+    -----
+    Cost: families x sizes x seeds x the estimators' time. The same bits in every mode, but for ``seconds`` (process time).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> found = oee.bench.run("oee", families=["machine", "queue25"], sizes=[3], seeds=4)
+    >>> found.league["estimator"].tolist(), len(found.table)
+    (['maximum-likelihood', 'simulator', 'oee'], 24)
+    """
+    planned = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
+    options: dict[str, Any] = {"jobs": jobs, "dask": dask, "fresh": fresh, "progress": progress}
+    if output is not None:
+        return carry_out(planned, Path(output), **options)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        return carry_out(planned, Path(folder), **options)[0]
+
+
+def carry_out(planned: Plan, folder: Path, **options: Any) -> tuple[League, Sweep]:
+    """Compute what the folder does not have yet; the league of all."""
+    sweep = run_experiment(planned.experiment, folder, planned.settings, **options)
+    table = table_of(Store(folder, planned.settings)).drop(columns="repetition")
+    return league_of(table), sweep
+
+
+def _sizes(sizes: Any) -> tuple[float, ...]:
+    """Positive numbers, each once, the smallest first."""
+    values = [sizes] if np.isscalar(sizes) else list(sizes)
+    found = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
+    if not found or found[0] <= 0:
+        raise ValueError(f"sizes must be positive numbers of moves per open row, at least one; got {sizes!r}")
+    return tuple(found)
+
+
+def _modules(given: Mapping[str, Any]) -> list[str]:
+    """The modules that hold a user's own objects: their files are part of what the results depend on."""
+    found = []
+    for item in given.values():
+        if isinstance(item, str):
+            name = item.partition(":")[0] if ":" in item else ""
+        else:
+            name = str(getattr(item, "__module__", "") or getattr(type(item), "__module__", ""))
+        if name and name.split(".")[0] not in ("oee_tabular", "__main__", "builtins"):
+            found.append(name)
+    return found

@@ -1,0 +1,144 @@
+"""A league in words, as JSON and as files."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from oee_tabular import _files
+from oee_tabular.bench.league import League, coverage, geometric_mean, summary, wide
+from oee_tabular.bench.measured import LIKELIHOOD
+from oee_tabular.experiments.output import drawn, pipe_table
+
+PARTING = 3.0  # sizes below it, and from it on, are stated apart
+WIDE = (10.0, 30.0)  # sizes at which widths are compared
+EXPLAINED = (
+    "RMSE over the better of maximum likelihood (the simulator in unseen rows) and the bare simulator on the same logs, over "
+    "cells (family x size): geometric mean (geo), 90% quantile, worst; share of cells whose ratio is surely above 1.1, 1.5 "
+    "(the 5% quantile of the paired bootstrap over the seeds is). `geo, over bound`: over the square root of the efficiency "
+    "bound / n. Where the target is the simulator (identical): over maximum likelihood alone. Coverage and width of the "
+    "interval that the estimator reports, over logs of at least 3 moves per open row that hold more than 90% of the policy's "
+    "time; width over that of maximum likelihood's +- 1.96 standard errors. Seconds: of one log, processor time."
+)
+
+
+def statement_of(found: League) -> dict[str, Any]:
+    """Estimator -> what is to be shown of it."""
+    names = list(found.league["estimator"])
+    return {name: _statement(found.cells, name, names) for name in names}
+
+
+def _statement(cells: pd.DataFrame, name: str, names: list[str]) -> dict[str, Any]:
+    own = cells[cells["estimator"] == name]
+    shifted, same = own[~own["identical"]], own[own["identical"]]
+    groups = {
+        "sizes below 3": shifted[shifted["size"] < PARTING],
+        "sizes of 3 and more": shifted[shifted["size"] >= PARTING],
+    }
+    return {
+        **{label: _group(part) for label, part in groups.items()},
+        "identical, over maximum likelihood": {
+            "geo": geometric_mean(same["ratio"]),
+            "cells": {f"{row.family} at {row.size:g}": row.ratio for row in same.itertuples()},
+        },
+        "paper_grid, over maximum likelihood": _over_likelihood(own, "paper_grid"),
+        "interval": coverage(own)
+        | {"least covered": _least_covered(own)}
+        | {"width over that of": {other: _width_over(cells, name, other) for other in names if other != name}},
+        "seconds": float(own["seconds"].mean()),
+        "failed": int(own["failed"].sum()),
+    }
+
+
+def _group(cells: pd.DataFrame) -> dict[str, Any]:
+    """The ratios of a group of cells, and its worst."""
+    if cells.empty:
+        return {"cells": 0}
+    worst = cells.sort_values("ratio", ascending=False).head(8)
+    return {
+        "cells": len(cells),
+        **summary(cells),
+        "share with bound at most 1.1": float((cells["low"] <= 1.1).mean()),
+        "largest bound": float(cells["low"].max()),
+        "cells with ratio above 2": int((cells["ratio"] > 2).sum()),
+        "worst cells": {f"{row.family} at {row.size:g}": [row.ratio, row.low] for row in worst.itertuples()},
+    }
+
+
+def _over_likelihood(cells: pd.DataFrame, family: str) -> dict[str, Any]:
+    here = cells[cells["family"] == family]
+    return {
+        f"{size:g}": [rmse, rmse / likelihood if likelihood else math.nan]
+        for size, rmse, likelihood in zip(here["size"], here["rmse"], here[LIKELIHOOD], strict=True)
+    }
+
+
+def _least_covered(cells: pd.DataFrame) -> dict[str, list[float]]:
+    """The five families whose intervals hold the truth least often: share, and logs."""
+    by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
+    by = by[by["logs"] > 0].assign(share=lambda frame: frame["held"] / frame["logs"]).sort_values("share").head(5)
+    return {str(row.Index): [float(row.share), int(row.logs)] for row in by.itertuples()}  # type: ignore[arg-type]
+
+
+def _width_over(cells: pd.DataFrame, name: str, other: str) -> dict[str, float]:
+    """Median over the cells of a size of this interval's width over the other's."""
+    widths = wide(cells, ["family", "size"], "width")
+    ratio = (widths[name] / widths[other]).groupby(level="size").median()
+    return {f"{size:g}": float(ratio[size]) for size in WIDE if size in ratio.index and not math.isnan(ratio[size])}
+
+
+def printed(found: League) -> str:
+    """The league table and what it means, for a terminal."""
+    shares = ("above 1.1", "above 1.5", "coverage", "its coverage")
+    league = found.league.copy()
+    for column in league.columns[1:]:
+        form = "{:.0%}" if column in shares else "{:.3g}"
+        league[column] = [
+            "" if isinstance(x, float) and math.isnan(x) else form.format(x) if isinstance(x, float) else str(x)
+            for x in league[column]
+        ]
+    return f"{league.set_index('estimator').T.to_string()}\n\n{EXPLAINED}"
+
+
+def markdown(found: League, about: Mapping[str, str], command: str) -> str:
+    """The league as a page."""
+    failures = found.table[found.table["value"].isna()]
+    failed = failures.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
+    lines = ["# Estimators on families of environment shift", ""]
+    lines += [f"`{command}`", ""] if command else []
+    lines += [pipe_table(found.league.set_index("estimator").T.reset_index(names="")), "", EXPLAINED, ""]
+    lines += ["![Share of cells by ratio](profile.png)", "", "![Ratio by family and size](heat.png)", ""]
+    lines += ["## Without a value", "", pipe_table(failed), ""] if len(failed) else []
+    if about:
+        frame = pd.DataFrame({"family": list(about), "what the simulator has wrong": list(about.values())})
+        lines += ["## Families", "", pipe_table(frame), ""]
+    return "\n".join(lines)
+
+
+def save(found: League, folder: Path, *, about: Mapping[str, str] | None = None, command: str = "") -> list[Path]:
+    """The files of a league, all or none."""
+    contents = {
+        "table.csv": found.table.to_csv(index=False).encode(),
+        "cells.csv": found.cells.to_csv(index=False, float_format="%.6g").encode(),
+        "league.csv": found.league.to_csv(index=False, float_format="%.6g").encode(),
+        "league.md": markdown(found, about or {}, command).encode(),
+        "shown.json": (json.dumps(_plain(statement_of(found)), indent=1) + "\n").encode(),
+        "profile.png": drawn(found.profile, salt="bench", kinds=("png",))["png"],
+        "heat.png": drawn(found.heat, salt="bench", kinds=("png",))["png"],
+    }
+    _files.write_all(folder, contents)
+    return [folder / name for name in contents]
+
+
+def _plain(value: Any) -> Any:
+    """Without nan, which is not JSON."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

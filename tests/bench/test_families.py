@@ -1,0 +1,198 @@
+"""The families: valid, made when looked up, redrawn by the seed, with a truth and a data distribution that are exact."""
+
+import re
+
+import numpy as np
+import pytest
+
+import oee_tabular as oee
+from oee_tabular.bench import Family, garnet_worse, tandem
+from oee_tabular.bench import families_gymnasium as gymnasium_own
+
+NAMES = tuple(oee.bench.families())
+QUICK = [name for name in NAMES if name not in ("icu_sepsis", "taxi_rain")]
+RANDOM = [name for name in NAMES if name.startswith("garnet_")]
+
+
+def dense_value(mdp, policy):
+    """J by a dense solve, independent of the package's solvers."""
+    shape = (mdp.n_states, mdp.n_actions, mdp.n_states)
+    kernel = np.einsum("sa,sat->st", policy, mdp.transitions.toarray().reshape(shape))
+    paid = np.einsum("sa,sa->s", policy, mdp.rewards)
+    over = mdp.absorbing()
+    kernel[over], paid[over] = 0.0, 0.0
+    return mdp.initial @ np.linalg.solve(np.eye(mdp.n_states) - mdp.discount * kernel, paid)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_family_is_valid_and_its_truth_exact(name):
+    family = oee.bench.families()[name]
+    assert isinstance(family, Family)
+    assert re.match(r"[A-Z].*\.$", family.about)
+    assert family.open_rows >= 9
+    np.testing.assert_allclose(family.truth, dense_value(family.target, family.policy), rtol=1e-8)
+    assert family.identical == name.endswith("_identical")
+    moved = abs(family.truth - oee.policy_value(family.simulator, family.policy))
+    assert (moved == 0) == family.identical
+    np.testing.assert_allclose(family.data_distribution.sum(), 1.0)
+    problem = family.problem(family.size(0.3), seed=0)
+    assert len(problem.log) == family.size(0.3)
+    assert problem.log.behavior_probability is not None
+
+
+def test_at_least_the_families_that_were_promised():
+    assert {"inventory20", "queue25", "tandem9", "machine", "forest12", "river_swim", "corridor30", "floor_slippery",
+            "floor_motor", "floor_chequered", "garnet_dirichlet100", "garnet_replaced", "garnet_worse", "garnet_tempered",
+            "garnet_identical", "frozen_lake", "taxi_rain", "paper_grid"} <= set(NAMES)  # fmt: skip
+    assert len(NAMES) >= 34
+
+
+def test_known_numbers():
+    every = oee.bench.families()
+    grid = every["paper_grid"]
+    np.testing.assert_allclose(
+        grid.truth, oee.policy_value(oee.tasks.gridworld(10, 0.1), oee.tasks.gridworld_policy(10, 0.5)), rtol=1e-12
+    )
+    stock = every["inventory20"]  # stock 3, nothing ordered: Pr(all sold) is Pr(demand of 3 or more), of mean 5.2
+    row = stock.target.transitions[3 * 5].toarray().ravel()
+    np.testing.assert_allclose(row[0], 1 - np.exp(-5.2) * (1 + 5.2 + 5.2**2 / 2), rtol=1e-12)
+    assert stock.target.transition_rewards[3 * 5, 0] == 9.0  # three sold, nothing left
+    np.testing.assert_allclose(every["queue25"].target.transitions[0, 1], 0.55)
+
+
+def test_the_large_tandem_queue_of_two_thousand_states():
+    family = tandem(45)
+    assert family.simulator.n_states == 2025
+    assert round(family.truth, 1) == -110.3
+    slow = np.eye(4)[np.zeros(2025, dtype=int)]
+    assert round(oee.policy_value(family.target, slow), 1) == -110.0
+    assert "tandem45" in oee.bench.families(large=True)
+    assert "tandem45" not in NAMES
+
+
+def test_sick_patients():
+    if "icu_sepsis" not in NAMES:
+        pytest.skip(oee.bench.families().left_out["icu_sepsis"])
+    family = oee.bench.families()["icu_sepsis"]
+    assert round(family.truth, 2) == 0.53
+    assert round(oee.policy_value(family.simulator, family.policy), 3) == 0.722
+
+
+def test_without_the_extra_a_family_is_left_out_with_a_sentence(monkeypatch):
+    monkeypatch.setattr(gymnasium_own, "icu_file", lambda: None)
+    every = oee.bench.families()
+    assert "icu_sepsis" not in every
+    with pytest.raises(KeyError, match=re.escape("pip install 'oee-tabular[bench]'")):
+        every["icu_sepsis"]
+
+
+def test_families_are_made_when_they_are_looked_up_and_only_once():
+    every = oee.bench.families(3)
+    assert not every._made
+    assert every["garnet_worse"] is every["garnet_worse"]
+    assert list(every._made) == ["garnet_worse"]
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_random_parts_are_redrawn_by_the_seed_and_by_nothing_else(name):
+    again, other = oee.bench.families(0), oee.bench.families(1)
+    other["garnet_replaced"]  # another one before it changes nothing
+    here = oee.bench.families(0)[name]
+    assert np.array_equal(here.target.transitions.toarray(), again[name].target.transitions.toarray())
+    assert other[name].truth != here.truth
+    assert oee.bench.families(1)[name].truth == other[name].truth
+    assert oee.bench.families(np.int64(1))[name].truth == other[name].truth
+
+
+def test_garnets_of_any_size():
+    assert garnet_worse(10).simulator.n_states == 10
+    assert garnet_worse(10, seed=1).truth != garnet_worse(10).truth
+    family = garnet_worse(20)
+    assert family.truth < oee.policy_value(family.simulator, family.policy)
+    with pytest.raises(ValueError, match="n_states must be at least 5; it is 4"):
+        garnet_worse(4)
+
+
+@pytest.mark.parametrize("name", ["machine", "corridor30", "clinical_trial", "frozen_lake", "gambler"])
+def test_the_data_distribution_is_that_of_long_logs(name):
+    family = oee.bench.families()[name]
+    log = family.log(200_000, seed=1)
+    shape = family.data_distribution.shape
+    share = np.bincount(log.state * shape[1] + log.action, minlength=np.prod(shape)).reshape(shape) / len(log)
+    np.testing.assert_allclose(share, family.data_distribution, atol=0.005)
+    lengths = np.diff(log.episode_starts)
+    assert lengths.max() <= family.length
+
+
+def test_episodes_that_start_where_they_are_over_have_one_move():
+    rows = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
+    mdp = oee.FiniteMDP(rows, [1.0, 0.0], [0.5, 0.5], 0.9)
+    family = Family(mdp, mdp, [[1.0], [1.0]], [[1.0], [1.0]], "Nothing.", length=3)
+    np.testing.assert_allclose(family.moves_per_state_action.ravel(), [0.5 * 1.75, 0.5])
+
+
+def test_logs_are_exact_and_reproducible():
+    family = oee.bench.families()["floor_motor"]
+    one, two = family.log(777, seed=4), family.log(777, seed=4)
+    assert len(one) == 777
+    assert all(np.array_equal(one.columns()[name], two.columns()[name]) for name in one.columns())
+    assert not np.array_equal(one.state, family.log(777, seed=5).state)
+    np.testing.assert_allclose(one.behavior_probability, family.data_policy[one.state, one.action])
+    assert family.size(0.3) == round(0.3 * family.open_rows)
+    assert family.size(1e-6) == 1
+
+
+PAIR = oee.bench.families()["corridor30"]
+GRID = oee.tasks.gridworld(3, 0.1)
+STILL = oee.tasks.gridworld(3, 0.0)
+
+
+def family(**changes):
+    given = {"simulator": PAIR.simulator, "target": PAIR.target, "policy": PAIR.policy, "data_policy": PAIR.data_policy}
+    return Family(**({"about": "Something."} | given | changes))
+
+
+BAD = {
+    "another size": (lambda: family(target=GRID), r"target and simulator must have the same states and actions; .*\(60, 30\)"),
+    "no mdp": (lambda: family(simulator=3), "simulator must be a FiniteMDP; got int"),
+    "support": (
+        lambda: family(simulator=STILL, target=GRID, policy=oee.uniform_policy(GRID), data_policy=oee.uniform_policy(GRID)),
+        r"target must stay where the simulator has probability: it gives probability 0 to \d+ different moves .*s=0, a=",
+    ),
+    "policy": (lambda: family(policy=np.ones((30, 2))), r"policy\[0\] must sum to 1 .*it sums to 2"),
+    "data policy": (lambda: family(data_policy=np.ones((2, 2)) / 2), r"data_policy must have shape \(30, 2\)"),
+    "discount": (
+        lambda: family(target=PAIR.target.with_discount(0.9)),
+        "target must have the simulator's discount, 0.98; it has 0.9",
+    ),
+    "rewards": (
+        lambda: family(target=PAIR.target.with_rewards(2 * PAIR.target.rewards)),
+        r"target must pay the simulator's rewards .*; at s=0, a=0 it pays -2 on average, with the simulator's rewards -1",
+    ),
+    "start": (
+        lambda: family(
+            target=oee.FiniteMDP(PAIR.target.transitions, PAIR.target.rewards, np.eye(30)[0], PAIR.target.discount)
+        ),
+        r"target must have the simulator's initial distribution; initial\[0\] is 1 there, 0.0344828 in the simulator",
+    ),
+    "about": (lambda: family(about=" "), "about must be a sentence that says what the simulator has wrong; got ' '"),
+    "horizon": (lambda: family(horizon=0), "horizon must be a positive integer; it is 0"),
+    "length": (lambda: family(length=2.5), "length must be a positive integer; got 2.5"),
+    "moves": (lambda: PAIR.log(0, seed=0), "n must be a positive integer; it is 0"),
+    "size": (lambda: PAIR.size(-1), r"per_row must be in \[0, inf\); it is -1"),
+    "log's seed": (lambda: PAIR.log(3, seed="x"), "seed must be what numpy.random.default_rng takes; got 'x'"),
+    "seed": (lambda: oee.bench.families(-1), "seed must be an integer from 0; got -1"),
+    "seed's type": (lambda: oee.bench.families(0.5), "seed must be an integer from 0; got 0.5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_calls(name):
+    call, text = BAD[name]
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+def test_an_unknown_name_names_the_nearest():
+    with pytest.raises(KeyError, match=r"family must be one of inventory20, .*; got 'inventory'; nearest: inventory"):
+        oee.bench.families()["inventory"]
