@@ -76,7 +76,8 @@ def test_a_sentence_says_how_the_value_moves_from_simulator_to_log():
     found = report(TARGET, 400)
     value, facts = found.results[0].estimate.value, found.results[0].estimate.diagnostics
     (said,) = found.sureness.policies.values()
-    assert f"orrected by the log {value:.3f} (exact value of zeta * P " in said
+    says = oee.policy_value(SIMULATOR, POLICY["mine"])
+    assert f"The simulator says {says:.4g}; corrected by the log {value:.3f} (exact value of zeta * P " in said
     assert f"one-step {facts['one_step_value']:.3f}, moved " in said
 
 

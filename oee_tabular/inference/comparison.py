@@ -18,7 +18,7 @@ from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_share
+from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
 
 
@@ -34,7 +34,8 @@ class Comparison:
     lower, upper : (k, k) intervals for the differences, at ``confidence``
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
-    unseen_share : (k,) of each policy's discounted time, that in rows the log has never seen and that have several next states
+    unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
+        the log has never seen
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -162,7 +163,7 @@ def compare_policies(
     best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
-    unseen = np.array([unseen_share(evidences[i]) for i in order])
+    unseen = np.array([share / max(alive, 1e-300) for share, alive in (unseen_time(evidences[i]) for i in order)])
     variance = np.diag(covariance)
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))

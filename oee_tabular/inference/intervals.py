@@ -10,7 +10,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_share
+from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.robust import contradicted_rows, describe_rows, extreme_value, radii
@@ -184,4 +184,4 @@ def interval(
 def _coverage(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
     reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
-    return {"unvisited_share": unseen_share(evidence), "unvisited_rows": int(reached.sum())}
+    return {"unvisited_share": unseen_time(evidence)[0], "unvisited_rows": int(reached.sum())}

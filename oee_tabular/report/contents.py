@@ -95,7 +95,7 @@ def answers(report: Report) -> list[Answer]:
         own = [result for result in report.results if result.policy == policy]
         first, rows = headline(own), [row for row in report.records() if row["policy"] == policy]
         best = rows[own.index(first)]
-        simulator = next((row["value"] for row in rows if row["estimator"] == "simulator"), best.get("simulator_value"))
+        simulator = next((row["value"] for row in rows if row["estimator"] == "simulator"), None)
         found.append(
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"], simulator,

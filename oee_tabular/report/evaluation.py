@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks, advice
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -101,7 +101,7 @@ def evaluate(
         likelihood = sure.intervals.get(result.policy, {}).get(LIKELIHOOD)
         found = quoted(result.estimate, likelihood, problem, named_policies[result.policy], level)
         results.append(replace(result, estimate=found))
-    sure = _told(sure, results, scale)
+    sure = _told(sure, results, problem, named_policies, scale)
     findings = [f for r in results for f in advice.about_estimate(r.policy, r.estimator, r.estimate, scale)]
     about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
     general = [text for text, _ in about]
@@ -133,17 +133,18 @@ def evaluate(
     )  # fmt: skip
 
 
-def _told(sure: Sureness, results: Sequence[Result], scale: float) -> Sureness:
+def _told(
+    sure: Sureness, results: Sequence[Result], problem: Problem, policies: Mapping[str, Any], scale: float
+) -> Sureness:
     """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
-    by_policy: dict[str, list[Result]] = {}
-    for result in results:
-        by_policy.setdefault(result.policy, []).append(result)
-    policies = {
-        name: " ".join(filter(None, (sure.policies.get(name), way({r.estimator: r.estimate for r in own}, scale))))
-        for name, own in by_policy.items()
-    }
-    values = {name: headline(own).estimate.value for name, own in by_policy.items()}
-    return ranked(replace(sure, policies=policies), values)
+    about, values = {}, {}
+    for name, policy in policies.items():
+        own = [result for result in results if result.policy == name]
+        values[name] = headline(own).estimate.value
+        by_name = {result.estimator: result.estimate for result in own}
+        simulator = Simulator()(problem, policy).value
+        about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator, scale))))
+    return ranked(replace(sure, policies=about), values)
 
 
 def _named(policies: Any) -> dict[str, Any]:

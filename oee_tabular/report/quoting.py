@@ -32,11 +32,11 @@ def corrected(estimate: Estimate) -> bool:
 def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float) -> Estimate:
     """The estimate with the interval to quote, and a value inside it.
 
-    A value that the log corrects has the likelihood interval ``sure``, where there
-    is one; outside of it stands no value: the one-step value takes its place, or else maximum likelihood's
-    (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus or minus a
-    normal quantile times the standard error, where that counts what matters: not below ``LEAST_COVERAGE``, not where the
-    variance is not known. ``diagnostics["interval_method"]`` names what it is.
+    A value that the log corrects has the likelihood interval ``sure``, where there is one; outside of it stands no value: the
+    one-step value takes its place, or else maximum likelihood's (``replaced_value``, ``replaced_by``). Others have the
+    estimator's own interval, at ``level``, or value plus or minus a normal quantile times the standard error, where that
+    counts what matters: not below ``LEAST_COVERAGE``, not where the variance is not known.
+    ``diagnostics["interval_method"]`` names what it is.
     """
     facts = estimate.diagnostics
     if sure is not None and sure.status == "ok" and corrected(estimate):
@@ -63,39 +63,26 @@ def _measured(facts: Mapping[str, Any]) -> float:
 
 
 def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array) -> Estimate:
-    facts, value, error = (
-        estimate.diagnostics | {"interval_method": LIKELIHOOD},
-        estimate.value,
-        estimate.standard_error,
-    )
+    facts, value = estimate.diagnostics | {"interval_method": LIKELIHOOD}, estimate.value
     room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
     low, high = sure.lower - room, sure.upper + room
     if not low <= value <= high:
         facts |= {"replaced_value": value, "replaced_by": "the one-step value"}
-        value, error = facts.get("one_step_value", math.nan), facts.get("one_step_standard_error")
+        value = facts.get("one_step_value", math.nan)
     if not low <= value <= high:
         facts["replaced_by"] = "the maximum-likelihood value"
         value = ModelBased(fallback="simulator")(problem, policy).value
-    return replace(
-        estimate, value=value, standard_error=error, interval=(min(sure.lower, value), max(sure.upper, value)),
-        diagnostics=facts,
-    )  # fmt: skip
+    ends = (min(sure.lower, value), max(sure.upper, value))
+    return replace(estimate, value=value, interval=ends, diagnostics=facts)
 
 
-def way(estimates: Mapping[str, Estimate], scale: float) -> str:
-    """How the values that the log corrects, by estimator, move from the simulator to the log, and where they were left."""
+def way(estimates: Mapping[str, Estimate], simulator: float, scale: float) -> str:
+    """How the values that the log corrects, by estimator, move from the ``simulator``'s, and where they were left."""
     told = {name: _steps(estimate, scale) for name, estimate in estimates.items() if corrected(estimate)}
     if not told:
         return ""
-    said = (
-        f" {next(iter(told.values()))}"
-        if len(told) == 1
-        else ": " + "; ".join(f"{k} {text}" for k, text in told.items())
-    )
-    known = (estimates[name].diagnostics.get("simulator_value") for name in told)
-    simulator = next((value for value in known if value is not None), None)
-    if simulator is None:
-        return f"Corrected by the log{said}."
+    listed = ": " + "; ".join(f"{name} {text}" for name, text in told.items())
+    said = listed if len(told) > 1 else f" {next(iter(told.values()))}"
     return f"The simulator says {simulator * scale:.4g}; corrected by the log{said}."
 
 
