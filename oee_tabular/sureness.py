@@ -23,7 +23,7 @@ SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
     "moves, are left out."
 )
-ENOUGH = 0.9  # of a policy's time in rows that the log has: below it a paired comparison does not rank
+ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
 
 
 @dataclass(frozen=True)

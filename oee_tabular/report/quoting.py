@@ -12,6 +12,7 @@ from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, ModelBased, Problem
 from oee_tabular.inference import Interval
+from oee_tabular.sureness import ENOUGH
 
 LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {
@@ -20,7 +21,6 @@ METHODS: Mapping[str, str] = {
     OWN: "as the estimator gives it",
     NOISE: "value plus or minus normal quantile x standard error: the noise of the log, or of the rollouts, alone",
 }
-LEAST_COVERAGE = 0.9  # below it no interval that counts the noise alone
 _OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 
 
@@ -35,7 +35,7 @@ def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: 
     A value that the log corrects has the likelihood interval ``sure``, where there is one; outside of it stands no value: the
     one-step value takes its place, or else maximum likelihood's (``replaced_value``, ``replaced_by``). Others have the
     estimator's own interval, at ``level``, or value plus or minus a normal quantile times the standard error, where that
-    counts what matters: not below ``LEAST_COVERAGE``, not where the variance is not known.
+    counts what matters: not below ``ENOUGH``, not where the variance is not known.
     ``diagnostics["interval_method"]`` names what it is.
     """
     facts = estimate.diagnostics
@@ -49,7 +49,7 @@ def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: 
         lower, upper = (estimate.value + factor * (end - estimate.value) for end in estimate.interval)
         return replace(estimate, interval=(lower, upper))
     error = estimate.standard_error
-    if error is None or not math.isfinite(estimate.value) or _measured(facts) < LEAST_COVERAGE:
+    if error is None or not math.isfinite(estimate.value) or _measured(facts) < ENOUGH:
         return estimate
     if error <= 1e-12 * max(1.0, abs(estimate.value)):  # 0, to roundoff
         return replace(estimate, standard_error=0.0)
