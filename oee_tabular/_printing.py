@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 
 SUM = "discounted sum of rewards, not normalised"  # what a value is, wherever nothing else is said
 _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
+
+
+def spec(lower: float, upper: float) -> str:
+    """The format of an interval's ends, and of the value between them: four digits, and two at least of the width.
+
+    Examples
+    --------
+    >>> [format(x, spec(-11020.31, -11019.8)) for x in (-11020.31, -11020.0, -11019.8)]
+    ['-11020.31', '-11020.00', '-11019.80']
+    """
+    largest, width = max(abs(lower), abs(upper)), upper - lower
+    if not math.isfinite(largest) or largest == 0.0:
+        return ".4g"
+    first = math.floor(math.log10(largest))  # the places of the first and the last digit
+    last = min(first - 3, math.floor(math.log10(width)) - 1) if width > 0.0 else first - 3
+    last = max(last, first - 14)
+    return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
+
+
+def interval(lower: float, upper: float) -> str:
+    """[lower, upper], as ``spec`` says."""
+    form = spec(lower, upper)
+    return f"[{lower:{form}}, {upper:{form}}]"
 
 
 def table(

@@ -1,29 +1,12 @@
-"""Plain-language warnings: what a result does not tell, and what would help."""
+"""Plain-language warnings: what a result does not tell."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
+from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, Problem
-from oee_tabular.inference import Interval
-
-
-class Result(Protocol):
-    """One estimator's value of one policy."""
-
-    @property
-    def policy(self) -> str:
-        """Its name."""
-
-    @property
-    def estimator(self) -> str:
-        """Its name."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """The value."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +51,11 @@ def about_problem(problem: Problem) -> list[tuple[str, bool]]:
     return found
 
 
-def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Finding]:
-    """What a reader must know before using this number."""
+def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float = 1.0) -> list[Finding]:
+    """What a reader must know before using this number; ``scale`` multiplies values that are shown."""
     facts = estimate.diagnostics
+    no_interval = estimate.interval is None and estimate.standard_error is not None
+    bare = estimate.standard_error is not None and "one_step_distance" not in facts  # unseen rows are not in it
     found: list[Finding] = []
 
     def add(kind: str, severity: float, figure: str, text: str) -> None:
@@ -87,11 +72,29 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             f"{fallback:.0%}",
             "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
             + (
-                "What is said of them comes from moves of the same kind elsewhere (the tie). "
+                "What is said of them comes from moves of the same kind elsewhere (the tie)."
                 if "n_keys" in facts
-                else "Nothing there is learned from the target, and the standard error does not cover it. "
-            )
-            + f"Record first: {facts['unseen']}.",
+                else "Nothing there is learned from the target"
+                + (", and the standard error does not cover it" if bare else "")
+                + (": there is no interval." if no_interval else ".")
+            ),
+        )
+    if no_interval and estimate.standard_error == 0.0:
+        add(
+            "constant",
+            1.0,
+            "0",
+            "the standard error is {} because what was seen never varied, which does not make the value certain: there is no "
+            "interval.",
+        )
+    single = facts.get("single_share", 0.0)
+    if no_interval and single > 0.02:
+        add(
+            "single",
+            single,
+            f"{single:.0%}",
+            "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is not "
+            "known: there is no interval.",
         )
     uncovered = facts.get("uncovered_mass", 0.0)
     if uncovered > 0.01:
@@ -142,14 +145,14 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
             "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
             "own starts.",
         )
-    apart = facts.get("one_step_distance", 0.0)
-    if apart > 3.0:
+    if "replaced_value" in facts and estimate.interval is not None:
+        replaced, (lower, upper) = facts["replaced_value"], estimate.interval
         add(
-            "prior",
-            apart,
-            f"{facts['one_step_value']:.5g}",
-            "the prior that the ratio is shrunk to does not fit the log along this policy; the one-step corrected value, {} "
-            "(as a discounted sum), does not rest on it.",
+            "outside",
+            max(lower - replaced, replaced - upper),
+            format(replaced * scale, _printing.spec(lower * scale, upper * scale)),
+            f"the estimator's own value, {{}}, lies outside the interval that the log allows; {facts['replaced_by']} stands in "
+            "its place.",
         )
     gap = facts.get("gap", 0.0)
     if gap > 1e-6:
@@ -157,45 +160,6 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate) -> list[Find
     error_bound = facts.get("error_bound", 0.0)
     if error_bound > 1e-6 * max(1.0, abs(estimate.value)):
         add("linear algebra", error_bound, f"{error_bound:.1e}", "the linear algebra is certain only to {}.")
-    return found
-
-
-def about_intervals(
-    results: Sequence[Result], intervals: Mapping[str, Mapping[str, Interval]], scale: float
-) -> list[Finding]:
-    """What likelihood intervals say of the values of off-environment evaluation; ``scale`` multiplies what is shown."""
-    found = []
-    for result in results:
-        sure = intervals.get(result.policy, {}).get("likelihood")
-        value, shown = result.estimate.value, result.estimate.interval
-        if result.estimator != "oee" or sure is None or sure.status != "ok":
-            continue
-        if sure.lower <= value <= sure.upper:
-            times = (sure.upper - sure.lower) / (shown[1] - shown[0]) if shown and shown[1] > shown[0] else 1.0
-            if times > 1.25:
-                found.append(
-                    Finding(
-                        "noise only",
-                        "oee",
-                        result.policy,
-                        times,
-                        f"{times:.2g}",
-                        "the interval in the table counts the noise of the log, not what the simulator's shape, to which the "
-                        "ratio is shrunk, may miss; the likelihood interval below, {} times as wide, counts both.",
-                    )
-                )
-            continue
-        found.append(
-            Finding(
-                "outside",
-                "oee",
-                result.policy,
-                max(sure.lower - value, value - sure.upper),
-                f"{sure.lower * scale:.4g} to {sure.upper * scale:.4g}",
-                "the value lies outside the likelihood interval, {}, which rests on the log alone: the simulator's shape, to "
-                "which the ratio is shrunk, pulls it further than the log supports. Quote the interval.",
-            )
-        )
     return found
 
 

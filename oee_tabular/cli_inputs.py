@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from oee_tabular import _printing
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
@@ -46,10 +49,19 @@ def report_summary(path: Path) -> str:
             f"Simulator: {report['facts']['simulator']}",
             f"Log: {report['facts']['log']}",
         ]
-        lines += [f"{row['policy']}  {row['estimator']}  {row['value']}" for row in report["results"]]
+        lines += [
+            f"{row['policy']}  {row['estimator']}  {row['value']}{_interval_of(row)}" for row in report["results"]
+        ]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
     return "\n".join(lines)
+
+
+def _interval_of(row: Mapping[str, Any]) -> str:
+    """With its method, where a row has one."""
+    if row["lower"] is None or row["upper"] is None:
+        return ""
+    return f"  {_printing.interval(row['lower'], row['upper'])} ({row.get('interval_method')})"
 
 
 def task_of(spec: str, discount: float | None) -> NamedTask:

@@ -2,32 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import NormalDist
+from typing import Any, Literal
 
 import numpy as np
 
+from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import transition_gradient
-from oee_tabular.inference import Interval, interval
-from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows
+from oee_tabular.inference import Comparison, Interval, compare_policies, interval
+from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
 
 LARGEST = 200_000  # entries beyond which the likelihood interval is left out: its fixed point takes minutes
 
 SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
-    "moves, are left out. The intervals shown are the delta method's."
+    "moves, are left out."
 )
+ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
 
 
 @dataclass(frozen=True)
 class Sureness:
-    """Intervals of each policy, by method, and sentences that end a report."""
+    """How sure the log makes the values of policies.
 
-    intervals: Mapping[str, Mapping[str, Interval]]
-    sentences: tuple[str, ...]
+    Attributes
+    ----------
+    intervals : of each policy, by method
+    distance : how far the target is from the simulator, and why there are no likelihood intervals where there are none
+    policies : what there is to say of each policy
+    ranking : which policy is worth most, if the log can say so; "" of a single one
+    next : the one piece of advice for the next recording
+    """
+
+    intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
+    distance: tuple[str, ...] = ()
+    policies: Mapping[str, str] = field(default_factory=dict)
+    ranking: str = ""
+    next: str = ""
+    comparison: Comparison | None = None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What ends a report."""
+        told = (f"{name}: {text}" for name, text in self.policies.items() if text)
+        return (*self.distance, *told, *filter(None, (self.ranking, self.next)))
 
 
 def how_sure(
@@ -35,33 +58,72 @@ def how_sure(
 ) -> Sureness:
     """Likelihood intervals (and guaranteed ones) of every policy; distance, width and the next (s, a) in words.
 
-    ``scale`` multiplies values in the sentences (1 - discount for normalised reports).
+    ``scale`` multiplies values in the sentences (1 - discount for normalised reports). ``ranking`` is left to ``ranked``, which
+    needs the values.
     """
-    if problem.observed is not problem.log:
-        if guaranteed:
-            raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
-        return Sureness({}, (SOFT,))
-    evidence = gather(problem, next(iter(policies.values())))
+    soft = problem.observed is not problem.log
+    if soft and guaranteed:
+        raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
+    evidences = {name: gather(problem, policy) for name, policy in policies.items()}
+    evidence = next(iter(evidences.values()))
+    endless = problem.simulator.discount == 1.0 and problem.horizon is None
     lacking = ""
-    if problem.simulator.discount == 1.0 and problem.horizon is None:
+    if endless:
         lacking = "at discount 1 they need a horizon"
     elif len(evidence.phat) > LARGEST:
         lacking = f"the reachable moves are {len(evidence.phat)}, more than {LARGEST}"
     if lacking and guaranteed:
         raise ValueError(f"guaranteed must be False here: {lacking}")
-    if lacking:
-        return Sureness({}, (_distance(evidence), f"There are no likelihood intervals: {lacking}."))
-    methods = ("likelihood", "robust") if guaranteed else ("likelihood",)
     intervals: dict[str, dict[str, Interval]] = {}
-    sentences = [_distance(evidence)]
-    for name, policy in policies.items():
-        found = {
-            method: interval(problem, policy, method=method, confidence=confidence)  # type: ignore[arg-type]
-            for method in methods
-        }
-        intervals[name] = found
-        sentences.append(_width(name, found, confidence, scale) + " " + _next(gather(problem, policy)))
-    return Sureness(intervals, tuple(sentences))
+    distance = [SOFT if soft else _distance(evidence)]
+    if lacking and not soft:
+        distance.append(f"There are no likelihood intervals: {lacking}.")
+    elif not soft:
+        intervals = {name: _intervals(problem, policy, confidence, guaranteed) for name, policy in policies.items()}
+    several = len(policies) > 1 and not endless
+    each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
+    return Sureness(
+        intervals,
+        tuple(distance),
+        {name: _width(found, confidence, scale) for name, found in intervals.items()},
+        next="" if endless else _next(list(evidences.values()), confidence),
+        comparison=compare_policies(problem, policies, confidence=each) if several else None,
+    )
+
+
+def _intervals(problem: Problem, policy: Array, confidence: float, guaranteed: bool) -> dict[str, Interval]:
+    methods: tuple[Literal["likelihood", "robust"], ...] = ("likelihood", "robust") if guaranteed else ("likelihood",)
+    return {method: interval(problem, policy, method=method, confidence=confidence) for method in methods}
+
+
+def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
+    """With the sentence about the best policy; ``values`` are those that are shown.
+
+    A policy is out where another is surely better: its likelihood interval lies below, or the paired comparison says so and
+    the log has ``ENOUGH`` of both policies' time.
+    """
+    finite = [name for name, value in values.items() if math.isfinite(value)]
+    if len(values) < 2 or not finite:
+        return sure
+    leader = max(finite, key=lambda name: values[name])
+    best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
+    if len(best) == 1:
+        return replace(sure, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.")
+    names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
+    rest = len(values) - len(best)
+    less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""
+    return replace(sure, ranking=f"The log cannot say which of {names} is worth most in the target{less}.")
+
+
+def _better(sure: Sureness, one: str, other: str) -> bool:
+    ours, theirs = (sure.intervals.get(name, {}).get("likelihood") for name in (one, other))
+    if ours is not None and theirs is not None and ours.lower > theirs.upper:
+        return True
+    found = sure.comparison
+    if found is None:
+        return False
+    i, j = found.names.index(one), found.names.index(other)
+    return bool(found.lower[i, j] > 0 and max(found.unseen_share[[i, j]]) <= 1.0 - ENOUGH)
 
 
 def _distance(evidence: Evidence) -> str:
@@ -70,9 +132,8 @@ def _distance(evidence: Evidence) -> str:
     The rows' tests are KL balls that hold at any number of moves, sharing 5%.
     The test of all moves together is the score test of the tilt: sum (n - n_sa P) log P over its standard deviation under P.
     """
-    data = evidence.model.transitions.data
     rows, starts = evidence.rows, evidence.indptr[:-1]
-    simulator = data / np.add.reduceat(data, starts)[rows]
+    simulator = simulated_rows(evidence)
     seen = evidence.phat > 0
     terms = np.zeros(len(seen))
     terms[seen] = evidence.phat[seen] * np.log(evidence.phat[seen] / simulator[seen])
@@ -104,46 +165,50 @@ def _distance(evidence: Evidence) -> str:
     )
 
 
-def _width(name: str, found: Mapping[str, Interval], confidence: float, scale: float) -> str:
+def _width(found: Mapping[str, Interval], confidence: float, scale: float) -> str:
     shown = found["likelihood"]
     if shown.status != "ok":
-        return f"{name}: {shown.status}."
-    text = (
-        f"{name}: between {shown.lower * scale:.4g} and {shown.upper * scale:.4g} with {confidence:.0%} confidence by the "
-        "likelihood interval, the one to quote"
-    )
+        return f"{shown.status}."
+    text = f"{_between(shown, scale)} with {confidence:.0%} confidence by the likelihood interval, the one to quote"
     unseen = int(shown.diagnostics["unvisited_rows"])
-    if unseen:
-        if unseen == 1:
-            text += " (the reachable state-action pair never recorded at its worst)"
-        else:
-            text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"
+    if unseen == 1:
+        text += " (the reachable state-action pair never recorded at its worst)"
+    elif unseen:
+        text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"
     if "robust" in found:
-        sure = found["robust"]
-        text += f"; guaranteed, between {sure.lower * scale:.4g} and {sure.upper * scale:.4g}"
+        text += f"; guaranteed, {_between(found['robust'], scale)}"
     return text + "."
 
 
-def _next(evidence: Evidence) -> str:
-    """The (s, a) whose next move narrows the interval most: never recorded ones first, then argmax c / (n (n + 1))."""
-    model = evidence.with_rows(evidence.phat)
-    gradient = transition_gradient(model, evidence.policy, horizon=evidence.horizon)
-    starts, rows = evidence.indptr[:-1], evidence.rows
-    mean = np.add.reduceat(evidence.phat * gradient, starts)
-    cost = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts)
-    spread = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
-    unseen = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
-    gain = np.where(evidence.n > 0, cost / np.maximum(evidence.n * (evidence.n + 1.0), 1.0), 0.0)
-    if unseen.any() and float(spread[unseen].max()) > 0:
-        k = int(np.argmax(np.where(unseen, spread, -1.0)))
-        why = "never recorded"
-    elif float(gain.max()) > 0:
-        k = int(np.argmax(gain))
-        share = cost[k] / evidence.n[k] / max(float(np.sum(cost[evidence.n > 0] / evidence.n[evidence.n > 0])), 1e-300)
-        why = f"{evidence.n[k]:g} moves so far, {100 * share:.0f}% of the variance"
-    else:
+def _between(found: Interval, scale: float) -> str:
+    lower, upper = found.lower * scale, found.upper * scale
+    form = _printing.spec(lower, upper)
+    return f"between {lower:{form}} and {upper:{form}}"
+
+
+def _next(evidences: Sequence[Evidence], confidence: float) -> str:
+    """The (s, a) whose next move narrows the policies' intervals most, by what it may take off their widths, summed.
+
+    Off a row never recorded the range of the gradient in it (it stood at its worst); off a recorded one, of variance c / n, z
+    times c / (n (n + 1)) / sqrt(sum c / n): by so much 2 z sqrt(sum c / n) falls.
+    """
+    first = evidences[0]
+    starts, rows, n = first.indptr[:-1], first.rows, np.maximum(first.n, 1.0)
+    gain, share = np.zeros(len(n)), np.zeros(len(n))
+    for evidence in evidences:
+        gradient = transition_gradient(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+        mean = np.add.reduceat(evidence.phat * gradient, starts)
+        cost = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts) / n * (first.n > 0)
+        total = max(float(cost.sum()), 1e-300)
+        width = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
+        never = (first.n == 0) & first.open_rows & reached_rows(evidence)
+        share += cost / total / len(evidences)
+        gain += np.where(never, width, NormalDist().inv_cdf(0.5 + confidence / 2.0) * cost / (n + 1.0) / np.sqrt(total))
+    if not gain.any():
         return "More moves would not narrow it."
-    state, action = divmod(k, evidence.model.n_actions)
+    k = int(np.argmax(gain))
+    why = f"{first.n[k]:.4g} moves so far, {100 * share[k]:.0f}% of the variance" if first.n[k] else "never recorded"
+    state, action = divmod(k, first.model.n_actions)
     return f"What would help most: moves of action {action} in state {state} ({why})."
 
 

@@ -163,7 +163,9 @@ def test_warnings_are_lines_not_python(capsys, tmp_path, monkeypatch):
 def test_info_of_reports_and_of_nothing(capsys, tmp_path):
     run(capsys, "evaluate", "--estimators", "oee", "--output", tmp_path / "out")
     for path in (tmp_path / "out", tmp_path / "out" / "report.json"):
-        assert "Report of (1 - discount)" in run(capsys, "info", path)
+        told = run(capsys, "info", path)
+        assert "Report of (1 - discount)" in told
+        assert "] (likelihood)" in told
     assert "no such file: nofile" in run(capsys, "info", "nofile", code=2)
     (tmp_path / "other.json").write_text("{}")
     assert "must be a report that oee evaluate wrote" in run(capsys, "info", tmp_path / "other.json", code=2)

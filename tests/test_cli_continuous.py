@@ -1,6 +1,7 @@
 """The command on continuous tasks: a small CartPole end to end, and what it says to bad calls."""
 
 import json
+import re
 import warnings
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.cli import main
-from oee_tabular.estimators import calibrate
+from oee_tabular.estimators import Estimate, calibrate
 from oee_tabular.report import Settings, evaluate_continuous
+from oee_tabular.report.continuous_estimators import Calibrated, MonteCarloValue
 from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, monte_carlo_value, named_task, record
 from oee_tabular.tasks.named_continuous import continuous_simulator
 
@@ -429,3 +431,30 @@ def test_the_arm_needs_a_form(capsys, tmp_path):
     assert "form must be one of 'arm', 'hand'; got 'elbow'" in run(capsys, *words, code=2)
     words = ["evaluate", "--simulator", "kinova", "--log", tmp_path / "log.npz"]
     assert "log.state must have the 27 coordinates of Kinova Gen3" in run(capsys, *words, code=2)
+
+
+def test_the_advice_says_where_a_cell_is_and_the_calibrated_value_keeps_its_interval():
+    simulator, target = (continuous_simulator(f"cartpole:gravity={g}") for g in (10, 15))
+    log = target.record(target.policy("mix:0.7"), n_transitions=500, seed=0)
+    few = Settings(episodes=200)
+    report = evaluate_continuous(
+        simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"], horizon=20
+    )
+    assert re.search(r"What would help most: moves of action \d in state \d+ \(theta=.*, theta_dot=", str(report))
+
+    def raw(problem, policy, *, seed=None):
+        return Estimate(
+            10.0, 0.5, (9.02, 10.98), {"interval_method": "one-step", "one_step_value": 9.9, "row_sum_error": 0.0}
+        )
+
+    assert report.problem is not None
+    table = report.policies["expert"]
+    found = MonteCarloValue(
+        simulator.task, {table.tobytes(): simulator.expert}, 20, 200, 0.99, np.random.SeedSequence(0)
+    )
+    calibrated = Calibrated(raw, found, "difference")(report.problem, table)
+    assert calibrated.interval == pytest.approx(
+        (calibrated.value - 1.96 * calibrated.standard_error, calibrated.value + 1.96 * calibrated.standard_error)
+    )
+    assert calibrated.diagnostics["interval_method"] == "one-step"
+    assert "one_step_value" not in calibrated.diagnostics

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, ModelBased
-from oee_tabular.report.contents import answers, headline
+from oee_tabular.report.contents import answers, first_words
 
 
 def dock(slip=0.1):
@@ -82,26 +82,29 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
 
 
-def constant(value, error=0.01):
-    return lambda problem, policy, *, seed=None: Estimate(value, error)
+def corrected(value, one_step):
+    """Stands for an estimator that corrects by the log."""
+    facts = {"one_step_value": one_step, "one_step_standard_error": 0.02, "row_sum_error": 0.0, "coverage": 1.0}
+    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, diagnostics=facts)
 
 
 @pytest.mark.parametrize("value", [-20.0, 40.0])
-def test_a_value_outside_its_likelihood_interval_is_said_first(value):
+def test_a_value_outside_its_likelihood_interval_is_not_the_answer(value):
     log = oee.sample_transitions(dock(0.3), [[0.2, 0.1]] * 3 + [[0.05, 0.05]], 2000, seed=0)
-    report = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": constant(value)})
-    sure = report.sureness.intervals["mine"]["likelihood"]
+    problem = oee.Problem(dock(), log)
+    sure = oee.interval(problem, FORWARDS)
+    middle = 0.5 * (sure.lower + sure.upper)
+    report = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(value, middle)})
     assert report.warnings == (
-        f"oee (mine): the value lies outside the likelihood interval, {sure.lower:.4g} to {sure.upper:.4g}, which rests on the "
-        "log alone: the simulator's shape, to which the ratio is shrunk, pulls it further than the log supports. Quote the "
-        "interval.",
+        f"oee (mine): the estimator's own value, {value:.3f}, lies outside the interval that the log allows; the one-step "
+        "value stands in its place.",
     )
     assert report.notes["mine", "oee"] == (1,)
-    assert "by the log alone; the estimate that trusts the simulator's shape" in headline(answers(report), 0.95)[0]
-    inside = constant(0.5 * (sure.lower + sure.upper), 0.25 * (sure.upper - sure.lower))
-    calm = oee.evaluate(oee.Problem(dock(), log), {"mine": FORWARDS}, estimators={"oee": inside})
+    assert report.records()[0]["value"] == middle
+    assert f"is worth about {middle:.3f}, and with 95% confidence between" in first_words(report, answers(report))[0]
+    calm = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(middle, value)})
     assert calm.warnings == ()
-    assert "is worth about" in headline(answers(calm), 0.95)[0]
+    assert f"is worth about {middle:.3f}" in first_words(calm, answers(calm))[0]
 
 
 def test_a_free_plan_is_written_as_shares(tmp_path, capsys):

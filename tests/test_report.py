@@ -30,7 +30,11 @@ def test_the_table_holds_every_policy_and_estimator(problem, policies):
     oee_row = report.table.query("policy == 'bold' and estimator == 'oee'").iloc[0]
     estimate = OffEnvironment()(problem, policies["bold"])
     assert oee_row["value"] == estimate.value
-    assert_allclose(oee_row["upper"] - oee_row["lower"], 2 * 1.959963984540054 * estimate.standard_error, rtol=1e-12)
+    sure = oee.interval(problem, policies["bold"])
+    assert (oee_row["lower"], oee_row["upper"], oee_row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
+    row = report.table.query("policy == 'bold' and estimator == 'pdis'").iloc[0]
+    assert_allclose(row["upper"] - row["lower"], 2 * 1.959963984540054 * row["standard_error"], rtol=1e-12)
+    assert row["interval_method"] == "standard error"
 
 
 def test_text_names_unit_truth_and_errors(problem, policies):
@@ -191,11 +195,13 @@ def test_one_divergent_value_does_not_end_the_report():
     assert "At discount 1 without a horizon there is no coverage" in text
 
 
-def test_what_to_record_first_is_named():
+def test_what_to_record_next_is_said_once():
     simulator = oee.tasks.gridworld(3, 0.3)
     log = oee.Transitions([0], [0], [3])
-    report = oee.evaluate(Problem(simulator, log), oee.uniform_policy(simulator), estimators="oee")
-    assert "Record first: s=" in "\n".join(report.warnings)
+    policies = {"a": oee.uniform_policy(simulator), "b": oee.tasks.gridworld_policy(3, 0.5)}
+    text = str(oee.evaluate(Problem(simulator, log), policies, estimators="oee"))
+    assert text.count("What would help most: moves of action ") == 1
+    assert "Record first" not in text
 
 
 def test_a_behaviour_policy_that_the_log_contradicts_is_told():
@@ -204,19 +210,6 @@ def test_a_behaviour_policy_that_the_log_contradicts_is_told():
     problem = Problem(simulator, log, behavior_policy=oee.uniform_policy(simulator))
     assert any(f"differ from behavior_policy in {len(log)} rows" in text for text in oee.evaluate(
         problem, oee.uniform_policy(simulator)).warnings)  # fmt: skip
-
-
-def test_a_prior_that_does_not_fit_is_told():
-    simulator = oee.tasks.gridworld(6, 0.3)
-    kernel = simulator.transitions.toarray().reshape(36, 4, 36).copy()
-    kernel[:18] = kernel[:18][:, [2, 3, 0, 1]]
-    target = simulator.with_transitions(kernel)
-    log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 100_000, seed=0)
-    strong = OffEnvironment(lambda data, sim: oee.transition_ratio(data, sim, prior="simulator", strength=1e4))
-    report = oee.evaluate(
-        Problem(simulator, log, horizon=40), oee.tasks.gridworld_expert(6), estimators={"strong": strong}
-    )
-    assert "the prior that the ratio is shrunk to does not fit" in "\n".join(report.warnings)
 
 
 @pytest.mark.parametrize(

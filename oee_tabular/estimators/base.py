@@ -23,7 +23,8 @@ class Estimate:
     value : float (nan where status says why there is none)
     standard_error : float or None
         What it covers is said by ``diagnostics["standard_error_of"]``: the log, the rollouts, or both.
-    interval : (lower, upper) or None; filled by ``oee.evaluate``
+    interval : (lower, upper) or None: the estimator's own, at 95%; ``oee.evaluate`` puts the one to quote there, and its method
+        into ``diagnostics["interval_method"]``
     diagnostics : plain numbers and words. Where they apply: ``effective_sample_size``, ``largest_weight``, ``coverage``
         (share of the policy's discounted time in (s, a) that the log has seen), ``fallback_share`` (the rest),
         ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs)
@@ -55,7 +56,7 @@ class Estimate:
         if self.standard_error is not None:
             text += f" ± {self.standard_error:.2g} (standard error)"
         if self.interval is not None:
-            text += f", interval [{self.interval[0]:.4g}, {self.interval[1]:.4g}]"
+            text += f", interval {_printing.interval(*self.interval)}"
         return f"{text}; {_printing.SUM}" + ("" if self.status == "ok" else f"; {self.status}")
 
     def _repr_html_(self) -> str:
@@ -63,7 +64,7 @@ class Estimate:
         if self.standard_error is not None:
             rows.append(("standard error", f"{self.standard_error:.2g}"))
         if self.interval is not None:
-            rows.append(("interval", f"[{self.interval[0]:.4g}, {self.interval[1]:.4g}]"))
+            rows.append(("interval", _printing.interval(*self.interval)))
         rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
         return _printing.facts(f"Estimate: {_printing.SUM}", [*rows, ("status", self.status)])
 

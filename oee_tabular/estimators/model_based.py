@@ -35,6 +35,8 @@ class ModelBased(ExactLimit):
     -----
     Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the fallback elsewhere; it attains the
     efficiency bound. With known simulator and full coverage it equals off-environment evaluation without shrinkage.
+    The standard error takes the variance of a row's own frequencies, 0 in a row with one move:
+    ``diagnostics["single_share"]`` is the share of the policy's discounted time in such rows (of several next states).
 
     Examples
     --------
@@ -65,6 +67,10 @@ class ModelBased(ExactLimit):
         shape = (model.n_states, model.n_actions)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
         diagnostics |= coverage(problem, model, pi, totals.reshape(shape))
+        if diagnostics.get("coverage") is not None:
+            repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
+            known = coverage(problem, model, pi, repeated.reshape(shape))["coverage"]
+            diagnostics["single_share"] = diagnostics["coverage"] - known
         error = None
         if model.discount < 1.0 or problem.horizon is not None:
             error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))

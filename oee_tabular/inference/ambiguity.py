@@ -18,7 +18,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import ReweightedModel, reweight
+from oee_tabular.exact import ReweightedModel, occupancy, reweight
 from oee_tabular.mdp import FiniteMDP, check_policy
 
 
@@ -80,6 +80,22 @@ def gather(
         np.diff(indptr) > 1,
         lower_ratio is not None or upper_ratio is not None,
     )
+
+
+def simulated_rows(evidence: Evidence) -> Array:
+    """(entries,) the simulator's probabilities, rows summing to 1."""
+    data = evidence.model.transitions.data
+    return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
+
+
+def unseen_time(evidence: Evidence) -> tuple[float, float]:
+    """Of the policy's discounted time, the share in open rows without data, and that in states that actions can leave.
+
+    Rows without data are the simulator's.
+    """
+    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+    unseen = float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
+    return unseen, float(time[~evidence.model.closed()].sum())
 
 
 def reached_rows(evidence: Evidence) -> BoolArray:

@@ -18,7 +18,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence
+from oee_tabular.inference.ambiguity import Evidence, simulated_rows
 
 FEWEST_EPISODES = 10
 
@@ -57,6 +57,7 @@ def bootstrap_values(
                 f"log must have at least {FEWEST_EPISODES} episodes to be resampled by episodes; it has {len(starts) - 1}"
             )
         episode = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    base = simulated_rows(evidence)
     counts = np.bincount(entry, minlength=size).astype(np.float64)
     values = np.empty(n_bootstrap)
     for b in range(n_bootstrap):
@@ -67,7 +68,7 @@ def bootstrap_values(
         else:
             drawn = generator.multinomial(n, counts / n).astype(np.float64)
         total = np.add.reduceat(drawn, evidence.indptr[:-1])[evidence.rows]
-        p = np.where(total > 0, drawn / np.maximum(total, 1.0), _base(evidence))
+        p = np.where(total > 0, drawn / np.maximum(total, 1.0), base)
         values[b] = _quick_value(evidence, p)
     return value, values
 
@@ -84,9 +85,3 @@ def _quick_value(evidence: Evidence, p: Array) -> float:
     pay = model.reward_data if model.reward_data is not None else model.rewards.reshape(-1)[rows]
     paid = np.bincount(start, weights=weight * pay, minlength=size)
     return float(model.initial @ np.linalg.solve(np.eye(size) - model.discount * kernel, paid))
-
-
-def _base(evidence: Evidence) -> Array:
-    """The simulator's rows."""
-    data = evidence.model.transitions.data
-    return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])

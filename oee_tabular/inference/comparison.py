@@ -18,7 +18,7 @@ from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, gather
+from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
 
 
@@ -34,6 +34,8 @@ class Comparison:
     lower, upper : (k, k) intervals for the differences, at ``confidence``
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
+    unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
+        the log has never seen
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -53,31 +55,34 @@ class Comparison:
     upper: Array
     probability_best: Array
     covariance: Array
+    unseen_share: Array
     confidence: float
 
     def __str__(self) -> str:
         width = max(len(name) for name in self.names)
         lines = [f"{'policy':<{width}}  {'value':>10}  {'std. error':>10}  {'P(best)':>7}  difference from the best"]
         for i, name in enumerate(self.names):
-            text = "" if i == 0 else f"{self.differences[i, 0]:.4g} [{self.lower[i, 0]:.4g}, {self.upper[i, 0]:.4g}]"
+            text = self._difference(i) if i else ""
             lines.append(
                 f"{name:<{width}}  {self.values[i]:>10.5g}  {self.standard_errors[i]:>10.2g}  "
                 f"{100 * self.probability_best[i]:>6.1f}%  {text}"
             )
         return "\n".join([*lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
 
+    def _difference(self, i: int) -> str:
+        """Of policy i from the best, with its interval."""
+        spec = _printing.spec(self.lower[i, 0], self.upper[i, 0])
+        interval = _printing.interval(self.lower[i, 0], self.upper[i, 0])
+        return f"{self.differences[i, 0]:{spec}} {interval}"
+
     def _repr_html_(self) -> str:
-        best = [
-            f"{self.differences[i, 0]:.4g} [{self.lower[i, 0]:.4g}, {self.upper[i, 0]:.4g}]" if i else ""
-            for i in range(len(self.names))
-        ]
         rows = [
             (
                 name,
                 f"{self.values[i]:.5g}",
                 f"{self.standard_errors[i]:.2g}",
                 f"{100 * self.probability_best[i]:.1f}%",
-                best[i],
+                self._difference(i) if i else "",
             )
             for i, name in enumerate(self.names)
         ]
@@ -104,9 +109,11 @@ def compare_policies(
 ) -> Comparison:
     """Differences between policies evaluated on the same log, and how probable it is that each is the best.
 
-    Cov(J_i, J_j) = sum_x Cov_phat(G_i, G_j) / n_x, G the gradient of J at the maximum-likelihood model ("delta"), or the
-    covariance over common resamples of the transitions ("bootstrap"). Differences are much surer than values where
-    policies share their way.
+    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), G the gradient of J at the maximum-likelihood model, Cov_x under the
+    row's frequencies with one move of the simulator's among them, (n_x phat + P) / (n_x + 1) ("delta"): a row that was
+    never recorded is as uncertain as one move of it would leave it, a row seen once is not certain. Or the covariance over
+    common resamples of the transitions, and the rows never recorded as before ("bootstrap"). Differences are much surer
+    than values where policies share their way.
 
     Parameters
     ----------
@@ -118,7 +125,8 @@ def compare_policies(
 
     Notes
     -----
-    Rows without data are the simulator's and taken for known (``interval`` says how many the policy reaches).
+    The values take rows without data to be the simulator's. Where a policy spends much of its time in such rows
+    (``unseen_share``), a target that differs there in one direction can move it by more than the variance tells.
 
     Examples
     --------
@@ -138,21 +146,24 @@ def compare_policies(
     parts = {name: gather(problem, policy) for name, policy in policies.items()}
     names, evidences = list(parts), list(parts.values())
     values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])
+    recorded, never = _covariances(evidences)
+    generator = _checks.generator(seed)
     if method == "delta":
-        covariance = _covariance(evidences)
-        generator = _checks.generator(seed)
-        root = _root(covariance)
-        draws = values + generator.standard_normal((_checks.positive_integer(n_draws, "n_draws"), len(names))) @ root.T
+        covariance = recorded + never
+        noise = generator.standard_normal((_checks.positive_integer(n_draws, "n_draws"), len(names)))
+        draws = values + noise @ _root(covariance).T
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        fixed = int(_checks.generator(seed).integers(1 << 62))  # the same resamples for every policy
+        fixed = int(generator.integers(1 << 62))  # the same resamples for every policy
         draws = np.column_stack(
             [bootstrap_values(problem, e, by="transitions", n_bootstrap=number, seed=fixed)[1] for e in evidences]
         )
-        covariance = np.atleast_2d(np.cov(draws.T))
+        covariance = np.atleast_2d(np.cov(draws.T)) + never
+        draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
     best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
+    unseen = np.array([share / max(alive, 1e-300) for share, alive in (unseen_time(evidences[i]) for i in order)])
     variance = np.diag(covariance)
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
@@ -166,20 +177,21 @@ def compare_policies(
         difference + z * spread,
         best,
         covariance,
+        unseen,
         level,
     )
 
 
-def _covariance(evidences: list[Evidence]) -> Array:
+def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:
+    """Of the values, (k, k) each: from the rows that the log has, and from those that it has not, as of one move."""
     first = evidences[0]
-    starts, rows, seen = first.indptr[:-1], first.rows, first.n > 0
-    centred = []
-    for part in evidences:
-        gradient = transition_gradient(part.with_rows(part.phat), part.policy, horizon=part.horizon)
-        centred.append(gradient - np.add.reduceat(part.phat * gradient, starts)[rows])
-    stacked = np.array(centred)
-    weight = np.where(seen[rows], first.phat / np.maximum(first.n[rows], 1.0), 0.0)
-    return np.asarray((stacked * weight) @ stacked.T)
+    rows, n = first.rows, first.n[first.rows]
+    law = (n * first.phat + simulated_rows(first)) / (n + 1.0)
+    gradients = [transition_gradient(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences]
+    centred = np.array([g - np.add.reduceat(law * g, first.indptr[:-1])[rows] for g in gradients])
+    weight = law / np.maximum(n, 1.0)
+    recorded, never = ((centred * np.where(chosen, weight, 0.0)) @ centred.T for chosen in (n > 0, n == 0))
+    return np.asarray(recorded), np.asarray(never)
 
 
 def _root(covariance: Array) -> Array:

@@ -10,8 +10,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy
-from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows
+from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.robust import contradicted_rows, describe_rows, extreme_value, radii
@@ -41,7 +40,7 @@ class Interval:
     >>> round(found.lower, 2), round(found.upper, 2), pair.truth in found
     (9.68, 10.33, True)
     >>> print(found)
-    [9.6802, 10.3297], 95% likelihood interval; discounted sum of rewards, not normalised
+    [9.68, 10.33], 95% likelihood interval; discounted sum of rewards, not normalised
     """
 
     lower: float
@@ -63,11 +62,12 @@ class Interval:
         what = f"{100 * self.confidence:.4g}% {self.method} interval"
         if self.status != "ok":
             return f"no {what}: {self.status}"
-        return f"[{self.lower:.6g}, {self.upper:.6g}], {what}; {_printing.SUM}"
+        return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
 
     def _repr_html_(self) -> str:
+        spec = _printing.spec(self.lower, self.upper)
         rows: list[tuple[str, object]] = [
-            ("lower", f"{self.lower:.6g}"), ("upper", f"{self.upper:.6g}"), ("width", f"{self.width:.4g}"),
+            ("lower", format(self.lower, spec)), ("upper", format(self.upper, spec)), ("width", f"{self.width:.4g}"),
             ("confidence", f"{100 * self.confidence:.4g}%"), ("method", self.method),
         ]  # fmt: skip
         rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
@@ -183,7 +183,5 @@ def interval(
 
 def _coverage(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
-    unseen = (evidence.n == 0) & evidence.open_rows
-    reached = unseen & reached_rows(evidence)
-    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon).reshape(-1)
-    return {"unvisited_share": float(time[unseen].sum()), "unvisited_rows": int(reached.sum())}
+    reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
+    return {"unvisited_share": unseen_time(evidence)[0], "unvisited_rows": int(reached.sum())}

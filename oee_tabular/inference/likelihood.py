@@ -12,15 +12,14 @@ NeurIPS 2020.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import policy_value, state_values, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence
-from oee_tabular.inference.robust import extreme_value
+from oee_tabular.inference.ambiguity import Evidence, simulated_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +37,9 @@ def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int
     """The largest (sign 1) or smallest (-1) value in the profile set.
 
     J is not concave in the rows, and where the frequencies never lead to a reward it is flat: the ascent is made from the
-    frequencies and from mixtures of them, as far as the set allows, with the simulator, with each row's best (worst)
-    next state in it, and with the extreme rows if each had the whole limit to itself; the farthest end is taken.
+    frequencies and from mixtures of them, as far as the set allows, with the simulator and with each row's best (worst)
+    next state in it; the farthest end is taken. (A start from the extreme rows if each had the whole limit to itself cost
+    nine tenths of the time and moved 2 of 162 measured ends, by .2 and .5% of the interval's width.)
     """
     limit = float(stats.chi2.ppf(confidence, 1)) / 2.0
     starts = [evidence.phat.copy(), *_other_starts(evidence, sign, limit)]
@@ -51,23 +51,14 @@ def _other_starts(evidence: Evidence, sign: float, limit: float) -> list[Array]:
     """Members of the set on the way from the frequencies to the simulator's rows, and to its best next states."""
     matrix = evidence.model.transitions
     rows, starts = evidence.rows, evidence.indptr[:-1]
-    simulator = matrix.data / np.add.reduceat(matrix.data, starts)[rows]
+    simulator = simulated_rows(evidence)
     values = state_values(evidence.with_rows(simulator), evidence.policy, horizon=evidence.horizon)
     pay = 0.0 if evidence.model.reward_data is None else evidence.model.reward_data
     ahead = sign * (pay + evidence.model.discount * values[matrix.indices])
     best = (ahead == np.maximum.reduceat(ahead, starts)[rows]).astype(np.float64)
     best /= np.add.reduceat(best, starts)[rows]
     seen = evidence.n[rows] > 0
-    members = [_toward(evidence, np.where(seen, q, simulator), limit) for q in (simulator, best)]
-    return [*members, _toward(evidence, _rectangular(evidence, sign, limit), limit)]
-
-
-def _rectangular(evidence: Evidence, sign: float, limit: float) -> Array:
-    """The extreme rows if each row alone might use the whole limit: a larger set, without the flat places."""
-    seen = evidence.n[evidence.rows] > 0
-    radius = np.divide(limit, evidence.n, out=np.full(len(evidence.n), np.inf), where=evidence.n > 0)
-    free = replace(evidence, low=np.where(seen, 0.0, evidence.low), high=np.where(seen, 1.0, evidence.high))
-    return extreme_value(free, radius, sign, most=20).rows
+    return [_toward(evidence, np.where(seen, q, simulator), limit) for q in (simulator, best)]
 
 
 def _toward(evidence: Evidence, q: Array, limit: float) -> Array:

@@ -54,11 +54,10 @@ def plot_values(records: Sequence[Mapping[str, Any]], ax: Axes, *, unit: str = "
             )  # fmt: skip
             handles.setdefault(row["estimator"], handle)
             continue
-        spread = None
         if row["lower"] is not None:
-            spread = np.array([[value - row["lower"]], [row["upper"] - value]])
-        handle = ax.errorbar(x, value, yerr=spread, fmt=marker, color=color, capsize=3, ms=6)
-        handles.setdefault(row["estimator"], handle)
+            middle, half = 0.5 * (row["lower"] + row["upper"]), 0.5 * (row["upper"] - row["lower"])
+            ax.errorbar(x, middle, yerr=half, fmt="none", color=color, capsize=3)
+        handles.setdefault(row["estimator"], ax.plot(x, value, marker=marker, color=color, ls="none", ms=6)[0])
     for group, policy in enumerate(policies):
         truth = next((row["true_value"] for row in records if row["policy"] == policy), None)
         if truth is not None:

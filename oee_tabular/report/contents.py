@@ -8,20 +8,25 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from oee_tabular import __version__
+from oee_tabular import __version__, _printing
 from oee_tabular.inference import Interval
+from oee_tabular.report.quoting import LIKELIHOOD, METHODS
+from oee_tabular.report.results import headline
 
 if TYPE_CHECKING:
     from oee_tabular.report.results import Report
 
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
+CALLED: Mapping[str, str] = {"robust": "guaranteed"}
+
 MEANINGS: Mapping[str, str] = {
     "simulator": "The policy's exact value in the simulator as it is: what one would believe without a log.",
     "oee": "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log supports, and "
-    "the policy is evaluated exactly in the corrected simulator.",
+    "the policy is evaluated exactly in the corrected simulator; where the log speaks against that, the value moves towards "
+    "the one-step value, which rests on the log alone wherever the log has moves.",
     "oee-product": "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
     "oee-product-sn": "Products of ratios, divided by their sum.",
     "oee-trajectory": "One product of ratios for each whole simulated episode.",
@@ -53,6 +58,7 @@ class Answer:
     estimator: str
     lower: float | None
     upper: float | None
+    method: str | None
     simulator: float | None
     truth: float | None
     coverage: float | None
@@ -68,79 +74,81 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
 
 
-def between(lower: float | None, upper: float | None) -> str:
+def within(value: float, lower: float | None, upper: float | None) -> str:
+    """A number to read, with as many digits as its interval has."""
+    if lower is None or upper is None or not math.isfinite(value):
+        return number(value)
+    return format(value, _printing.spec(lower, upper)).replace("-", "−")
+
+
+def between(lower: float | None, upper: float | None, joint: str = " to ") -> str:
     """An interval to read."""
-    return "–" if lower is None or upper is None else f"{number(lower)} to {number(upper)}"
+    if lower is None or upper is None:
+        return "–"
+    return f"{within(lower, lower, upper)}{joint}{within(upper, lower, upper)}"
 
 
 def answers(report: Report) -> list[Answer]:
-    """One answer a policy: off-environment evaluation's value and the likelihood interval, where there are such."""
-    rows = report.records()
-    sentences = report.sureness.sentences[1:]
+    """One answer a policy: the value that the log corrects, where there is one, with its interval."""
     found = []
-    for k, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
-        own = [row for row in rows if row["policy"] == policy]
-        best = _headline(own)
-        simulator = next((row["value"] for row in own if row["estimator"] == "simulator"), None)
-        sure = report.sureness.intervals.get(policy, {}).get("likelihood")
-        lower, upper = best["lower"], best["upper"]
-        if sure is not None and sure.status == "ok":
-            lower, upper = sure.lower * report.scale, sure.upper * report.scale
-        said = sentences[k] if len(sentences) == len(report.sureness.intervals) and k < len(sentences) else ""
-        said = said.removeprefix(f"{policy}: ")
+    for policy in dict.fromkeys(result.policy for result in report.results):
+        own = [result for result in report.results if result.policy == policy]
+        first, rows = headline(own), [row for row in report.records() if row["policy"] == policy]
+        best = rows[own.index(first)]
+        simulator = next((row["value"] for row in rows if row["estimator"] == "simulator"), None)
         found.append(
             Answer(
-                policy, best["value"], best["estimator"], lower, upper, simulator, best["true_value"],
-                best.get("coverage"), re.sub(r"(?<![\w.])-(?=\d)", "−", said[:1].upper() + said[1:]),
+                policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"], simulator,
+                best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
             )
         )  # fmt: skip
     return found
 
 
-def _headline(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    finite = [row for row in rows if math.isfinite(row["value"])]
-    for choice in (
-        [row for row in finite if row["estimator"] == "oee"],
-        [row for row in finite if row["estimator"] != "simulator"],
-        finite,
-    ):
-        if choice:
-            return choice[0]
-    return rows[0]
+def sentence(text: str) -> str:
+    """A sentence to read: a capital first, real minus signs."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text[:1].upper() + text[1:])
 
 
-def headline(found: list[Answer], confidence: float) -> tuple[str, str]:
+def first_words(report: Report, found: list[Answer]) -> tuple[str, str]:
     """The answer in one sentence, and what to read beside it."""
-    level = f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
     valued = [a for a in found if math.isfinite(a.value)]
     if not valued:
         return "No estimator could give the value of a policy in the target.", "The notes below say why."
     best = max(valued, key=lambda answer: answer.value)
-    span = f"with {level} confidence between {number(best.lower)} and {number(best.upper)}"
-    if best.lower is None or best.upper is None:
-        where = f"about {number(best.value)}"
-    elif best.lower <= best.value <= best.upper:
-        where = f"about {number(best.value)}, and {span}"
-    else:
-        where = f"{span} by the log alone; the estimate that trusts the simulator's shape, {number(best.value)}, lies outside"
-    beside = ""
-    if best.simulator is not None and best.estimator != "simulator":
-        beside = f"The simulator alone says {number(best.simulator)}."
-    if best.truth is not None:
-        beside += f" The exact value in the target, which is known here, is {number(best.truth)}."
     if len(found) == 1:
-        return f"In the target, the policy “{best.policy}” is worth {where}.", beside.strip()
-    rivals = [
-        a.policy for a in valued
-        if a is not best and (a.upper is None or best.lower is None or a.upper > best.lower)
-    ]  # fmt: skip
-    text = f"Of {len(found)} policies, “{best.policy}” is worth most in the target: {where}."
-    if rivals:
-        names = ", ".join(f"“{name}”" for name in rivals[:3]) + (" and others" if len(rivals) > 3 else "")
-        beside += f" The intervals of “{best.policy}” and {names} overlap: the log does not settle which is best."
-    else:
-        beside += f" The interval of “{best.policy}” lies above those of the others."
-    return text, beside.strip()
+        return f"In the target, the policy “{best.policy}” is worth {_worth(best, report)}.", _known(best)
+    worth = [f"“{a.policy}” is worth {_worth(a, report)}" for a in sorted(valued, key=lambda answer: -answer.value)]
+    more = f" {len(worth) - 3} more are below." if len(worth) > 3 else ""
+    return report.sureness.ranking, f"{'; '.join(worth[:3])}.{more}"
+
+
+def _known(answer: Answer) -> str:
+    """What the simulator says, and the truth where it is known."""
+    told = []
+    if answer.simulator is not None and answer.estimator != "simulator":
+        told.append(f"The simulator alone says {number(answer.simulator)}.")
+    if answer.truth is not None:
+        told.append(f"The exact value in the target, which is known here, is {number(answer.truth)}.")
+    return " ".join(told)
+
+
+def _worth(answer: Answer, report: Report) -> str:
+    where = f"about {within(answer.value, answer.lower, answer.upper)}"
+    if answer.lower is None:
+        return where
+    level = f"{report.confidence:.4%}".rstrip("0%").rstrip(".") + "%"
+    return f"{where}, and with {level} confidence between {between(answer.lower, answer.upper, ' and ')}"
+
+
+def alone(report: Report, policy: str) -> dict[str, Interval]:
+    """The intervals of a policy that stand beside no value, by what they are called."""
+    beside = {row["interval_method"] for row in report.records() if row["policy"] == policy}
+    return {
+        f"{CALLED.get(method, method)} interval": found
+        for method, found in report.sureness.intervals.get(policy, {}).items()
+        if method not in beside
+    }
 
 
 def interval_words(found: Interval, scale: float) -> str:
@@ -195,12 +203,10 @@ def glossary(report: Report) -> list[tuple[str, str]]:
         found.append(
             ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
         )
+    methods = dict.fromkeys([*(row["interval_method"] for row in report.records()), LIKELIHOOD])
     return [
         *found,
-        ("likelihood interval", "All values that a model in keeping with the log can have; where the log has nothing, "
-         "every move that the simulator allows is possible. The interval to rely on."),
-        ("other intervals", "Value plus or minus a multiple of the standard error: what the log's noise does to the number, "
-         "and nothing about what the log has never seen."),
+        *((f"interval: {name}", f"{sentence(METHODS[name])}.") for name in methods if name in METHODS),
         ("std. error", "Standard error, in the unit of the value."),
         ("eff. n", "Effective sample size: how many equally informative moves (or episodes) the value rests on."),
         ("coverage", "Share of the policy's discounted time in state-action pairs that the log has seen."),

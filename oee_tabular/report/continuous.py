@@ -138,7 +138,8 @@ def evaluate_continuous(
     for text in told[:-1]:
         warnings.warn(text, stacklevel=3)
     said = [_placed(text, made.model) for text in report.warnings]
-    return replace(report, warnings=(*said, *told))
+    sure = replace(report.sureness, next=_placed(report.sureness.next, made.model))
+    return replace(report, warnings=(*said, *told), sureness=sure)
 
 
 @dataclass(frozen=True)
@@ -309,4 +310,4 @@ def _placed(text: str, model: Discretization) -> str:
         at = model.task.features(points).mean(axis=0)
         return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in zip(names, at, strict=True))})"
 
-    return re.sub(r"\bs=(\d+)", place, text)
+    return re.sub(r"\bstate (\d+)", place, text)

@@ -13,6 +13,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.report.quoting import VALUES
 from oee_tabular.tasks import ContinuousTask, MonteCarlo, StatePolicy, monte_carlo_value
 
 
@@ -100,10 +101,8 @@ class Calibrated:
             raw, discretised=below, continuous=mc.value, continuous_error=mc.standard_error, kind=self.kind
         )
         facts = found.diagnostics
-        kept = {name: x for name, x in facts.items() if not name.startswith(("one_step", "calibrated"))}
-        return replace(
-            found,
-            value=facts["calibrated_value"],
-            standard_error=facts["calibrated_standard_error"],
-            diagnostics=kept,
-        )
+        value, error = facts["calibrated_value"], facts["calibrated_standard_error"]
+        raw_only = VALUES | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
+        kept = {name: x for name, x in facts.items() if name not in raw_only}
+        ends = None if found.interval is None or error is None else (value - 1.96 * error, value + 1.96 * error)
+        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept)

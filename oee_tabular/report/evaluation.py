@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks, advice
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.report.results import Report, Result
-from oee_tabular.sureness import how_sure
+from oee_tabular.report.quoting import LIKELIHOOD, quoted, way
+from oee_tabular.report.results import Report, Result, headline
+from oee_tabular.sureness import Sureness, how_sure, ranked
 
 
 @one_thread
@@ -41,7 +40,7 @@ def evaluate(
     policies : (S, A) array, a list of them, or a mapping name -> array
     estimators : names, estimators, or a mapping name -> estimator; None: the simulator, off-environment evaluation, the
         model-based baseline, and importance sampling where the log allows it
-    confidence : level of the intervals, value plus or minus the normal quantile times the standard error
+    confidence : level of the intervals
     seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
     normalized : whether the report multiplies by (1 - discount)
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
@@ -51,7 +50,9 @@ def evaluate(
     Returns
     -------
     Report
-        Estimates with their intervals, in the order policy, estimator; warnings in plain language; how sure it all is.
+        Estimates with their intervals, in the order policy, estimator; warnings in plain language; how sure it all is. Values
+        that the log corrects stand inside the likelihood interval, or, where that is not computed, beside the estimator's own;
+        ``diagnostics["interval_method"]`` says which.
 
     Raises
     ------
@@ -88,22 +89,20 @@ def evaluate(
     truth = {}
     if target is not None:
         truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
-    quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
-    results: list[Result] = []
-    findings: list[advice.Finding] = []
+    raw: list[Result] = []
     cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
     for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
         stream = np.random.SeedSequence(seed, spawn_key=(i, j))
-        estimate = chosen[estimator](problem, named_policies[policy], seed=stream)
-        error = estimate.standard_error
-        if estimate.interval is None and error is not None and math.isfinite(estimate.value):
-            interval = (estimate.value - quantile * error, estimate.value + quantile * error)
-            estimate = replace(estimate, interval=interval)
-        results.append(Result(policy, estimator, estimate))
-        findings += advice.about_estimate(policy, estimator, estimate)
+        raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
     sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
-    findings += advice.about_intervals(results, sure.intervals, scale)
+    results = []
+    for result in raw:
+        likelihood = sure.intervals.get(result.policy, {}).get(LIKELIHOOD)
+        found = quoted(result.estimate, likelihood, problem, named_policies[result.policy], level)
+        results.append(replace(result, estimate=found))
+    sure = _told(sure, results, problem, named_policies, scale)
+    findings = [f for r in results for f in advice.about_estimate(r.policy, r.estimator, r.estimate, scale)]
     about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
     general = [text for text, _ in about]
     on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
@@ -132,6 +131,20 @@ def evaluate(
         problem,
         named_policies,
     )  # fmt: skip
+
+
+def _told(
+    sure: Sureness, results: Sequence[Result], problem: Problem, policies: Mapping[str, Any], scale: float
+) -> Sureness:
+    """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
+    about, values = {}, {}
+    for name, policy in policies.items():
+        own = [result for result in results if result.policy == name]
+        values[name] = headline(own).estimate.value
+        by_name = {result.estimator: result.estimate for result in own}
+        simulator = Simulator()(problem, policy).value
+        about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator, scale))))
+    return ranked(replace(sure, policies=about), values)
 
 
 def _named(policies: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from oee_tabular import plots
 from oee_tabular.plots.values import credible_span
-from oee_tabular.report.contents import Answer, number
+from oee_tabular.report.contents import Answer, alone, number, within
 from oee_tabular.report.portrait import NOTABLE, Portrait, Visits
 
 if TYPE_CHECKING:
@@ -21,11 +21,7 @@ WIDTH = 4.6  # inches: text that is readable on a phone as well
 def forest(report: Report, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
-    sure = {
-        f"{'guaranteed' if method == 'robust' else method} interval": found
-        for method, found in report.sureness.intervals.get(answer.policy, {}).items()
-        if found.status == "ok"
-    }
+    sure = {name: found for name, found in alone(report, answer.policy).items() if found.status == "ok"}
     labels = [*sure, *(row["estimator"] for row in rows)]
     values = [*(math.nan for _ in sure), *(row["value"] for row in rows)]
     lower, upper = (
@@ -38,7 +34,7 @@ def forest(report: Report, answer: Answer, name: str) -> str:
     low, high = min([span[0], *inside]), max([span[1], *inside])
     margin = 0.04 * (high - low)
     factor = "(1 − discount) × " if report.normalized else ""
-    told = "; ".join(f"{row['estimator']} {number(row['value'])}" for row in rows)
+    told = "; ".join(f"{row['estimator']} {within(row['value'], row['lower'], row['upper'])}" for row in rows)
     truth = "" if answer.truth is None else f" The dashed line is the exact value, {number(answer.truth)}."
     return plots.figure_svg(
         lambda ax: plots.plot_intervals(

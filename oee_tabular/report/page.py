@@ -31,12 +31,14 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
     elif grid is not None:
         raise ValueError("grid must be None for a report without its problem: there is nothing to draw")
     found = contents.answers(report)
-    sentence, beside = contents.headline(found, report.confidence)
+    sentence, beside = contents.first_words(report, found)
     environment = Environment(
         loader=PackageLoader("oee_tabular.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"number": contents.number, "between": contents.between, "legible": legible}
+    environment.filters |= {
+        "number": contents.number, "between": contents.between, "within": contents.within, "legible": legible,
+    }  # fmt: skip
     page = environment.get_template("report.html.j2").render(
         title=title or _title(found),
         style=Markup(environment.get_template("report.css").render()),
@@ -48,11 +50,12 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
             {
                 "about": answer,
                 "picture": Markup(figures.forest(report, answer, f"forest{k}")),
-                "rows": _result_rows(report, answer.policy),
+                "rows": _result_rows(report, answer),
             }
             for k, answer in enumerate(found)
         ],
-        distance=report.sureness.sentences[0] if report.sureness.sentences else "",
+        distance=" ".join(report.sureness.distance),
+        advice=report.sureness.next,
         coverage=None if portrait is None else _coverage(portrait, report, Markup),
         changes=None if portrait is None else _changes(portrait, Markup),
         diagnostics=_diagnostics(report),
@@ -77,28 +80,30 @@ def _title(found: list[contents.Answer]) -> str:
     return f"Evaluation of {len(names)} policies"
 
 
-def _result_rows(report: Report, policy: str) -> list[dict[str, Any]]:
-    """Intervals that stand alone, then one row an estimator."""
-    sure: list[dict[str, Any]] = [
+def _result_rows(report: Report, answer: contents.Answer) -> list[dict[str, Any]]:
+    """Intervals that stand alone, then one row an estimator; the answer's is strong."""
+    alone: list[dict[str, Any]] = [
         {
-            "name": f"{'guaranteed' if method == 'robust' else method} interval",
+            "name": name,
             "value": "",
             "interval": contents.interval_words(found, report.scale),
+            "method": "",
             "notes": (),
-            "strong": True,
-        }
-        for method, found in report.sureness.intervals.get(policy, {}).items()
-    ]
-    return sure + [
-        {
-            "name": row["estimator"],
-            "value": contents.number(row["value"]),
-            "interval": contents.between(row["lower"], row["upper"]),
-            "notes": row["notes"],
             "strong": False,
         }
+        for name, found in contents.alone(report, answer.policy).items()
+    ]
+    return alone + [
+        {
+            "name": row["estimator"],
+            "value": contents.within(row["value"], row["lower"], row["upper"]),
+            "interval": contents.between(row["lower"], row["upper"]),
+            "method": row["interval_method"] or "",
+            "notes": row["notes"],
+            "strong": row["estimator"] == answer.estimator,
+        }
         for row in report.records()
-        if row["policy"] == policy
+        if row["policy"] == answer.policy
     ]
 
 

@@ -16,6 +16,7 @@ from oee_tabular import __version__, _files, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.report.files import check_output, check_page
+from oee_tabular.report.quoting import METHODS, OWN, VALUES, corrected
 from oee_tabular.sureness import Sureness, as_records
 
 if TYPE_CHECKING:
@@ -42,9 +43,14 @@ class Result:
     estimate: Estimate
 
 
-IN_UNITS = frozenset(  # diagnostics in the unit of values
-    ("one_step_value", "one_step_standard_error", "truncation_bias_bound", "error_bound", "simulator_value")
-)
+def headline(results: Sequence[Result]) -> Result:
+    """Of one policy's, the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
+
+    def order(result: Result) -> tuple[bool, bool, bool]:
+        estimate = result.estimate
+        return not math.isfinite(estimate.value), not corrected(estimate), result.estimator == "simulator"
+
+    return min(results, key=order)
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class Report:
     confidence : of the intervals
     normalized : whether table, picture and JSON multiply values by (1 - discount)
     discount, horizon, seed, facts : how it was computed
-    sureness : likelihood (and guaranteed) intervals of each policy, and the sentences that end the report
+    sureness : likelihood (and guaranteed) intervals of each policy, the comparison of the policies, and the sentences that end
+        the report
     problem, policies : what was evaluated, for the pictures of ``to_html``
 
     Examples
@@ -82,7 +89,7 @@ class Report:
     horizon: int | None
     seed: Any
     facts: Mapping[str, Any]
-    sureness: Sureness = field(default_factory=lambda: Sureness({}, ()))
+    sureness: Sureness = field(default_factory=Sureness)
     problem: Problem | None = field(default=None, repr=False, compare=False)
     policies: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
 
@@ -113,11 +120,16 @@ class Report:
                     "standard_error": None if error is None else error * factor,
                     "lower": None if interval is None else interval[0] * factor,
                     "upper": None if interval is None else interval[1] * factor,
+                    "interval_method": None if interval is None else estimate.diagnostics.get("interval_method", OWN),
                     "true_value": None if truth is None else truth * factor,
                     "error": None if truth is None else (estimate.value - truth) * factor,
                     "status": estimate.status,
                     "notes": list(self.notes.get((result.policy, result.estimator), ())),
-                    **{name: x * factor if name in IN_UNITS else x for name, x in estimate.diagnostics.items()},
+                    **{
+                        name: x * factor if name in VALUES else x
+                        for name, x in estimate.diagnostics.items()
+                        if name != "interval_method"
+                    },
                 }
             )
         return rows
@@ -147,6 +159,17 @@ class Report:
             header.insert(5, "error")
         return header
 
+    def _legend(self) -> list[str]:
+        """What the column of intervals holds: for each method its estimators, and what it is."""
+        members: dict[str, dict[str, None]] = {}
+        for row in self.records():
+            if row["interval_method"] is not None:
+                members.setdefault(row["interval_method"], {})[row["estimator"]] = None
+        return [
+            f"{self.confidence:.0%} interval of {', '.join(names)} ({method}): {METHODS.get(method, method)}."
+            for method, names in members.items()
+        ]
+
     def __repr__(self) -> str:
         return str(self)
 
@@ -155,6 +178,8 @@ class Report:
         lines = _aligned([self._header(), *body], numeric_from=2)
         lines.insert(1, "-" * max(len(line) for line in lines))
         text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}", "", *lines]
+        if self._legend():
+            text += ["", *self._legend()]
         if self.truth:
             values = ", ".join(f"{name}: {value * self.scale:.6g}" for name, value in self.truth.items())
             text += ["", f"Exact value in the target: {values}"]
@@ -166,13 +191,14 @@ class Report:
         return "\n".join(text)
 
     def _cells(self, row: Mapping[str, Any]) -> list[str]:
-        interval = "" if row["lower"] is None else f"[{row['lower']:.4g}, {row['upper']:.4g}]"
+        ends = row["lower"], row["upper"]
+        form, interval = (".5g", "") if ends[0] is None else (_printing.spec(*ends), _printing.interval(*ends))
         coverage = row.get("coverage")
         row_sum = row.get("row_sum_error")
         cells = [
             row["policy"],
             row["estimator"],
-            f"{row['value']:.5g}",
+            format(row["value"], form),
             _number(row["standard_error"], ".2g"),
             interval,
             _number(row.get("effective_sample_size"), ".0f"),
@@ -195,7 +221,7 @@ class Report:
                 "horizon": self.horizon,
                 "normalized": self.normalized,
                 "confidence": self.confidence,
-                "interval": "value plus or minus normal quantile times standard error",
+                "interval": self._legend(),
                 "seed": self.seed if isinstance(self.seed, int) else None,
                 "facts": dict(self.facts),
                 "results": self.records(),
@@ -273,6 +299,7 @@ class Report:
             caption=f"Value: {self.unit} ({'normalised' if self.normalized else 'not normalised'})",
             text_columns=2,
             below=[
+                *self._legend(),
                 *(f"{name}: exact value in the target {value * self.scale:.6g}" for name, value in self.truth.items()),
                 *(f"[{k}] {warning}" for k, warning in enumerate(self.warnings, start=1)),
                 *self.sureness.sentences,

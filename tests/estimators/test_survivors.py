@@ -82,7 +82,7 @@ KEYS = {
                                            "meaning"},
     "oee-product": {"gap", "standard_error_of", "n_rollouts", "effective_sample_size", "largest_weight", "mean_weight",
                     "row_sum_error"},
-    "model-based": LINEAR | COVERAGE | {"standard_error_of"},
+    "model-based": LINEAR | COVERAGE | {"standard_error_of", "single_share"},
     "pdis": {"standard_error_of", "n_episodes", "effective_sample_size", "largest_weight", "mean_weight", "truncated_share",
              "truncation_bias_bound", "foreign_starts_share"},
     "dr": COVERAGE | {"standard_error_of", "simulator_value", "gap"},

@@ -27,7 +27,9 @@ def test_differences_are_surer_than_values():
     assert_allclose(found.lower, -found.upper.T)
     assert_allclose(found.probability_best.sum(), 1.0)
     delta = oee.interval(problem(2000, 0), POLICIES["delta=0.5"], method="delta")
-    assert_allclose(found.standard_errors[1], delta.diagnostics["standard_error"], rtol=1e-9)
+    assert_allclose(
+        found.standard_errors[1], delta.diagnostics["standard_error"], rtol=0.03
+    )  # a move of the simulator's
     assert "delta=0.9" in str(found).splitlines()[1]
     resampled = compare_policies(problem(2000, 0), POLICIES, method="bootstrap", seed=1)
     assert_allclose(resampled.standard_errors, found.standard_errors, rtol=0.2)
@@ -43,6 +45,61 @@ def test_the_intervals_of_differences_cover():
         inside += found.lower[i, j] <= truth <= found.upper[i, j]
     assert stats.binom.cdf(inside, 120, 0.95) > 0.001
     assert inside < 120
+
+
+def half_recorded(seed):
+    """A near-tie in the target of two policies whose log leaves half of the states out: problem, policies, difference."""
+    generator = np.random.default_rng(seed)
+    base = np.zeros((12, 2, 12))
+    for row in base.reshape(24, 12):
+        row[generator.choice(12, 4, replace=False)] = generator.dirichlet(np.ones(4))
+    moved = base.copy()
+    for row in moved.reshape(24, 12):
+        row[row > 0] = generator.dirichlet(5.0 * row[row > 0] + 1e-3)
+    simulator = oee.FiniteMDP(base, np.linspace(-1, 1, 12), np.eye(12)[0], 0.95)
+    target = simulator.with_transitions(moved)
+    tables = [generator.dirichlet(np.ones(2), 12) for _ in range(3)]
+    low, middle, high = sorted(tables, key=lambda pi: oee.policy_value(target, pi))
+    truth = oee.policy_value(target, middle)
+    even = min(
+        (oee.mix(low, high, w) for w in np.linspace(0, 1, 201)), key=lambda p: abs(oee.policy_value(target, p) - truth)
+    )
+    share = np.zeros((12, 2))
+    share[:6] = 1 / 12
+    log = oee.sample_transitions(target, share, 20_000, seed=seed)
+    return oee.Problem(simulator, log), {"one": middle, "other": even}, truth - oee.policy_value(target, even)
+
+
+def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
+    sure = inside = 0
+    for seed in range(20):
+        case, policies, truth = half_recorded(seed)
+        found = compare_policies(case, policies)
+        i, j = (found.names.index(name) for name in ("one", "other"))
+        inside += found.lower[i, j] <= truth <= found.upper[i, j]
+        sure += found.probability_best.max() >= 0.95
+        assert 0.2 < found.unseen_share.min() <= found.unseen_share.max() < 0.8
+    assert inside >= 18
+    assert sure <= 2  # with the simulator taken for known there: 20, 11 of them wrong, and no interval holds
+
+
+def test_both_methods_widen_for_what_was_never_recorded():
+    case, policies, _ = half_recorded(0)
+    delta, resampled = (compare_policies(case, policies, method=method) for method in ("delta", "bootstrap"))
+    assert_allclose(resampled.standard_errors, delta.standard_errors, rtol=0.2)
+    assert_allclose(resampled.probability_best, delta.probability_best, atol=0.15)
+
+
+def test_a_row_seen_once_is_not_certain():
+    """Two arms that pay 0 or 1 by a coin; of each the log has one move."""
+    arms = np.zeros((3, 2, 3))
+    arms[:, :, 1:] = 0.5
+    simulator = oee.FiniteMDP(arms, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 0.5)
+    case = oee.Problem(simulator, oee.Transitions([0, 0], [0, 1], [1, 2]), horizon=2)
+    found = compare_policies(case, {"first": [[1.0, 0.0]] * 3, "second": [[0.0, 1.0]] * 3})
+    assert found.names == ("second", "first")
+    assert (found.standard_errors > 0).all()
+    assert found.lower[0, 1] < 0 < found.upper[0, 1]
 
 
 def test_the_same_seed_gives_the_same_ranking():
