@@ -73,8 +73,8 @@ def reweighted_zeta(simulator, target, factor):
 # ---- what an estimate says ---------------------------------------------------------------------------------------
 
 COVERAGE = {"unseen", "coverage", "fallback_share", "effective_sample_size"}
-ONE_STEP = {"one_step_value", "one_step_standard_error", "one_step_distance", "model_value", "maximum_likelihood_value", "moved",
-            "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
+ONE_STEP = {"one_step_value", "one_step_standard_error", "one_step_distance", "model_value", "maximum_likelihood_value",
+            "moved", "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
 LINEAR = {"error_bound", "method"}
 KEYS = {
     "simulator": LINEAR,

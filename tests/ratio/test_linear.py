@@ -84,7 +84,7 @@ def test_against_clarabel(options, kind):
     assert ours.gap < 1e-13
     assert ours.status == "optimal"
     assert ours.objective <= theirs.objective + 1e-12
-    # Clarabel's "optimal" may be 1e-8 off. A feasible g is worse than the best by at least sum p (u - ln(1 + u)), u = g / best - 1
+    # Clarabel's "optimal" may be 1e-8 off; a feasible g exceeds the best by sum p (u - ln(1 + u)) or more, u = g / best - 1
     assert theirs.gap < 1e-6
     u = theirs.ratio / ours.ratio - 1
     assert (COUNTS / COUNTS.sum()) @ (u - np.log1p(u)) <= theirs.gap + 1e-10
