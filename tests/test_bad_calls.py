@@ -452,7 +452,7 @@ TABLE = {
     ),
     "unknown prior": (
         lambda: oee.transition_ratio(LOG, GRID, prior="flat"),
-        r"prior must be one of 'tilt', 'simulator', 'none'; got 'f",
+        r"prior must be one of 'average', 'tilt', 'simulator', 'none'; got 'f",
     ),
     "negative strength": (
         lambda: oee.transition_ratio(LOG, GRID, strength=-1),

@@ -66,8 +66,8 @@ class OffEnvironment(ExactLimit):
 
     ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
     derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value plus or minus 1.96 of it. The narrower
-    ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard error is that of the rollouts
-    given zeta, which heavy tails make too small.
+    ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard error is that of the
+    rollouts given zeta, which heavy tails make too small.
 
     Examples
     --------
@@ -213,8 +213,8 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     }
     if share > 0 and "meaning" in diagnostics:
         diagnostics["meaning"] = (
-            f"the log speaks against the centre along this policy (by {apart:.1f} standard errors): the value is moved from it by "
-            f"{share:.0%}"
+            f"the log speaks against the centre along this policy (by {apart:.1f} standard errors): "
+            f"the value is moved from it by {share:.0%}"
         )
     interval = (value - NORMAL * error, value + NORMAL * error) if np.isfinite(error) else None
     return replace(exact, value=value, standard_error=error, interval=interval, diagnostics=diagnostics)

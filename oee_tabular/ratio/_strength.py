@@ -1,4 +1,4 @@
-"""The evidence of Dirichlet rows, one kappa for each kind of rows; 9 times as fast as by scipy's gammaln (a grid of 40 x 40)."""
+"""The evidence of Dirichlet rows, one kappa for each kind of rows; 9 times as fast as by scipy's gammaln (40 x 40 grid)."""
 
 from __future__ import annotations
 

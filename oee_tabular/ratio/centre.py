@@ -1,12 +1,12 @@
 """The centre of the prior: an average of candidate rows, weighted by what the log says for each.
 
-Candidates: the simulator itself; its tilt by log P, which may vary over the states (``tilt``, ``local_tilt``); its tilts along V,
-and along log P and V; and tilts along 1, 2, ... features of the library, each the most telling one beside those before
-(``selection``). The evidence of a candidate is that of the counts given Dirichlet(kappa) rows around it, kappa at its best for each
-kind of rows, less the size of its parameters (Laplace), less a price for each feature: ``EXPECTED`` nats for one that theory
-names beforehand, ``SEARCHED`` for one found by searching, and ``UNSEEN`` times the share of the open rows that the log has never
-visited, since a feature moves those as well, on the word of the others. The weights are proportional to the evidence to
-the power ``TEMPER``.
+Candidates: the simulator itself; its tilt by log P, which may vary over the states (``tilt``, ``local_tilt``); its tilts
+along V, and along log P and V; and tilts along 1, 2, ... features of the library, each the most telling one beside those
+before (``selection``). The evidence of a candidate is that of the counts given Dirichlet(kappa) rows around it, kappa at its
+best for each kind of rows, less the size of its parameters (Laplace), less a price for each feature: ``EXPECTED`` nats for one
+that theory names beforehand, ``SEARCHED`` for one found by searching, and ``UNSEEN`` times the share of the open rows that
+the log has never visited, since a feature moves those as well, on the word of the others. The weights are proportional to
+the evidence to the power ``TEMPER``.
 
 The three prices and the power were chosen on the first half of the seeds of ``oee bench`` (sizes 0.3 to 30); between 0.3 and 1
 the power makes no difference beyond the noise there.
@@ -103,6 +103,7 @@ class _Candidate:
     whole: Callable[[], tuple[Array, Any, Any]]
     theta: dict[str, float] = field(default_factory=dict)
     gap: float = 0.0
+    counted: Array | None = None
 
 
 def _likelihood(counts: Array, ratio: Array) -> float:
@@ -134,11 +135,16 @@ def _along_features(
         found += [(fitted, kappa) for fitted in selection.path(kappa, price)]
     if solver != "dual":
         found = [(selection.by_cvxpy(fitted, kappa, solver), kappa) for fitted, kappa in found]
-    return [_of_features(fitted, selection.scale, features, whole, unseen) for fitted, _ in found]
+    made = []
+    for fitted, kappa in found:
+        counted = np.ones(len(whole))
+        counted[log.rows.state * simulator.n_actions + log.rows.action] = selection.counted(kappa)
+        made.append(_of_features(fitted, selection.scale, counted, features, whole, unseen))
+    return made
 
 
 def _of_features(
-    fitted: Selected, scale: Array, features: list[Feature], whole: Rows, unseen: float
+    fitted: Selected, scale: Array, counted: Array, features: list[Feature], whole: Rows, unseen: float
 ) -> _Candidate:
     """A tilt along chosen features as a candidate."""
 
@@ -152,13 +158,13 @@ def _of_features(
     scales = [scale[part, j] for j, part in fitted.chosen]
     theta = {name: float(t / size) for name, t, size in zip(names, fitted.theta, scales, strict=True)}
     cost = fitted.size + price + unseen * len(names)
-    return _Candidate(" + ".join(names), fitted.model, cost, everywhere, theta, fitted.gap)
+    return _Candidate(" + ".join(names), fitted.model, cost, everywhere, theta, fitted.gap, counted)
 
 
 def _averaged(candidates: list[_Candidate], log: _Log) -> tuple[Part, ...]:
     """The average by evidence to the power ``TEMPER``; the same features in another order count once."""
-    distinct = {frozenset(c.theta) or c.name: c for c in reversed(candidates)}
-    distinct = {c.name: c for c in reversed(distinct.values())}
+    first = {frozenset(c.theta) or c.name: c for c in reversed(candidates)}
+    distinct = {c.name: c for c in reversed(first.values())}
     evidence = {name: log.strength(c.model).score - c.cost for name, c in distinct.items()}
     best = max(evidence.values())
     weights = {name: float(np.exp(TEMPER * (e - best))) for name, e in evidence.items()}
@@ -166,6 +172,7 @@ def _averaged(candidates: list[_Candidate], log: _Log) -> tuple[Part, ...]:
     kept = {name: w / total for name, w in weights.items() if w >= LEAST * total}
     total = sum(kept.values())
     return tuple(
-        Part(name, w / total, evidence[name], *distinct[name].whole(), distinct[name].theta, distinct[name].gap)
+        Part(name, w / total, evidence[name], *c.whole(), c.theta, c.gap, c.counted)
         for name, w in sorted(kept.items(), key=lambda item: -item[1])
+        for c in [distinct[name]]
     )

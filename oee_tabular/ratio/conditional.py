@@ -46,7 +46,9 @@ def fit_conditional(
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
     n_row = segment_sums(observed, indptr)
-    base, parts, told = q, (), {}
+    base = q
+    parts: tuple[Part, ...] = ()
+    told: dict[str, Any] = {}
     if prior in ("average", "tilt"):
         tilt, told, likelihood = _tilt(observed, simulator, features, smoothness, solver)
         if prior == "tilt":

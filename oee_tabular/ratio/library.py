@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
@@ -60,7 +60,7 @@ class Feature:
         if not self.by_deviation:
             return found
         deviation = np.sqrt(rows.sums(rows.weights * found**2))
-        return found / rows.spread(np.where(deviation > 1e-9, deviation, np.inf))
+        return np.asarray(found / rows.spread(np.where(deviation > 1e-9, deviation, np.inf)))
 
 
 def library(simulator: FiniteMDP, values: Sequence[Array], rows: Rows) -> list[Feature]:
@@ -146,7 +146,7 @@ def _places(simulator: FiniteMDP) -> Array:
 
 
 def _steps(places: Array, rows: Rows) -> Array:
-    return np.round(places[rows.arrival] - rows.spread(places[rows.state]), DIGITS) + 0.0
+    return np.asarray(np.round(places[rows.arrival] - rows.spread(places[rows.state]), DIGITS) + 0.0)
 
 
 def _indicator(places: Array, step: Array) -> Callable[[Rows], Array]:
@@ -158,7 +158,7 @@ def _words(step: Array) -> str:
     return numbers if len(step) == 1 else f"({numbers})"
 
 
-def by_action(features: Sequence[Feature], n_actions: int) -> Array:
+def by_action(features: Sequence[Feature], n_actions: int) -> BoolArray:
     """(1 + A, d) whether the library has feature j for all actions (first row) and for action b alone (row 1 + b)."""
     alone = np.array([feature.by_action and n_actions > 1 for feature in features])
     return np.vstack([np.ones(len(features), dtype=bool), np.tile(alone, (n_actions, 1))])

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio import _strength as kernel
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -162,7 +163,9 @@ def _criterion(
 ) -> Callable[[Array], Array]:
     """The criterion of each kind's rows as a function of the kinds' kappas."""
     if name != "evidence":
-        return lambda kappa: np.bincount(kind, _leave_one_out_by_row(kappa[kind], observed, prior, indptr), n_kinds)
+        return lambda kappa: np.bincount(
+            kind, _leave_one_out_by_row(kappa[kind], observed, prior, indptr), n_kinds
+        ).astype(np.float64)
     n_row, seen = segment_sums(observed, indptr), observed > 0
     rows = np.flatnonzero(n_row > 0)
     ends = np.concatenate([[0], np.cumsum(segment_sums(seen.astype(np.int64), indptr)[rows])]).astype(np.int64)

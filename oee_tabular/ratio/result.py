@@ -99,7 +99,9 @@ class TransitionRatio:
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
         """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
         if self._influence is None:
-            raise ValueError(f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies")
+            raise ValueError(
+                f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
+            )
         return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
 
     @one_thread
@@ -118,8 +120,8 @@ class TransitionRatio:
         """The first-order correction of a function of zeta * P towards maximum likelihood.
 
         sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has visited: it removes, to first order, the bias
-        that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under zeta
-        P: a row with a single move has none under its own frequencies.
+        that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
+        zeta P: a row with a single move has none under its own frequencies.
         """
         return None if self._influence is None else self._influence.one_step(gradient)
 
@@ -153,6 +155,7 @@ class Part:
     evidence : nats, less its prices
     rows : (entries,) of all rows of the simulator
     scores, information : d log rows / d parameters, and the parameters' information; None without parameters
+    counted : (rows,) how much a move of each row counts in the parameters (``ratio.selection``); None: 1
     theta : its parameters by feature, in the features' units
     gap : of its program
     """
@@ -165,6 +168,7 @@ class Part:
     information: Array | sparse.csc_array | None = None
     theta: dict[str, float] = field(default_factory=dict)
     gap: float = 0.0
+    counted: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,14 +199,15 @@ class Influence:
         counts = spread(np.maximum(self.row_counts, 1.0), self.indptr)
         each = share * psi / counts
         for part in self.parts:
-            if part.scores is None:
+            if part.scores is None or part.information is None:
                 continue
             pull = (part.weight * (1.0 - share) * part.rows * psi) @ part.scores  # d value / d theta
             if sparse.issparse(part.scores):
                 moved = Factor(part.information).solve(pull)
             else:
                 moved = np.linalg.lstsq(part.information, pull)[0]
-            each = each + part.scores @ moved
+            counted = 1.0 if part.counted is None else spread(part.counted, self.indptr)
+            each = each + counted * (part.scores @ moved)
         return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
 
     def likeliest(self) -> Array:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.mdp import FiniteMDP
@@ -53,7 +55,7 @@ class Rows:
         """The sum over each row of (entries,) or (entries, d) values."""
         return segment_sums(values, self.indptr)
 
-    def spread(self, values: Array) -> Array:
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """Each row's value at each of its entries."""
         return spread(values, self.indptr)
 

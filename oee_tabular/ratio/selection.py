@@ -8,8 +8,8 @@ w = (1 + kappa) / (n + kappa) times. theta minimises
 
     f(theta) = sum_rows w [n ln Z(theta) - sum_x n_x theta . phi_x] + 1/2 sum_j lambda_j theta_j^2,
 
-lambda_j its maximiser of evidence (MacKay [1]: lambda <- (1 - lambda (f'')^-1_jj) / theta_j^2). The next feature is the one with
-the most evidence for a theta_j of its own, by its score s and its information I given the features already in [2]:
+lambda_j its maximiser of evidence (MacKay [1]: lambda <- (1 - lambda (f'')^-1_jj) / theta_j^2). The next feature is the one
+with the most evidence for a theta_j of its own, by its score s and its information I given the features already in [2]:
 
     gain = [ln(lambda / (lambda + I)) + s^2 / (lambda + I)] / 2   at the best lambda >= 1,
 
@@ -107,10 +107,13 @@ class Selection:
         action = self.rows.spread(self.rows.action)
         return columns_of(chosen, lambda j: self.base[:, j], self.scale, action)
 
+    def counted(self, kappa: Array) -> Array:
+        """w, how much a move of each row counts."""
+        return np.asarray(np.minimum((1.0 + kappa) / (self.count + kappa), 1.0))
+
     def fit(self, chosen: Sequence[Chosen], kappa: Array, start: Selected | None = None) -> Selected:
         """theta and lambda of given features, by at most eight rounds of Newton's method and MacKay's rule."""
-        weight = (1.0 + kappa) / (self.count + kappa)
-        weight = np.minimum(weight, 1.0)
+        weight = self.counted(kappa)
         features, k = self.columns(chosen), len(chosen)
         theta, precision = np.zeros(k), np.ones(k)
         if start is not None:
@@ -127,7 +130,9 @@ class Selection:
         theta, model, information, gap = self._newton(features, weight, theta, precision)
         return Selected(tuple(chosen), theta, precision, information, model, gap)
 
-    def _newton(self, features: Array, weight: Array, theta: Array, precision: Array) -> tuple[Array, Array, Array, float]:
+    def _newton(
+        self, features: Array, weight: Array, theta: Array, precision: Array
+    ) -> tuple[Array, Array, Array, float]:
         """The minimiser of f, its rows, f'' and a bound on f less its minimum."""
         rows, mass = self.rows, weight * self.count
         pulled = (rows.spread(weight) * self.observed) @ features
@@ -158,8 +163,7 @@ class Selection:
 
     def gains(self, fitted: Selected | None, kappa: Array) -> Array:
         """(1 + A, d) evidence in nats that each feature would add; -inf for one that is in, or tells nothing."""
-        rows = self.rows
-        weight = np.minimum((1.0 + kappa) / (self.count + kappa), 1.0)
+        rows, weight = self.rows, self.counted(kappa)
         mass = weight * self.count
         model = rows.weights if fitted is None else fitted.model
         mean = rows.sums(model[:, None] * self.base)
@@ -196,8 +200,7 @@ class Selection:
 
     def by_cvxpy(self, fitted: Selected, kappa: Array, solver: str) -> Selected:
         """The same features and lambda, theta by a cvxpy solver."""
-        weight = np.minimum((1.0 + kappa) / (self.count + kappa), 1.0)
-        features = self.columns(fitted.chosen)
+        weight, features = self.counted(kappa), self.columns(fitted.chosen)
         counts = self.rows.spread(weight) * self.observed
         penalty = sparse.csc_array(np.diag(fitted.precision))
         program = TiltProgram(counts, np.log(self.rows.weights), features, self.rows.indptr, penalty)

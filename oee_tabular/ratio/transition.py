@@ -89,10 +89,12 @@ def transition_ratio(
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
     method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel" | "ratio_of_ratios" | "joint"
-    prior : "tilt" (default) | "simulator" | "none"; conditional only
-        The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt
-        zeta proportional to exp(theta . phi), fitted to all rows together; theta varies over the states where the log
-        gives evidence that it does.
+    prior : "average" (default) | "tilt" (default where ``features`` or ``smoothness`` is given) | "simulator" | "none";
+        conditional only
+        The row that every row is shrunk to: the simulator's, that of its conditional exponential tilt zeta proportional to
+        exp(theta . phi), fitted to all rows together (theta varies over the states where the log gives evidence that it
+        does), or the average by evidence of these two and of tilts along directions made from the simulator and
+        ``values_of`` (``ratio.centre``).
     strength : "evidence" (default) | "loo", or a nonnegative number; conditional, and tied (a number, default 3)
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
@@ -100,6 +102,10 @@ def transition_ratio(
     features : phi for the tilt and for "linear": None (tilt: log P, and (log P)^2 where the evidence asks for it), an
         array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of
         (s, a, s'); ``oee.ratio.action_displacement`` makes some
+    values_of : (S, A), or a list of such
+        The policy, or policies, whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is one of the
+        directions of "average".
+    horizon : of these values; None: the infinite sum. Without ``values_of`` it has no use and must be left out
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
         How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
         infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
@@ -127,7 +133,7 @@ def transition_ratio(
     Returns
     -------
     TransitionRatio
-        Rows without data have the prior's zeta (1, or the tilt's); ``visited`` says which have some.
+        Rows without data have the prior's zeta (1, or the centre's); ``visited`` says which have some.
 
     Raises
     ------
@@ -177,6 +183,8 @@ def transition_ratio(
     for name, users in {"features": ("tilt",), "smoothness": ("tilt",), "values_of": ("average", "tilt")}.items():
         if options[name] is not None and prior not in users:
             raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
+    if horizon is not None and values_of is None:
+        raise ValueError("horizon must be left out without values_of: it is that of the values")
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
         _checks.one_of(prior, "prior", PRIORS)
@@ -251,7 +259,8 @@ def _policies(values_of: Any, simulator: FiniteMDP) -> list[Array]:
         return []
     several = isinstance(values_of, list | tuple) and len(values_of) > 0 and np.ndim(values_of[0]) == 2
     given = list(values_of) if several else [values_of]
-    return [check_policy(policy, simulator, name="values_of") for policy in given]
+    names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
+    return [check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True)]
 
 
 def _strength(value: float | str | None) -> float:

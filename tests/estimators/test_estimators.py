@@ -36,9 +36,11 @@ def test_off_environment_is_the_value_of_zeta_times_p():
     log = covering_log(target)
     problem = Problem(simulator, log, horizon=60)
     policy = oee.tasks.gridworld_policy(5, 0.5)
-    model = oee.transition_ratio(log, simulator).target_model(simulator)
+    model = oee.transition_ratio(log, simulator, values_of=policy, horizon=60).target_model(simulator)
     estimate = OffEnvironment()(problem, policy)
-    assert_allclose(estimate.value, oee.policy_value(model, policy, horizon=60), rtol=1e-12)
+    assert_allclose(estimate.diagnostics["model_value"], oee.policy_value(model, policy, horizon=60), rtol=1e-12)
+    assert estimate.diagnostics["moved"] == 0.0
+    assert estimate.value == estimate.diagnostics["model_value"]
     assert estimate.diagnostics["coverage"] == 1.0
     assert estimate.diagnostics["gap"] < 1e-12
     given_ratio = OffEnvironment(ratio=oee.true_ratio(target, simulator))(problem, policy)
@@ -51,7 +53,7 @@ def test_off_environment_reports_what_the_log_has_not_seen():
     simulator, target = grids()
     log = oee.sample_episodes(target, oee.tasks.gridworld_expert(5), 20, 50, seed=0)
     facts = OffEnvironment()(Problem(simulator, log), oee.uniform_policy(simulator)).diagnostics
-    zeta = oee.transition_ratio(log, simulator)
+    zeta = oee.transition_ratio(log, simulator, values_of=oee.uniform_policy(simulator))
     time = oee.occupancy(exact.reweight(simulator, zeta), oee.uniform_policy(simulator))
     alive = np.delete(time, 24, axis=0)
     assert_allclose(facts["coverage"], alive[zeta.visited[:24]].sum() / alive.sum(), rtol=1e-12)

@@ -73,7 +73,8 @@ def reweighted_zeta(simulator, target, factor):
 # ---- what an estimate says ---------------------------------------------------------------------------------------
 
 COVERAGE = {"unseen", "coverage", "fallback_share", "effective_sample_size"}
-ONE_STEP = {"one_step_value", "one_step_standard_error", "one_step_distance"}
+ONE_STEP = {"one_step_value", "one_step_standard_error", "one_step_distance", "model_value", "maximum_likelihood_value",
+            "moved", "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
 LINEAR = {"error_bound", "method"}
 KEYS = {
     "simulator": LINEAR,
@@ -103,7 +104,11 @@ def test_the_words_in_the_diagnostics(name):
     estimate = named_estimators([name], target)[name](problem, POLICY, seed=0)
     assert set(estimate.diagnostics) == KEYS[name]
     assert estimate.status == "ok"
-    assert estimate.interval is None
+    if name == "oee":
+        error = 1.959963984540054 * estimate.standard_error
+        assert_allclose(estimate.interval, (estimate.value - error, estimate.value + error), rtol=1e-12)
+    else:
+        assert estimate.interval is None
     if "standard_error_of" in KEYS[name]:
         assert estimate.diagnostics["standard_error_of"] == OF.get(name, "log")
         assert estimate.standard_error > 0
@@ -921,7 +926,7 @@ def test_without_a_horizon_at_discount_one():
 def test_off_environment_and_its_ratio(horizon):
     """The largest weight, the rows' error, strength and meaning; an unnormalised zeta has a value and nothing more."""
     problem, target = problem_of(3, horizon=horizon)
-    zeta = oee.transition_ratio(problem.log, problem.simulator)
+    zeta = oee.transition_ratio(problem.log, problem.simulator, values_of=POLICY, horizon=horizon)
     found = OffEnvironment()(problem, POLICY)
     facts = found.diagnostics
     assert_allclose(facts["largest_weight"], zeta.values.data.max())
@@ -929,11 +934,12 @@ def test_off_environment_and_its_ratio(horizon):
     assert (facts["strength"], facts["meaning"]) == (zeta.details["strength"], zeta.details["meaning"])
     model = exact.reweight(problem.simulator, zeta)
     gradient = exact.transition_gradient(model, POLICY, horizon=horizon)
-    assert_allclose(found.standard_error, zeta.log_standard_error(gradient), rtol=1e-12)
+    assert_allclose(facts["standard_error_if_centre_fits"], zeta.log_standard_error(gradient), rtol=1e-12)
     step = zeta.one_step(gradient)
-    assert_allclose(facts["one_step_value"], found.value + step.change, rtol=1e-12)
+    assert_allclose(found.standard_error, np.hypot(step.standard_error, step.unseen), rtol=1e-12)
+    assert_allclose(facts["model_value"], oee.policy_value(model, POLICY, horizon=horizon), rtol=1e-12)
+    assert_allclose(facts["one_step_value"], facts["model_value"] + step.change, rtol=1e-12)
     assert_allclose(facts["one_step_standard_error"], step.standard_error, rtol=1e-12)
-    assert_allclose(facts["one_step_distance"], abs(step.change) / step.change_error, rtol=1e-12)
     loose = OffEnvironment(reweighted_zeta(problem.simulator, target, 1.01))(problem, POLICY)
     assert set(loose.diagnostics) == {"gap", "row_sum_error", "largest_weight", "error_bound", "method"}
     assert loose.standard_error is None
@@ -949,7 +955,7 @@ def test_ratios_by_name_get_what_the_problem_knows():
         for options in ({}, {"behavior_policy": BEHAVIOR}, {"simulator_data": "exact", "behavior_policy": BEHAVIOR}):
             problem = Problem(simulator, log, **options)
             zeta = oee.transition_ratio(log, simulator, method=method, seed=np.random.default_rng(4), **options)
-            found = OffEnvironment(method).fit(problem, np.random.default_rng(4))
+            found = OffEnvironment(method).fit(problem, POLICY, np.random.default_rng(4))
             assert_allclose(found.values.toarray(), zeta.values.toarray(), rtol=1e-12)
     people = population(simulator, target, POLICY, behavior_policy=BEHAVIOR)
     expected = oee.transition_ratio(

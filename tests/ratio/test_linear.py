@@ -83,9 +83,12 @@ def test_against_clarabel(options, kind):
     ours, theirs = (oee.density_ratio(COUNTS, Q, solver=solver, **given) for solver in ("dual", "CLARABEL"))
     assert ours.gap < 1e-13
     assert ours.status == "optimal"
-    assert theirs.gap < 1e-9
     assert ours.objective <= theirs.objective + 1e-12
-    assert_allclose(ours.ratio, theirs.ratio, atol=1e-6)
+    # Clarabel's "optimal" may be 1e-8 off; a feasible g exceeds the best by sum p (u - ln(1 + u)) or more, u = g / best - 1
+    assert theirs.gap < 1e-6
+    u = theirs.ratio / ours.ratio - 1
+    assert (COUNTS / COUNTS.sum()) @ (u - np.log1p(u)) <= theirs.gap + 1e-10
+    assert_allclose(ours.ratio, theirs.ratio, atol=1e-3)
 
 
 @given(rngs)
@@ -212,9 +215,9 @@ def test_the_standard_error_in_a_class_is_the_delta_methods():
     rows = np.repeat(np.arange(100), np.diff(SIMULATOR.transitions.indptr))
     observed = np.asarray(counts[rows, SIMULATOR.transitions.indices]).reshape(-1)
     seen = np.flatnonzero(observed)[::7]
-    psi = zeta._influence.scores @ np.linalg.solve(
-        zeta._influence.information, (SIMULATOR.transitions.data * zeta.values.data * gradient) @ zeta._influence.scores
-    )
+    (part,) = zeta._influence.parts
+    pulled = (SIMULATOR.transitions.data * zeta.values.data * gradient) @ part.scores
+    psi = part.scores @ np.linalg.solve(part.information, pulled)
     for entry in seen:
         values = []
         for change in (0.05, -0.05):

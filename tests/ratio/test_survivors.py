@@ -53,7 +53,8 @@ TILTED = {"theta", "tilt_gap", "feature_rank", "smoothness"}
 ROWS = {"prior", "lower", "upper", "enclosure"}
 BETAS = {"lower", "upper"}
 DETAILS = {
-    "the default": ({}, CHOSEN | TILTED | ROWS),
+    "the default": ({}, CHOSEN | TILTED | ROWS | {"centre"}),
+    "the tilt": ({"prior": "tilt"}, CHOSEN | TILTED | ROWS),
     "the simulator": ({"prior": "simulator"}, CHOSEN | ROWS),
     "a strength": ({"prior": "simulator", "strength": 2.0}, {"strength"} | ROWS),
     "no prior": ({"prior": "none"}, {"strength"} | ROWS),
@@ -87,7 +88,7 @@ def test_the_words_in_the_details(name):
     sums = (found.values.toarray() * SIMULATOR.transitions.toarray()).sum(axis=1)
     assert_allclose(found.row_sum_error, np.abs(sums - 1).max(), atol=1e-15)
     if "prior" in keys:
-        assert found.details["prior"] == options.get("prior", "tilt")
+        assert found.details["prior"] == options.get("prior", "average")
     if "enclosure" in keys:
         below, above = found.details["enclosure"]
         assert (below <= found.values.data + 1e-12).all()
@@ -174,21 +175,24 @@ def test_the_one_step_correction_row_by_row():
         n = COUNTS[x].sum()
         frequency = COUNTS[x] / n
         change += g[x] @ (frequency - kernel[x])
-        variance += frequency @ (g[x] - frequency @ g[x]) ** 2 / n
-        own += (4.0 / (n + 4.0)) ** 2 * (kernel[x] @ (g[x] - kernel[x] @ g[x]) ** 2) / n
+        spread = kernel[x] @ (g[x] - kernel[x] @ g[x]) ** 2
+        variance += spread / n
+        own += (4.0 / (n + 4.0)) ** 2 * spread / n
+    unseen = kernel[4] @ (g[4] - kernel[4] @ g[4]) ** 2
     assert_allclose(step.change, change, rtol=1e-12)
     assert_allclose(step.standard_error, np.sqrt(variance), rtol=1e-12)
     assert_allclose(step.change_error, np.sqrt(own), rtol=1e-12)
+    assert_allclose(step.unseen, np.sqrt(unseen), rtol=1e-12)
 
 
 def test_the_tilt_s_prior_row_and_strength():
     """(n + kappa m) / (n_sa + kappa) over P, m the tilt's row; the tilt's row alone where the log has none."""
     tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR)
     base = tilt.ratio.reshape(6, 3) * SIMULATOR.transitions.toarray()
-    found = fit(strength=5.0)
+    found = fit(prior="tilt", strength=5.0)
     expected = (COUNTS + 5.0 * base) / (COUNTS.sum(axis=1, keepdims=True) + 5.0)
     assert_allclose(found.values.toarray() * SIMULATOR.transitions.toarray(), expected, rtol=1e-10)
-    bare = fit(strength=0.0)
+    bare = fit(prior="tilt", strength=0.0)
     assert_allclose(bare.values.toarray()[4] * SIMULATOR.transitions.toarray()[4], base[4], rtol=1e-10)
     assert_allclose(found.details["theta"], tilt.theta)
     assert found.details["feature_rank"] == 1
@@ -732,7 +736,7 @@ def test_options_that_a_method_does_not_use(method, name):
 WRONG = {
     "method": (zeta(method="q"), r"^method must be one of 'conditional', 'tied', 'linear', .*, 'joint'; got 'q'$"),
     "simulator": (lambda: oee.transition_ratio(LOG, 3), r"^simulator must be a FiniteMDP; got int$"),
-    "prior": (zeta(prior="q"), r"^prior must be one of 'tilt', 'simulator', 'none'; got 'q'$"),
+    "prior": (zeta(prior="q"), r"^prior must be one of 'average', 'tilt', 'simulator', 'none'; got 'q'$"),
     "strength": (zeta(strength="q"), r"^strength must be one of 'evidence', 'loo'; got 'q'$"),
     "a negative strength": (zeta(strength=-1), r"^strength must be in \[0, inf\); it is -1$"),
     "ridge": (zeta(ridge="q"), r"^ridge must be one of 'evidence', 'loo'; got 'q'$"),

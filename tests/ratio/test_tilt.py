@@ -117,7 +117,7 @@ def test_action_displacement_shares_between_states():
     log = oee.sample_episodes(target, oee.uniform_policy(target), 100, 200, seed=0)
     truth = oee.true_ratio(target, simulator).values.data
     errors = [
-        np.abs(oee.transition_ratio(log, simulator, features=features).values.data - truth).mean()
+        np.abs(oee.transition_ratio(log, simulator, prior="tilt", features=features).values.data - truth).mean()
         for features in (None, phi)
     ]
     assert errors[1] < 0.6 * errors[0]
@@ -199,9 +199,10 @@ def test_the_strength_maximises_its_criterion_and_says_what_it_means(criterion):
     assert sum(moves for _, moves, _ in kinds) == len(log)
     assert 1 < zeta.details["strength"] < 100
     assert "does not fit" in zeta.details["meaning"]
-    tilted = oee.transition_ratio(log, simulator, strength=criterion)
-    assert tilted.details["strength"] > 300
-    assert tilted.details["meaning"].startswith("the tilt fits")
+    for name, options in {"tilt": {"prior": "tilt"}, "centre": {}}.items():
+        fitted = oee.transition_ratio(log, simulator, strength=criterion, **options)
+        assert fitted.details["strength"] > 300
+        assert fitted.details["meaning"].startswith(f"the {name} fits")
     assert len(grid) == len(curve)
 
 
@@ -231,7 +232,7 @@ def test_the_ridge_may_be_chosen_on_the_data():
 
 
 def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
-    """With a prior of any strength, J1 is the model-based value to second order: far closer than the exact value."""
+    """With a prior of any strength, J1 is the model-based value to second order: far closer than that of zeta * P."""
     simulator, target = grids(5)
     log = oee.sample_transitions(target, np.full((25, 4), 0.01), 40_000, seed=0)
     policy = oee.tasks.gridworld_policy(5, 0.5)
@@ -242,8 +243,9 @@ def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
 
         ratio = partial(oee.transition_ratio, prior="simulator", strength=strength)
         estimate = oee.estimators.OffEnvironment(ratio)(problem, policy)
-        one_step = estimate.diagnostics["one_step_value"]
-        assert abs(one_step - likelihood.value) < 0.15 * abs(estimate.value - likelihood.value)
+        one_step, exact = (estimate.diagnostics[name] for name in ("one_step_value", "model_value"))
+        assert abs(one_step - likelihood.value) < 0.15 * abs(exact - likelihood.value)
+        assert_allclose(estimate.diagnostics["maximum_likelihood_value"], likelihood.value, rtol=1e-9)
         assert_allclose(estimate.diagnostics["one_step_standard_error"], likelihood.standard_error, rtol=0.3)
 
 
