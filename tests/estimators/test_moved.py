@@ -102,7 +102,9 @@ def test_a_row_of_one_move_has_a_variance():
     found = OffEnvironment(HALF)(oee.Problem(simulator, log), policy)
     assert found.diagnostics["one_step_standard_error"] > 0
     assert_allclose(found.standard_error, found.diagnostics["one_step_standard_error"])
-    again = OffEnvironment(HALF)(oee.Problem(simulator, oee.Transitions(*np.tile([log.state, log.action, log.next_state], 100))), policy)  # fmt: skip
+    again = OffEnvironment(HALF)(
+        oee.Problem(simulator, oee.Transitions(*np.tile([log.state, log.action, log.next_state], 100))), policy
+    )
     assert again.diagnostics["one_step_standard_error"] < 0.2 * found.diagnostics["one_step_standard_error"]
 
 
@@ -136,12 +138,15 @@ def test_two_changes_by_hand():
 
 def test_a_value_that_was_moved_says_so():
     """Also in ``meaning``, which says that the centre fits where it was not."""
-    _, _, far = estimated(0, size=1.5, per_row=100, estimator=OffEnvironment(functools.partial(oee.transition_ratio, prior="simulator")))  # fmt: skip
+    _, _, far = estimated(
+        0, size=1.5, per_row=100, estimator=OffEnvironment(functools.partial(oee.transition_ratio, prior="simulator"))
+    )
     facts = far.diagnostics
     assert facts["moved"] > 0
     share, distance = f"{facts['moved']:.0%}", f"{facts['one_step_distance']:.1f}"
     assert facts["meaning"] == (
-        f"the log speaks against the centre along this policy (by {distance} standard errors): the value is moved from it by {share}"
+        f"the log speaks against the centre along this policy (by {distance} standard errors): "
+        f"the value is moved from it by {share}"
     )
     _, _, near = estimated(0, size=0.0, per_row=100, estimator=OffEnvironment())
     assert near.diagnostics["moved"] == 0
@@ -156,7 +161,9 @@ def test_a_centre_that_is_wrong_is_left_and_one_that_is_right_is_kept():
             _, target, policy = pair(seed, size=size)
             facts = estimated(seed, size=size, per_row=40)[2]
             J = oee.policy_value(target, policy)
-            found.append([facts.value - J, *(facts.diagnostics[k] - J for k in ("model_value", "maximum_likelihood_value"))])  # fmt: skip
+            found.append(
+                [facts.value - J, *(facts.diagnostics[k] - J for k in ("model_value", "maximum_likelihood_value"))]
+            )
     rms = {size: np.sqrt(np.mean(np.square(found), axis=0)) for size, found in errors.items()}
     assert rms[0.0][0] < 0.9 * rms[0.0][2]
     assert rms[1.0][0] < 0.5 * rms[1.0][1]

@@ -82,7 +82,9 @@ def test_the_minimiser_and_what_comes_with_it(chosen, theta):
     assert f(found.theta) <= best.fun + 1e-9
     assert 0 <= found.gap < 1e-12
     raw = made.rows.weights * np.exp(phi @ found.theta)
-    assert_allclose(found.model, (raw.reshape(10, 5) / raw.reshape(10, 5).sum(axis=1, keepdims=True)).reshape(-1), rtol=1e-12)  # fmt: skip
+    assert_allclose(
+        found.model, (raw.reshape(10, 5) / raw.reshape(10, 5).sum(axis=1, keepdims=True)).reshape(-1), rtol=1e-12
+    )
     information = hessian(made, phi, kappa, found.model) + np.diag(found.precision)
     assert_allclose(found.information, information, rtol=1e-9, atol=1e-9)
     size = 0.5 * (np.linalg.slogdet(information)[1] - np.log(found.precision).sum() + found.precision @ found.theta**2)
@@ -233,7 +235,10 @@ def test_rows_tilted_by_a_large_exponent():
     exponent = np.random.default_rng(1).normal(size=len(rows.weights)) * 500
     model, log_z = tilted(rows.weights, exponent, rows)
     assert_allclose(rows.sums(model), 1.0, rtol=1e-13)
-    expected = [special.logsumexp(exponent[i:j], b=rows.weights[i:j]) for i, j in zip(rows.indptr[:-1], rows.indptr[1:], strict=True)]  # fmt: skip
+    expected = [
+        special.logsumexp(exponent[i:j], b=rows.weights[i:j])
+        for i, j in zip(rows.indptr[:-1], rows.indptr[1:], strict=True)
+    ]
     assert_allclose(log_z, expected, rtol=1e-13)
 
 
@@ -277,4 +282,6 @@ def test_log_rising_over_all_scales(exponent, n):
 @pytest.mark.parametrize("n", [1.0, 2.0, 8.0, 9.0, 11.999, 12.0, 1e5])
 @pytest.mark.parametrize("base", [1e-12, 0.5, 11.9, 12.0, 12.1])
 def test_log_rising_where_its_formulas_meet(base, n):
-    assert_allclose(_strength.log_rising(base, n), special.gammaln(base + n) - special.gammaln(base), rtol=1e-12, atol=1e-12)  # fmt: skip
+    assert_allclose(
+        _strength.log_rising(base, n), special.gammaln(base + n) - special.gammaln(base), rtol=1e-12, atol=1e-12
+    )
