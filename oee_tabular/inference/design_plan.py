@@ -81,7 +81,7 @@ class Plan:
     >>> pair = oee.testing.case("ragged")
     >>> plan = oee.plan_data_collection(pair.problem(1000, seed=0), pair.policy, n=1000)
     >>> plan.allocation.tolist(), plan.status
-    ([[619, 0], [0, 254], [32, 95], [0, 0]], 'ok')
+    ([[617, 0], [0, 255], [33, 95], [0, 0]], 'ok')
     >>> [round(width, 2) for width in plan.expected_width]
     [0.65, 0.55]
     """

@@ -166,6 +166,7 @@ def _averaged(candidates: list[_Candidate], log: _Log) -> tuple[Part, ...]:
     first = {frozenset(c.theta) or c.name: c for c in reversed(candidates)}
     distinct = {c.name: c for c in reversed(first.values())}
     evidence = {name: log.strength(c.model).score - c.cost for name, c in distinct.items()}
+    evidence = {name: e for name, e in evidence.items() if np.isfinite(e)}  # not so of a fit that rounding has broken
     best = max(evidence.values())
     weights = {name: float(np.exp(TEMPER * (e - best))) for name, e in evidence.items()}
     total = sum(weights.values())

@@ -1,7 +1,8 @@
 """The small pairs of environments that estimators are checked on, each known exactly.
 
 Target and simulator differ much (the simulator's value is off by many standard errors), with the same support and small
-integer probabilities; every behaviour policy takes every action, unless the case is about one that does not.
+integer probabilities; every behaviour policy takes every action, unless the case is about one that does not. The states lie on
+a line, in the order of their numbers (``layout``): renamed states keep their places.
 """
 
 from __future__ import annotations
@@ -192,7 +193,7 @@ def _mortal(rows: Any, discount: float) -> FiniteMDP:
     transitions = np.zeros((4, 2, 4))
     transitions[:3] = np.asarray(rows) / 10.0
     transitions[3, :, 3] = 1.0
-    return FiniteMDP(transitions, _PAY, np.array([0.8, 0.2, 0.0, 0.0]), discount)
+    return FiniteMDP(transitions, _PAY, np.array([0.8, 0.2, 0.0, 0.0]), discount, layout=np.arange(4))
 
 
 _TARGET = [[[3, 3, 3, 1], [1, 2, 2, 5]], [[5, 1, 1, 3], [2, 5, 2, 1]], [[1, 2, 2, 5], [3, 1, 3, 3]]]
@@ -213,14 +214,14 @@ def _moves(name: str, horizon: int | None, discount: float, steps: int) -> Case:
     rewards[:, :, 0] += 4.0
     policy, behavior = np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
     start = np.array([0.5, 0.5, 0.0])
-    pair = FiniteMDP(simulator, rewards, start, discount), FiniteMDP(target, rewards, start, discount)
+    pair = (FiniteMDP(kernel, rewards, start, discount, layout=np.arange(3)) for kernel in (simulator, target))
     return Case(name, *pair, policy, behavior, horizon, steps)
 
 
 def _survival(name: str, horizon: int | None, steps: int) -> Case:
     """One action; alive pays 1. Episodes that are over count: without them the value would be sum gamma^t."""
     simulator, target = (
-        FiniteMDP(np.array([[[stay, 1 - stay]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), 0.9)
+        FiniteMDP([[[stay, 1 - stay]], [[0.0, 1.0]]], [1.0, 0.0], [1.0, 0.0], 0.9, layout=[0.0, 1.0])
         for stay in (0.5, 0.7)
     )
     return Case(name, simulator, target, np.ones((2, 1)), np.ones((2, 1)), horizon, steps)

@@ -24,7 +24,7 @@ CLAIMS: Mapping[str, str] = {
     "consistent": "its value tends to J_target as the log (and its rollouts) grow, where the log's behaviour has support",
     "unbiased": "its mean over logs is J_target at every number of episodes",
     "identical": "it is right where the target is the simulator (part of consistent)",
-    "relabelling": "names of states and actions do not matter",
+    "relabelling": "names of states and actions do not matter where the states keep their places (layout)",
     "scale": "rewards a r give a J, to 1e-8, from the same log and seed",
     "shift": "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed, nothing being absorbing",
     "padding": "rows in an absorbing state after the end of an episode change nothing",

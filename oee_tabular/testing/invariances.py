@@ -17,7 +17,7 @@ SEEDS = 16
 
 
 def relabelling(subject: Subject) -> str:
-    """Names of states and actions do not matter: exactly, or where the seed matters in the mean over seeds."""
+    """Names of states and actions do not matter, places (``layout``) kept: exactly, or in the mean over seeds that matter."""
     found = []
     for k, pair in enumerate([*subject.cases("ragged"), subject.one_case("moves")]):
         log = pair.log(EPISODES, seed=subject.log_seed(11, k))

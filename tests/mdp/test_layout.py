@@ -84,7 +84,11 @@ def test_what_is_made_of_the_same_states_keeps_it(form, tmp_path):
         lambda: ModelBased("simulator").model(Problem(GRID, LOG)),
         lambda: Problem(GRID, LOG, rewards="log").model,
         lambda: oee.transition_ratio(LOG, GRID).target_model(GRID),
-        lambda: OffEnvironment().fit(Problem(GRID, LOG), np.random.default_rng(0)).target_model(GRID),
+        lambda: (
+            OffEnvironment()
+            .fit(Problem(GRID, LOG), oee.uniform_policy(GRID), np.random.default_rng(0))
+            .target_model(GRID)
+        ),
         lambda: frequencies(LOG.counts(9, 4), GRID),
         lambda: with_next_rewards_averaged(GRID),
     ],
@@ -102,7 +106,11 @@ def test_mixtures_of_cells_keep_the_first_one_s():
 def test_other_numbers_of_the_states_take_it_along():
     pair = case("ragged")
     states = np.roll(np.arange(pair.simulator.n_states), 1)
-    lying = replace(pair, simulator=pair.simulator.with_layout(10 * np.arange(len(states))))
+    lying = replace(
+        pair,
+        simulator=pair.simulator.with_layout(10 * np.arange(len(states))),
+        target=pair.target.with_layout(None),
+    )
     renamed = lying.relabelled(states, np.arange(lying.simulator.n_actions))
     assert_array_equal(renamed.simulator.layout[states], lying.simulator.layout)
     assert renamed.target.layout is None

@@ -1,0 +1,219 @@
+"""The value between the centre's and the log's: where it stops, its standard error, its interval, and what they say."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import exact
+from oee_tabular.estimators import ModelBased, OffEnvironment
+from oee_tabular.estimators.off_environment import nearer
+
+HALF = functools.partial(oee.transition_ratio, prior="simulator", strength=30.0)
+
+
+def pair(seed, n_states=6, size=0.5):
+    """Rows of five successors; the target's are moved down along V by ``size``."""
+    rng = np.random.default_rng(seed)
+    rows = rng.dirichlet(np.full(n_states, 2.0), (n_states, 2))
+    simulator = oee.FiniteMDP(rows, rng.normal(size=(n_states, 2)), np.full(n_states, 1 / n_states), 0.9)
+    policy = rng.dirichlet(np.ones(2), n_states)
+    level = oee.state_values(simulator, policy)
+    raw = rows * np.exp(-size * (level - level.mean()) / level.std())
+    return simulator, simulator.with_transitions(raw / raw.sum(axis=2, keepdims=True)), policy
+
+
+def estimated(seed, *, size=0.5, per_row=10, horizon=None, estimator=None, skip=None):
+    simulator, target, policy = pair(seed, size=size)
+    share = np.full((6, 2), 1.0)
+    if skip is not None:
+        share[skip] = 0.0
+    log = oee.sample_transitions(target, share / share.sum(), 12 * per_row, seed=seed)
+    problem = oee.Problem(simulator, log, horizon=horizon)
+    return problem, policy, (estimator or OffEnvironment(HALF))(problem, policy)
+
+
+@pytest.mark.parametrize("horizon", [None, 5])
+@pytest.mark.parametrize("estimator", [OffEnvironment(), OffEnvironment(HALF)], ids=["default", "fixed"])
+def test_the_value_by_its_diagnostics(estimator, horizon):
+    """model value + max(0, 1 - 4 / z^2) change, change the nearer of one-step's and maximum likelihood's."""
+    moved = []
+    for seed in range(12):
+        problem, policy, found = estimated(seed, size=0.3 * (seed % 4), horizon=horizon, estimator=estimator)
+        facts = found.diagnostics
+        changes = [facts[name] - facts["model_value"] for name in ("one_step_value", "maximum_likelihood_value")]
+        change = 0.0 if changes[0] * changes[1] <= 0 else min(changes, key=abs)
+        z = facts["one_step_distance"]
+        share = max(0.0, 1 - 4 / z**2) if z > 0 else 0.0
+        assert_allclose(facts["moved"], share, rtol=1e-12)
+        assert_allclose(found.value, facts["model_value"] + share * change, rtol=1e-12)
+        assert (facts["moved"] == 0) == (z <= 2)
+        likelihood = ModelBased("simulator")(problem, policy).value  # every row is visited
+        assert_allclose(facts["maximum_likelihood_value"], likelihood, rtol=1e-9)
+        low, high = found.interval
+        assert_allclose((high + low) / 2, found.value, rtol=1e-9, atol=1e-12)
+        assert_allclose((high - low) / 2, 1.959963984540054 * found.standard_error, rtol=1e-9)
+        moved.append(facts["moved"] > 0)
+    if estimator != OffEnvironment():
+        assert 0 < sum(moved) < 12
+
+
+@pytest.mark.parametrize("per_row", [1, 10])
+@pytest.mark.parametrize("skip", [None, (2, 1)])
+def test_its_standard_error_row_by_row(per_row, skip):
+    """sqrt(sum over visited rows of Var(G) / n + sum over the others of Var(G)), variances under zeta P."""
+    problem, policy, found = estimated(3, per_row=per_row, skip=skip)
+    zeta = HALF(problem.log, problem.simulator)
+    model = exact.reweight(problem.simulator, zeta)
+    p = model.transitions.toarray().reshape(6, 2, 6)
+    gradient = exact.transition_gradient(model, policy).reshape(6, 2, 6)
+    counts = problem.log.counts(6, 2).toarray().reshape(6, 2, 6)
+    error = unseen = change = own = 0.0
+    for s in range(6):
+        for a in range(2):
+            n = counts[s, a].sum()
+            variance = p[s, a] @ (gradient[s, a] - p[s, a] @ gradient[s, a]) ** 2
+            if n == 0:
+                unseen += variance
+                continue
+            error += variance / n
+            change += gradient[s, a] @ (counts[s, a] / n - p[s, a])
+            own += (30 / (n + 30)) ** 2 * variance / n
+    facts = found.diagnostics
+    assert (unseen > 0) == (skip is not None or per_row == 1)
+    assert_allclose(facts["one_step_standard_error"], np.sqrt(error), rtol=1e-9)
+    assert_allclose(found.standard_error, np.sqrt(error + unseen), rtol=1e-9)
+    assert_allclose(facts["one_step_value"] - facts["model_value"], change, rtol=1e-9)
+    changes = change, facts["maximum_likelihood_value"] - facts["model_value"]
+    nearest = 0.0 if changes[0] * changes[1] <= 0 else min(map(abs, changes))
+    assert_allclose(facts["one_step_distance"], nearest / np.sqrt(own), rtol=1e-9)
+
+
+def test_a_row_of_one_move_has_a_variance():
+    """Under its own frequencies it has none."""
+    simulator, _, policy = pair(0)
+    log = oee.Transitions(np.arange(12) // 2, np.arange(12) % 2, np.arange(12) % 6)
+    found = OffEnvironment(HALF)(oee.Problem(simulator, log), policy)
+    assert found.diagnostics["one_step_standard_error"] > 0
+    assert_allclose(found.standard_error, found.diagnostics["one_step_standard_error"])
+    again = OffEnvironment(HALF)(
+        oee.Problem(simulator, oee.Transitions(*np.tile([log.state, log.action, log.next_state], 100))), policy
+    )
+    assert again.diagnostics["one_step_standard_error"] < 0.2 * found.diagnostics["one_step_standard_error"]
+
+
+def test_a_log_of_one_row_leaves_the_others_unsure():
+    simulator, target, policy = pair(1)
+    few, many = (
+        OffEnvironment()(oee.Problem(simulator, oee.sample_transitions(target, share, 500, seed=0)), policy)
+        for share in (np.eye(6)[:, :1] @ np.array([[1.0, 0.0]]) * np.eye(6)[:, :1], np.full((6, 2), 1 / 12))
+    )
+    assert few.standard_error > 3 * many.standard_error
+    step = few.diagnostics["one_step_standard_error"]
+    assert few.standard_error > 3 * step
+    assert_allclose(many.standard_error, many.diagnostics["one_step_standard_error"], rtol=1e-12)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_the_nearer_of_two_changes(x, y):
+    found = nearer(x, y)
+    if x * y <= 0:
+        assert found == 0.0
+    else:
+        assert found in (x, y)
+        assert abs(found) == min(abs(x), abs(y))
+    assert nearer(y, x) == found
+    assert nearer(-x, -y) == -found
+
+
+def test_two_changes_by_hand():
+    assert (nearer(2.0, 3.0), nearer(-3.0, -2.0), nearer(1.0, -5.0), nearer(0.0, 4.0)) == (2.0, -2.0, 0.0, 0.0)
+
+
+def test_a_value_that_was_moved_says_so():
+    """Also in ``meaning``, which says that the centre fits where it was not."""
+    _, _, far = estimated(
+        0, size=1.5, per_row=100, estimator=OffEnvironment(functools.partial(oee.transition_ratio, prior="simulator"))
+    )
+    facts = far.diagnostics
+    assert facts["moved"] > 0
+    share, distance = f"{facts['moved']:.0%}", f"{facts['one_step_distance']:.1f}"
+    assert facts["meaning"] == (
+        f"the log speaks against the centre along this policy (by {distance} standard errors): "
+        f"the value is moved from it by {share}"
+    )
+    _, _, near = estimated(0, size=0.0, per_row=100, estimator=OffEnvironment())
+    assert near.diagnostics["moved"] == 0
+    assert near.diagnostics["meaning"].startswith("the centre fits")
+
+
+def test_a_centre_that_is_wrong_is_left_and_one_that_is_right_is_kept():
+    """Along V, over logs: towards maximum likelihood where the target is far; the simulator's error where it is the target."""
+    errors = {0.0: [], 1.0: []}
+    for size, found in errors.items():
+        for seed in range(12):
+            _, target, policy = pair(seed, size=size)
+            facts = estimated(seed, size=size, per_row=40)[2]
+            J = oee.policy_value(target, policy)
+            found.append(
+                [facts.value - J, *(facts.diagnostics[k] - J for k in ("model_value", "maximum_likelihood_value"))]
+            )
+    rms = {size: np.sqrt(np.mean(np.square(found), axis=0)) for size, found in errors.items()}
+    assert rms[0.0][0] < 0.9 * rms[0.0][2]
+    assert rms[1.0][0] < 0.5 * rms[1.0][1]
+
+
+def test_the_policy_s_own_value_is_a_direction_of_the_fit():
+    simulator, target, policy = pair(2, size=1.0)
+    log = oee.sample_transitions(target, np.full((6, 2), 1 / 12), 400, seed=0)
+    problem = oee.Problem(simulator, log, horizon=7)
+    fitted = OffEnvironment().fit(problem, policy, np.random.default_rng(0))
+    expected = oee.transition_ratio(log, simulator, values_of=policy, horizon=7)
+    assert_allclose(fitted.values.data, expected.values.data, rtol=1e-12)
+    without = oee.transition_ratio(log, simulator)
+    assert np.abs(without.values.data - expected.values.data).max() > 1e-4
+    assert not any("V" in name for name, _, _ in without.details["centre"])
+
+
+def test_ratios_without_a_log_s_noise_are_not_moved():
+    simulator, target, policy = pair(4)
+    problem = oee.Problem(simulator, oee.sample_transitions(target, np.full((6, 2), 1 / 12), 50, seed=0))
+    found = OffEnvironment(oee.true_ratio(target, simulator))(problem, policy)
+    assert "moved" not in found.diagnostics
+    assert found.standard_error is None
+    assert found.interval is None
+    with pytest.raises(
+        ValueError, match="a ratio of method 'true' has no maximum-likelihood model: it keeps no frequencies"
+    ):
+        oee.true_ratio(target, simulator).maximum_likelihood_model(simulator)
+
+
+@settings(max_examples=20)
+@given(rngs)
+def test_the_maximum_likelihood_model_of_a_ratio(rng):
+    simulator = random_mdp(rng, discount=0.9)
+    target = random_mdp(rng, like=simulator)
+    share = np.full((target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions))
+    log = oee.sample_transitions(target, share, 30, seed=int(rng.integers(1 << 30)))
+    policy = random_policy(rng, simulator)
+    zeta = oee.transition_ratio(log, simulator, values_of=policy)
+    likely = zeta.maximum_likelihood_model(simulator).transitions.toarray()
+    counts = log.counts(simulator.n_states, simulator.n_actions).toarray()
+    n = counts.sum(axis=1, keepdims=True)
+    kept = zeta.target_model(simulator).transitions.toarray()
+    assert_allclose(likely, np.where(n > 0, counts / np.maximum(n, 1), kept), atol=1e-12)
+
+
+def test_without_noise_nothing_is_moved():
+    """Rows with one successor: no change, no error."""
+    simulator = oee.FiniteMDP(sparse.csr_array([[0.0, 1.0], [0.0, 1.0]]), [1.0, 0.0], [1.0, 0.0], 0.9)
+    found = OffEnvironment()(oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 1])), np.ones((2, 1)))
+    assert (found.value, found.standard_error, found.interval) == (1.0, 0.0, (1.0, 1.0))
+    assert found.diagnostics["moved"] == 0.0
+    assert found.diagnostics["one_step_distance"] == 0.0
