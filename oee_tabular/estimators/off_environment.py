@@ -60,9 +60,10 @@ class OffEnvironment(ExactLimit):
         value + max(0, 1 - 5 / z^2) change,   z = change / its standard error,
 
     change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
-    sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few moves. The
-    gains over maximum likelihood come from the centre; the test bounds the harm: where the centre is b standard errors of the
-    change off, the root mean square of what is left is at most 2.0 of them (at b = 3), .13 where it is right (z normal). ``diagnostics`` has both ends and the share ``moved``.
+    sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few moves.
+    The gains over maximum likelihood come from the centre; the test bounds the harm: where the centre is b standard errors
+    of the change off, the root mean square of what is left is at most 2.0 of them (at b = 3), .13 where it is right (z
+    normal). ``diagnostics`` has both ends and the share ``moved``.
 
     ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
     derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value plus or minus 1.96 of it. The narrower
