@@ -152,8 +152,8 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
             moved,
             f"{moved:.0%}",
             "the log speaks against every kind of change that was tried along this policy, so the value is moved by {} "
-            "from the corrected simulator towards what the log alone says. If you know what may differ, say it: features of moves "
-            "(features=, on the command line --features) or moves that are alike (tie=, --tie).",
+            "from the corrected simulator towards what the log alone says. If you know what may differ, say it: features of "
+            "moves (features=, on the command line --features) or moves that are alike (tie=, --tie).",
         )
     if "replaced_value" in facts and estimate.interval is not None:
         replaced, (lower, upper) = facts["replaced_value"], estimate.interval
