@@ -145,6 +145,16 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
             "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
             "own starts.",
         )
+    moved = facts.get("moved", 0.0)
+    if moved > 0:
+        add(
+            "against",
+            moved,
+            f"{moved:.0%}",
+            "the log speaks against every kind of change that was tried along this policy, so the value is moved by {} "
+            "from the corrected simulator towards what the log alone says. If you know what may differ, say it: features of "
+            "moves (features=, on the command line --features) or moves that are alike (tie=, --tie).",
+        )
     if "replaced_value" in facts and estimate.interval is not None:
         replaced, (lower, upper) = facts["replaced_value"], estimate.interval
         add(

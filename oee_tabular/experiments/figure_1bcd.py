@@ -60,12 +60,12 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     pool = episodes_for(target, behavior, n, generator)
     problem = Problem(simulator, pool.draw(n, seed=generator), horizon=HORIZON, behavior_policy=behavior, episodes=pool)
     rollouts = stream.generator(use="rollouts")
-    oracle = true_ratio(target, simulator)
     rows = []
     for delta in DELTAS:
         policy = gridworld_policy(SIZE, delta)
         truth = SCALE * policy_value(target, policy, horizon=HORIZON)
-        zeta = {"OEE, product": OffEnvironment().fit(problem, policy, generator), "oracle, product": oracle}
+        fitted = OffEnvironment().fit(problem, policy, generator)
+        zeta = {"OEE, product": fitted, "oracle, product": true_ratio(target, simulator)}
         for name, estimate in estimators(target).items():
             value = SCALE * estimate(problem, policy, seed=rollouts).value
             row = {"delta": delta, "estimator": name, "value": value, "truth": truth, "error": abs(value - truth)}

@@ -11,7 +11,7 @@ from oee_tabular.exact import occupancy, policy_is_moments, policy_value, weight
 from oee_tabular.experiments.common import HORIZON, episodes_for, grids, panels, series_of
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
-from oee_tabular.ratio import transition_ratio, true_ratio
+from oee_tabular.ratio import true_ratio
 from oee_tabular.tasks import gridworld_policy
 
 if TYPE_CHECKING:
@@ -29,14 +29,14 @@ def horizon_cell(settings: Cell, stream: Stream) -> list[Row]:
     policy = gridworld_policy(10, delta)
     generator = stream.generator()
     log = episodes_for(target, uniform_policy(target), n, generator).draw(n, seed=generator)
-    fitted, truth = transition_ratio(log, simulator), true_ratio(target, simulator)
+    truth = true_ratio(target, simulator)
     rows = []
     for steps in HORIZONS:
         spread = {}
         for kind in ("per_decision", "trajectory"):
             moments = weighted_return_moments(simulator, truth, policy, kind=kind, horizon=steps)
             spread[f"oracle sd, {kind.replace('_', ' ')}"] = float(np.sqrt(moments.variance))
-        value = OffEnvironment(fitted)(Problem(simulator, log, horizon=steps), policy).value
+        value = OffEnvironment()(Problem(simulator, log, horizon=steps), policy).value
         spread["OEE exact, |error|"] = abs(value - policy_value(target, policy, horizon=steps))
         spread["simulator, |error|"] = abs(
             policy_value(simulator, policy, horizon=steps) - policy_value(target, policy, horizon=steps)

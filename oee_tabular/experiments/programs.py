@@ -43,7 +43,7 @@ def renyi_cell(settings: Cell, stream: Stream) -> list[Row]:
     policy = gridworld_policy(10, delta)
     log = drawn(target, uniform_policy(target), 3162, stream.generator())
     problem = Problem(simulator, log, horizon=HORIZON)
-    zeta = transition_ratio(log, simulator)
+    zeta = transition_ratio(log, simulator, values_of=policy, horizon=HORIZON)
     truth = policy_value(target, policy, horizon=HORIZON)
     ratio = true_ratio(target, simulator).values.data
     second = row_sums(simulator.transitions, simulator.transitions.data * ratio**2)

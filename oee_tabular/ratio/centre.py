@@ -8,8 +8,8 @@ that theory names beforehand, ``SEARCHED`` for one found by searching, and ``UNS
 the log has never visited, since a feature moves those as well, on the word of the others. The weights are proportional to
 the evidence to the power ``TEMPER``.
 
-The three prices and the power were chosen on the first half of the seeds of ``oee bench`` (sizes 0.3 to 30); between 0.3 and 1
-the power makes no difference beyond the noise there.
+The three prices and the power were chosen on seeds 0 to 11 of the families of ``oee bench`` (sizes 0.3 to 30); between 0.3
+and 1 the power makes no difference beyond the noise there.
 """
 
 from __future__ import annotations

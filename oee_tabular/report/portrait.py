@@ -78,9 +78,13 @@ def portray(
     visits: dict[str, Visits] = {}
     over = simulator.closed()
     if problem.horizon is not None or simulator.discount < 1.0:
-        model = transition_ratio(problem.observed, simulator).target_model(simulator)
-        for name in list(policies)[:MOST_POLICIES]:
-            time = occupancy(model, policies[name], horizon=problem.horizon)
+        shown = {name: policies[name] for name in list(policies)[:MOST_POLICIES]}
+        zeta = transition_ratio(
+            problem.observed, simulator, values_of=list(shown.values()) or None, horizon=problem.horizon
+        )
+        model = zeta.target_model(simulator)
+        for name, policy in shown.items():
+            time = occupancy(model, policy, horizon=problem.horizon)
             time = np.where(over[:, None], 0.0, time)
             total = float(time.sum())
             time = time / total if total > 0 else time

@@ -214,8 +214,8 @@ def _moves(name: str, horizon: int | None, discount: float, steps: int) -> Case:
     rewards[:, :, 0] += 4.0
     policy, behavior = np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
     start = np.array([0.5, 0.5, 0.0])
-    pair = (FiniteMDP(kernel, rewards, start, discount, layout=np.arange(3)) for kernel in (simulator, target))
-    return Case(name, *pair, policy, behavior, horizon, steps)
+    made = [FiniteMDP(kernel, rewards, start, discount, layout=np.arange(3)) for kernel in (simulator, target)]
+    return Case(name, made[0], made[1], policy, behavior, horizon, steps)
 
 
 def _survival(name: str, horizon: int | None, steps: int) -> Case:
