@@ -50,9 +50,11 @@ def worse(simulator, policy, size=0.5):
     return tilted_along(simulator, -size * column / column.std())
 
 
-def drawn(target, per_row, seed):
+def drawn(target, per_row, seed, *, left_out=()):
     shape = (target.n_states, target.n_actions)
-    share = np.full(shape, 1 / np.prod(shape))
+    share = np.ones(shape)
+    share.reshape(-1)[list(left_out)] = 0.0
+    share /= share.sum()
     return oee.sample_transitions(target, share, int(per_row * np.prod(shape)), seed=seed)
 
 
@@ -98,7 +100,7 @@ def test_evidence_part_by_part():
     for seed in range(8):
         simulator = garnet(seed, n_states=8)
         policy = random_policy(np.random.default_rng(seed), simulator, zeros=0.0)
-        log = drawn(worse(simulator, policy, 0.4), 4.0, seed)
+        log = drawn(worse(simulator, policy, 0.4), 4.0, seed, left_out=[3, 8])
         counts, matrix = counts_of(log, simulator), simulator.transitions
         n_row = np.add.reduceat(counts, matrix.indptr[:-1])
         told = np.repeat(n_row > 0, np.diff(matrix.indptr))
@@ -128,7 +130,7 @@ def test_evidence_part_by_part():
                 continue
             found.add(part.name)
             assert_allclose(part.evidence, score - cost, atol=1e-5)
-    assert {"simulator", "V"} <= found
+    assert {"simulator", "tilt by log P", "V"} <= found
 
 
 def test_prices_are_paid_by_feature():
@@ -524,3 +526,73 @@ def test_a_cvxpy_solver_gives_the_same_centre():
     assert_allclose(theirs.values.data, ours.values.data, atol=1e-4)
     assert [name for name, _, _ in theirs.details["centre"]] == [name for name, _, _ in ours.details["centre"]]
     assert len(ours.details["centre"]) > 1
+
+
+# ---- the candidates ----------------------------------------------------------------------------------------------
+
+
+def test_the_same_features_in_another_order_count_once():
+    class Log:
+        def strength(self, model):
+            return choose_strength(np.array([3.0, 1.0]), model, np.array([0.5, 0.5]), np.array([0, 2]))
+
+    rows = np.array([0.6, 0.4])
+
+    def candidate(name, theta, cost):
+        return centre._Candidate(name, rows, cost, lambda: (rows, None, None), theta)
+
+    same = {"V": 1.0, "stay": 2.0}
+    found = centre._averaged(
+        [
+            candidate("simulator", {}, 0.0),
+            candidate("tilt by log P", {}, 0.0),
+            candidate("V + stay", same, 2.0),
+            candidate("stay + V", dict(reversed(same.items())), 2.0),
+        ],
+        Log(),
+    )
+    assert {part.name for part in found} == {"simulator", "tilt by log P", "V + stay"}
+    share = np.exp(-0.5 * 2.0) / (2 + np.exp(-0.5 * 2.0))
+    assert_allclose([part.weight for part in found if part.theta], share)
+
+
+def test_what_theory_names_is_always_a_candidate(monkeypatch):
+    """Each V alone and beside log P, whatever the search finds."""
+    seen = []
+    averaged = centre._averaged
+    monkeypatch.setattr(
+        centre, "_averaged", lambda candidates, log: averaged(seen.append(candidates) or candidates, log)
+    )
+    simulator = garnet(7)
+    policies = [oee.optimal_policy(simulator), np.full((20, 2), 0.5)]
+    log = drawn(simulator, 3.0, 0)
+    for values in (policies[0], policies):
+        oee.transition_ratio(log, simulator, values_of=values)
+    first, second = ([c.name for c in candidates] for candidates in seen)
+    assert first[:4] == ["simulator", "tilt by log P", "V", "log P + V"]
+    each = [f"{before}V of policy {k}" for k in (1, 2) for before in ("", "log P + ")]
+    assert second[:6] == ["simulator", "tilt by log P", *each]
+
+
+def test_a_cvxpy_solver_is_asked_for_every_tilt_along_features(monkeypatch):
+    asked = []
+    by_cvxpy = Selection.by_cvxpy
+    monkeypatch.setattr(
+        Selection,
+        "by_cvxpy",
+        lambda self, fitted, kappa, solver: (
+            asked.append((fitted.chosen, solver)) or by_cvxpy(self, fitted, kappa, solver)
+        ),
+    )
+    simulator = garnet(1, n_states=8, successors=3)
+    log = drawn(simulator, 5.0, 0)
+    oee.transition_ratio(log, simulator, values_of=oee.optimal_policy(simulator), solver="CLARABEL", strength=5.0)
+    assert len(asked) >= 2
+    assert {solver for _, solver in asked} == {"CLARABEL"}
+
+
+def test_the_gap_is_that_of_the_worst_program(monkeypatch):
+    rows = Rows.of(SIMULATOR).weights
+    parts = tuple(oee.ratio.result.Part("simulator", 0.5, 0.0, rows, gap=gap) for gap in (0.25, 0.125))
+    monkeypatch.setattr("oee_tabular.ratio.conditional.fit_centre", lambda *args, **options: parts)
+    assert oee.transition_ratio(LOG, SIMULATOR).gap == 0.25

@@ -8,6 +8,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
+from oee_tabular.ratio.programs import SolverStatusError
 
 
 def pair(rng, **options):
@@ -285,10 +286,14 @@ def test_the_joint_program_against_clarabel(rng, options):
     counts = counts_of(rng, target, 200)
     known = {"method": "joint", "simulator_data": "exact", "behavior_policy": oee.uniform_policy(simulator)}
     simulator = oee.FiniteMDP(simulator.transitions, simulator.rewards, np.full(4, 0.25), 0.9)
-    ours, theirs = (oee.transition_ratio(counts, simulator, solver=s, **known, **options) for s in ("dual", "CLARABEL"))
+    ours = oee.transition_ratio(counts, simulator, **known, **options)
     assert 0 <= ours.gap < 1e-13
     assert ours.row_sum_error < 1e-12
-    if theirs.gap < 1e-10:  # Clarabel's "optimal" may be 1e-5 off: its certificate, not its status, decides
+    try:
+        theirs = oee.transition_ratio(counts, simulator, solver="CLARABEL", **known, **options)
+    except SolverStatusError:  # "optimal_inaccurate" at every tolerance asked for
+        theirs = None
+    if theirs is not None and theirs.gap < 1e-10:  # its "optimal" may be 1e-5 off: the certificate decides
         rows = np.repeat(np.arange(8), np.diff(simulator.transitions.indptr))
         visited = ours.visited.reshape(-1)[rows]  # elsewhere both betas are at the lower bound, 0/0 where that is 0
         seen = np.asarray(counts[rows, simulator.transitions.indices]).reshape(-1) > 0
