@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-DEFAULT, PAPER = "default (tilt, evidence)", "paper's networks"
+DEFAULT, PAPER = "default (average of candidates, evidence)", "paper's networks"
 RATIOS: dict[str, Callable[..., TransitionRatio]] = {
     DEFAULT: transition_ratio,
     "maximum likelihood": partial(transition_ratio, prior="none"),
