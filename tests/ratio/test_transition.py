@@ -11,6 +11,14 @@ from oee_tabular import exact
 from oee_tabular.ratio.programs import SolverStatusError
 
 
+def by_clarabel(counts, simulator, **options):
+    """Clarabel's answer; None where it ends "optimal_inaccurate" at every tolerance that is asked for (1 program in 500)."""
+    try:
+        return oee.transition_ratio(counts, simulator, solver="CLARABEL", **options)
+    except SolverStatusError:
+        return None
+
+
 def pair(rng, **options):
     simulator = random_mdp(rng, **options)
     return simulator, random_mdp(rng, like=simulator)
@@ -84,14 +92,13 @@ def test_without_shrinkage_it_is_the_maximum_likelihood_model(rng):
 def test_rows_agree_with_clarabel(rng, options):
     simulator, target = pair(rng, n_states=4, n_actions=2)
     counts = counts_of(rng, target, 60)
-    ours, theirs = (
-        oee.transition_ratio(counts, simulator, prior="simulator", strength=1.0, solver=solver, **options)
-        for solver in ("dual", "CLARABEL")
-    )
+    shrunk = {"prior": "simulator", "strength": 1.0} | options
+    ours, theirs = oee.transition_ratio(counts, simulator, **shrunk), by_clarabel(counts, simulator, **shrunk)
     assert ours.gap < 1e-12
     assert ours.row_sum_error < 1e-12
-    assert theirs.gap < 1e-6
-    assert_allclose(ours.values.data, theirs.values.data, rtol=0, atol=2e-3)
+    if theirs is not None:
+        assert theirs.gap < 1e-6
+        assert_allclose(ours.values.data, theirs.values.data, rtol=0, atol=2e-3)
     # each row is the plain density_ratio of its counts
     kept = simulator.transitions
     row = int(rng.integers(8))
@@ -289,10 +296,7 @@ def test_the_joint_program_against_clarabel(rng, options):
     ours = oee.transition_ratio(counts, simulator, **known, **options)
     assert 0 <= ours.gap < 1e-13
     assert ours.row_sum_error < 1e-12
-    try:
-        theirs = oee.transition_ratio(counts, simulator, solver="CLARABEL", **known, **options)
-    except SolverStatusError:  # "optimal_inaccurate" at every tolerance asked for
-        theirs = None
+    theirs = by_clarabel(counts, simulator, **known, **options)
     if theirs is not None and theirs.gap < 1e-10:  # its "optimal" may be 1e-5 off: the certificate decides
         rows = np.repeat(np.arange(8), np.diff(simulator.transitions.indptr))
         visited = ours.visited.reshape(-1)[rows]  # elsewhere both betas are at the lower bound, 0/0 where that is 0
