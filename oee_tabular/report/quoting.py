@@ -103,7 +103,7 @@ def _steps(estimate: Estimate, scale: float) -> str:
 
 VALUES = frozenset(  # diagnostics that are values, or errors of values
     (
-        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "maximum_likelihood_value",
-        "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
+        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
+        "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
     )
 )  # fmt: skip

@@ -91,7 +91,8 @@ def test_its_standard_error_row_by_row(per_row, skip):
             own += (30 / (n + 30)) ** 2 * variance / n
     facts = found.diagnostics
     assert (unseen > 0) == (skip is not None or per_row == 1)
-    assert_allclose(facts["one_step_standard_error"], np.sqrt(error), rtol=1e-9)
+    assert_allclose(facts["one_step_standard_error"], np.sqrt(error + unseen), rtol=1e-9)
+    assert_allclose(facts["unseen_standard_error"], np.sqrt(unseen), rtol=1e-9)
     assert_allclose(found.standard_error, np.sqrt(error + unseen), rtol=1e-9)
     assert_allclose(facts["one_step_value"] - facts["model_value"], change, rtol=1e-9)
     changes = change, facts["maximum_likelihood_value"] - facts["model_value"]
@@ -119,8 +120,9 @@ def test_a_log_of_one_row_leaves_the_others_unsure():
         for share in (np.eye(6)[:, :1] @ np.array([[1.0, 0.0]]) * np.eye(6)[:, :1], np.full((6, 2), 1 / 12))
     )
     assert few.standard_error > 3 * many.standard_error
-    step = few.diagnostics["one_step_standard_error"]
-    assert few.standard_error > 3 * step
+    unseen = few.diagnostics["unseen_standard_error"]
+    assert 0.9 * few.standard_error < unseen < few.standard_error
+    assert many.diagnostics["unseen_standard_error"] == 0.0
     assert_allclose(many.standard_error, many.diagnostics["one_step_standard_error"], rtol=1e-12)
 
 

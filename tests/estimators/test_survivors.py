@@ -73,8 +73,8 @@ def reweighted_zeta(simulator, target, factor):
 # ---- what an estimate says ---------------------------------------------------------------------------------------
 
 COVERAGE = {"unseen", "coverage", "fallback_share", "effective_sample_size"}
-ONE_STEP = {"one_step_value", "one_step_standard_error", "one_step_distance", "model_value", "maximum_likelihood_value",
-            "moved", "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
+ONE_STEP = {"one_step_value", "one_step_standard_error", "unseen_standard_error", "one_step_distance", "model_value",
+            "maximum_likelihood_value", "moved", "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
 LINEAR = {"error_bound", "method"}
 KEYS = {
     "simulator": LINEAR,
@@ -939,7 +939,8 @@ def test_off_environment_and_its_ratio(horizon):
     assert_allclose(found.standard_error, np.hypot(step.standard_error, step.unseen), rtol=1e-12)
     assert_allclose(facts["model_value"], oee.policy_value(model, POLICY, horizon=horizon), rtol=1e-12)
     assert_allclose(facts["one_step_value"], facts["model_value"] + step.change, rtol=1e-12)
-    assert_allclose(facts["one_step_standard_error"], step.standard_error, rtol=1e-12)
+    assert_allclose(facts["one_step_standard_error"], np.hypot(step.standard_error, step.unseen), rtol=1e-12)
+    assert_allclose(facts["unseen_standard_error"], step.unseen, rtol=1e-12)
     loose = OffEnvironment(reweighted_zeta(problem.simulator, target, 1.01))(problem, POLICY)
     assert set(loose.diagnostics) == {"gap", "row_sum_error", "largest_weight", "error_bound", "method"}
     assert loose.standard_error is None
