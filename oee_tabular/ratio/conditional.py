@@ -41,8 +41,12 @@ def fit_conditional(
     toward: float | None,
     solver: str,
     values: Sequence[Array] = (),
+    time: Array | None = None,
 ) -> TransitionRatio:
-    """zeta from counts on the simulator's entries; see ``transition_ratio``. ``values``: V of the policies that matter."""
+    """zeta from counts on the simulator's entries; see ``transition_ratio``. ``values``: V of the policies that matter.
+
+    ``time`` (S*A,): where they spend theirs in the simulator.
+    """
     indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
     q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
     n_row = segment_sums(observed, indptr)
@@ -54,7 +58,7 @@ def fit_conditional(
         if prior == "tilt":
             parts = (Part("tilt", 1.0, likelihood, q * tilt.ratio, tilt.scores, tilt.information, gap=tilt.gap),)
         else:
-            parts = fit_centre(observed, simulator, values, tilt, likelihood, solver=solver)
+            parts = fit_centre(observed, simulator, values, tilt, likelihood, time=time, solver=solver)
             told |= {"centre": [(part.name, part.weight, part.theta) for part in parts]}
         base = np.asarray(sum(part.weight * part.rows for part in parts))
     kappa, details = _strength(observed, base, q, indptr, prior, strength)

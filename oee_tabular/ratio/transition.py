@@ -29,6 +29,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
+from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
@@ -200,7 +201,7 @@ def transition_ratio(
             ridge=0.0 if ridge is None else ridge,
             toward=toward,
             solver=solver,
-            values=values_in(simulator, _policies(values_of, simulator), steps) if prior == "average" else (),
+            **_of_policies(_policies(values_of, simulator), simulator, steps),
         )
     if method == "tied":
         for name, value in {"lower": lower, "upper": upper, "ridge": ridge}.items():
@@ -251,6 +252,14 @@ def transition_ratio(
         observed, whole, simulator, simulator_data, behavior_policy=behavior_policy, toward=toward, **common
     )
     return make_result(simulator, quotient.zeta, "ratio_of_ratios", quotient.gap, observed, quotient.details)
+
+
+def _of_policies(policies: list[Array], simulator: FiniteMDP, horizon: int | None) -> dict[str, Any]:
+    """V of each policy in the simulator, and the time that they spend in each row, all together."""
+    found: dict[str, Any] = {"values": values_in(simulator, policies, horizon)}
+    if policies and (horizon is not None or simulator.discount < 1.0):
+        found["time"] = sum(occupancy(simulator, policy, horizon=horizon) for policy in policies).reshape(-1)
+    return found
 
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> list[Array]:
