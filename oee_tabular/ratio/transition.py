@@ -258,7 +258,8 @@ def _of_policies(policies: list[Array], simulator: FiniteMDP, horizon: int | Non
     """V of each policy in the simulator, and the time that they spend in each row, all together."""
     found: dict[str, Any] = {"values": values_in(simulator, policies, horizon)}
     if policies and (horizon is not None or simulator.discount < 1.0):
-        found["time"] = sum(occupancy(simulator, policy, horizon=horizon) for policy in policies).reshape(-1)
+        times = [occupancy(simulator, policy, horizon=horizon).reshape(-1) for policy in policies]
+        found["time"] = np.sum(times, axis=0)
     return found
 
 

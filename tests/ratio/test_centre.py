@@ -63,10 +63,11 @@ def counts_of(log, simulator):
     return log.counts(simulator.n_states, simulator.n_actions).toarray()[rows, simulator.transitions.indices]
 
 
-def parts_of(log, simulator, policy):
+def parts_of(log, simulator, policy, *, timed=False):
     counts = counts_of(log, simulator)
     tilt = fit_default_tilt(counts, simulator)
-    return fit_centre(counts, simulator, values_in(simulator, [policy], None), tilt, tilt.evidence)
+    time = oee.occupancy(simulator, policy).reshape(-1) if timed else None
+    return fit_centre(counts, simulator, values_in(simulator, [policy], None), tilt, tilt.evidence, time=time)
 
 
 CASES = [(seed, per_row, size) for seed in range(3) for per_row, size in ((2.0, 0.0), (5.0, 0.5), (30.0, 0.2))]
@@ -77,7 +78,7 @@ def test_weights_are_tempered_evidence(seed, per_row, size):
     simulator = garnet(seed)
     policy = oee.optimal_policy(simulator)
     log = drawn(worse(simulator, policy, size), per_row, seed)
-    parts = parts_of(log, simulator, policy)
+    parts = parts_of(log, simulator, policy, timed=True)
     weights, evidence = np.array([(part.weight, part.evidence) for part in parts]).T
     assert_allclose(weights.sum(), 1.0, rtol=1e-12)
     raw = np.exp(centre.TEMPER * (evidence - evidence.max()))
@@ -134,7 +135,7 @@ def test_evidence_part_by_part():
 
 
 def test_prices_are_paid_by_feature():
-    """1 nat for log P or V of all actions, 4 for another, 8 for each times the share of rows never visited."""
+    """1 nat for log P or V of all actions, 3 for another, 8 for each times the share of rows never visited."""
     simulator = garnet(0)
     policy = oee.optimal_policy(simulator)
     level = dense_values(simulator, policy)[simulator.transitions.indices]
@@ -162,8 +163,19 @@ def test_prices_are_paid_by_feature():
             column = feature.column(rows) * (1.0 if action == "" else np.repeat(rows.action, 5) == int(action))
             theta.append(value * np.sqrt((rows.weights * column**2).sum() / len(rows)))
         size = np.linalg.slogdet(information)[1] - np.log(penalty).sum() + penalty @ np.array(theta) ** 2
-        price = sum(1.0 if name in ("log P", "V", "V / sd") else 4.0 for name in part.theta)
+        price = sum(1.0 if name in ("log P", "V", "V / sd") else 3.0 for name in part.theta)
         assert_allclose(part.evidence, score - 0.5 * size - price - 8.0 * (1 - seen) * len(theta), atol=1e-4)
+
+
+def test_rows_never_visited_count_by_the_policy_s_time():
+    simulator = garnet(2)
+    policy = oee.optimal_policy(simulator)
+    log = drawn(worse(simulator, policy, 0.5), 3.0, 2, left_out=[3, 8, 11])
+    unseen = counts_of(log, simulator).reshape(-1, 5).sum(axis=1) == 0
+    time = oee.occupancy(simulator, policy).reshape(-1)
+    by_rows, by_time = ({p.name: p for p in parts_of(log, simulator, policy, timed=timed)} for timed in (False, True))
+    paid = by_time["V"].evidence - by_rows["V"].evidence
+    assert_allclose(paid, 8.0 * (unseen.mean() - time[unseen].sum()), atol=1e-9)
 
 
 # ---- limits ------------------------------------------------------------------------------------------------------
@@ -552,7 +564,7 @@ def test_the_same_features_in_another_order_count_once():
         Log(),
     )
     assert {part.name for part in found} == {"simulator", "tilt by log P", "V + stay"}
-    share = np.exp(-0.5 * 2.0) / (2 + np.exp(-0.5 * 2.0))
+    share = np.exp(-0.75 * 2.0) / (2 + np.exp(-0.75 * 2.0))
     assert_allclose([part.weight for part in found if part.theta], share)
 
 
