@@ -419,7 +419,9 @@ def test_certified_values_are_the_exact_ones_correctly_rounded(rng):
     assert_allclose(found.values[hard], right[hard], rtol=3e-16, atol=1e-25)
     assert max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True)) <= found.error_bound
     value = sum(Fraction(m) * t for m, t in zip(mdp.initial.tolist(), truth, strict=True))
-    ulps = np.spacing(abs(float(value))) + np.spacing(np.abs(right).max())  # values of both signs may cancel (rng 10270478)
+    ulps = np.spacing(abs(float(value))) + np.spacing(
+        np.abs(right).max()
+    )  # values of both signs may cancel (rng 10270478)
     assert abs(Fraction(found.value) - value) <= Fraction(ulps) + Fraction(1, 10**25)
     plain = exact.evaluate_policy(mdp, policy)
     assert plain.certified is None
