@@ -7,7 +7,7 @@ import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,31 +15,23 @@ import numpy as np
 from oee_tabular.bench.family import Family
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.experiments.registry import Row
 from oee_tabular.testing.command import own_estimator, own_modules
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
-QUANTILE = 1.959963984540054  # of the normal distribution, for 95%
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it.
-
-    The interval is the report's likelihood interval where there is one; else the table's.
-    """
+    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
 
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The printed value and interval of one policy."""
         from oee_tabular.report import evaluate
 
         report = evaluate(problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed)
-        estimate = report.results[0].estimate
-        quoted = report.sureness.intervals.get("policy", {}).get("likelihood")
-        if quoted is None:
-            return estimate
-        method = {"interval_method": quoted.method}
-        return replace(estimate, interval=(quoted.lower, quoted.upper), diagnostics={**estimate.diagnostics, **method})
+        return report.results[0].estimate
 
 
 REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
@@ -135,4 +127,4 @@ def _interval(estimate: Estimate, value: float) -> tuple[float, float, str]:
     error = estimate.standard_error
     if error is None or not np.isfinite(error):
         return math.nan, math.nan, ""
-    return value - QUANTILE * error, value + QUANTILE * error, "value +- 1.96 standard errors"
+    return value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"

@@ -196,8 +196,8 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if within is None or step is None:
         return exact
-    likely = zeta.maximum_likelihood_model(problem.model)
-    change = nearer(step.change, policy_value(likely, policy, horizon=problem.horizon) - exact.value)
+    likeliest = policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
+    change = nearer(step.change, likeliest - exact.value)
     apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
     share = max(0.0, 1.0 - AGAINST / apart**2) if apart > 0 else 0.0
     value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
@@ -210,7 +210,7 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
         "one_step_standard_error": error,
         "unseen_standard_error": step.unseen,
         "one_step_distance": apart,
-        "maximum_likelihood_value": policy_value(likely, policy, horizon=problem.horizon),
+        "maximum_likelihood_value": likeliest,
         "moved": share,
     }
     if share > 0 and "meaning" in diagnostics:
