@@ -113,7 +113,7 @@ def test_evidence_part_by_part():
             if part.name == "simulator":
                 cost = 0.0
             elif part.name == "tilt by log P":
-                cost = counts @ np.log(tilt.ratio) - tilt.evidence + 1.0 + 8.0 * missed
+                cost = counts @ np.log(tilt.ratio) - tilt.evidence + 1.0 + 4.0 * missed
             elif part.name == "V":
                 scores, information = np.asarray(part.scores), np.asarray(part.information)
                 weight = np.repeat(part.counted * n_row, np.diff(matrix.indptr))
@@ -126,7 +126,7 @@ def test_evidence_part_by_part():
                 expected = tilted(rows.weights, theta * column / scale, rows)[0]
                 assert_allclose(part.rows[told], expected, rtol=1e-8)
                 size = 0.5 * (np.log(information[0, 0]) - np.log(precision) + precision * theta**2)
-                cost = size + 1.0 + 8.0 * missed
+                cost = size + 1.0 + 4.0 * missed
             else:
                 continue
             found.add(part.name)
@@ -135,7 +135,7 @@ def test_evidence_part_by_part():
 
 
 def test_prices_are_paid_by_feature():
-    """1 nat for log P or V of all actions, 3 for another, 8 for each times the share of rows never visited."""
+    """1 nat for log P or V of all actions, 3 for another, 4 for each times the share of rows never visited."""
     simulator = garnet(0)
     policy = oee.optimal_policy(simulator)
     level = dense_values(simulator, policy)[simulator.transitions.indices]
@@ -164,7 +164,7 @@ def test_prices_are_paid_by_feature():
             theta.append(value * np.sqrt((rows.weights * column**2).sum() / len(rows)))
         size = np.linalg.slogdet(information)[1] - np.log(penalty).sum() + penalty @ np.array(theta) ** 2
         price = sum(1.0 if name in ("log P", "V", "V / sd") else 3.0 for name in part.theta)
-        assert_allclose(part.evidence, score - 0.5 * size - price - 8.0 * (1 - seen) * len(theta), atol=1e-4)
+        assert_allclose(part.evidence, score - 0.5 * size - price - 4.0 * (1 - seen) * len(theta), atol=1e-4)
 
 
 def test_rows_never_visited_count_by_the_policy_s_time():
@@ -175,7 +175,7 @@ def test_rows_never_visited_count_by_the_policy_s_time():
     time = oee.occupancy(simulator, policy).reshape(-1)
     by_rows, by_time = ({p.name: p for p in parts_of(log, simulator, policy, timed=timed)} for timed in (False, True))
     paid = by_time["V"].evidence - by_rows["V"].evidence
-    assert_allclose(paid, 8.0 * (unseen.mean() - time[unseen].sum()), atol=1e-9)
+    assert_allclose(paid, 4.0 * (unseen.mean() - time[unseen].sum()), atol=1e-9)
 
 
 # ---- limits ------------------------------------------------------------------------------------------------------
