@@ -1,0 +1,126 @@
+"""The paper, equation by equation: "Off Environment Evaluation Using Convex Risk Minimization", numbers as printed.
+
+Dense arrays, nothing fast, nothing checked, nothing general: read it beside the paper. Arrows name what users call; the
+tests hold all of those to this page.
+
+P : (S, A, S), P[s, a, s'] = P(s' | s, a)   r : (S, A) rewards       S_0 : (S,) law of the start   gamma : discount
+pi : (S, A), pi[s, a] = pi(a | s)           nu, mu : the box of g    lam : the paper's lambda_n    te, tr : target, simulator
+
+Eq. 3.4 is a definition: MDP_tr and MDP_te differ in P alone.   -> FiniteMDP.with_transitions
+Assumption V.1: nu <= g <= mu with nu < 1 < mu. Assumption V.2: p / q is in the class.   -> ratio.check_assumptions
+"""
+
+import numpy as np
+
+
+def J(P, r, S_0, pi, gamma):
+    """Eq. 3.1: J = E sum_t gamma^t r(s_t, a_t) = S_0 . (I - gamma P_pi)^-1 r_pi.   -> policy_value
+
+    Eq. 4.1 is the same by the tower property: r(s_0, a_0) + gamma E[r(s_1, a_1) + gamma E[...]].   -> state_values
+    """
+    P_pi, r_pi = np.einsum("sa,sat->st", pi, P), (pi * r).sum(axis=1)
+    return S_0 @ np.linalg.solve(np.eye(len(P)) - gamma * P_pi, r_pi)
+
+
+def d(P, S_0, pi, gamma):
+    """Eq. 3.2: d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a); J = sum d r / (1 - gamma).   -> occupancy"""
+    P_pi = np.einsum("sa,sat->st", pi, P)
+    return np.linalg.solve(np.eye(len(P)) - gamma * P_pi.T, (1 - gamma) * S_0)[:, None] * pi
+
+
+def d_moves(P, S_0, pi, gamma):
+    """Eq. 3.3: d(s, a, s') = d(s, a) P(s' | s, a).   -> occupancy(of="transition")"""
+    return d(P, S_0, pi, gamma)[:, :, None] * P
+
+
+# Eq. 3.5, importance sampling: E_p[G] = E_q[(p / q) G], for any G, where q > 0 wherever p > 0.   -> policy_is_moments
+
+
+def risk(g, p, q, lam=0.0):
+    """Eq. 3.6: KL(p || q) = 1 - min_g risk(g), at g = p / q: risk = sum q g - sum p log g + lam / 2 I(g)^2, I(g)^2 = sum g^2.
+
+    With samples, p and q are the shares of n draws each.   -> ratio.density_ratio(...).objective, .divergence
+    """
+    return q @ g - p[p > 0] @ np.log(g[p > 0]) + lam / 2 * (g @ g)
+
+
+def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10):
+    """Eq. 3.7: argmin of the risk over nu <= g <= mu, stated as it is printed.   -> ratio.density_ratio
+
+    The paper leaves the constraint sum q g = 1 (section VI.A) to luck; ``normalized`` states it.
+    """
+    import cvxpy as cp
+
+    g = cp.Variable(len(p))
+    cost = q @ g - p[p > 0] @ cp.log(g[p > 0]) + lam / 2 * cp.sum_squares(g)
+    constraints = [g >= nu, g <= mu] + [q @ g == 1] * normalized
+    within = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), accuracy)
+    cp.Problem(cp.Minimize(cost), constraints).solve(solver="CLARABEL", **within)
+    return g.value
+
+
+def zeta(P_te, P_tr):
+    """Eq. 4.3: zeta(s' | s, a) = P_te(s' | s, a) / P_tr(s' | s, a), 1 where the simulator never goes.   -> true_ratio"""
+    return np.divide(P_te, P_tr, out=np.ones_like(P_tr), where=P_tr > 0)
+
+
+def zeta_of(beta_moves, beta_pairs):
+    """Eq. 4.4: zeta = beta(s, a, s') / beta(s, a).   -> transition_ratio(method="ratio_of_ratios")
+
+    Each beta is a d_te / d_tr; rows of zeta * P_tr have any sum.
+    """
+    return beta_moves / beta_pairs[:, :, None]
+
+
+def J_of_products(zeta, P_tr, r, S_0, pi, gamma, T):
+    """Eq. 4.2: sum_{t < T} gamma^t E_tr[zeta_1 ... zeta_t r(s_t, a_t)], zeta_k of move k.   -> estimators.OffEnvironment
+
+    The product starts at k = 1 (there is no move before s_0), the expectation is over one path, and the sum over t is there
+    (the paper's second line loses it).
+    """
+    K, alpha, total = np.einsum("sa,sat->st", pi, zeta * P_tr), S_0, 0.0
+    for t in range(T):
+        total, alpha = total + gamma**t * alpha @ (pi * r).sum(axis=1), alpha @ K
+    return total
+
+
+def algorithm_1(D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10_000, seed=0):
+    """Algorithm 1 on tables: stochastic gradient descent on eq. 3.7 for both ratios; returns beta(s, a, s'), beta(s, a).
+
+    D_te, D_tr: (n, 3) integers s, a, s'; shape: (S, A).   -> ratio.density_ratio(solver="sgd")
+    """
+    (S, A), draw = shape, np.random.default_rng(seed)
+    g_sas, g_sa = np.ones((S, A, S)), np.ones((S, A))
+    for _ in range(iterations):
+        for g, width in ((g_sa, 2), (g_sas, 3)):  # lines 1 and 2, then 3 and 4: fresh batches for each
+            p, q = (np.zeros(g.shape), np.zeros(g.shape))
+            for share, D in ((p, D_te), (q, D_tr)):
+                np.add.at(share, tuple(D[draw.integers(len(D), size=N), :width].T), 1 / N)
+            g[...] = np.clip(g - eta * (q - p / g + lam * g), nu, mu)
+    return g_sas, g_sa
+
+
+def theorem_1(n, nu, mu, delta, D_inf, K):
+    """Eq. 5.1 (Theorem V.1): |g_n - g*|_inf^2 is at most this, with probability 1 - delta.   -> inference.estimation_bound
+
+    Wrong: no K fits all P and Q (it must grow as 1 / min q): inference.universal_constant_counterexample.
+    """
+    spread = mu + max(np.log(mu), -np.log(nu)) + np.sqrt(2 * np.log(1 / delta))
+    return K * np.exp(D_inf) * spread / np.sqrt(n)
+
+
+def lemma(error, nu, mu):
+    """Eq. 5.2 (Lemma V.1): |zeta_n - zeta*| where both ratios are within ``error``.   -> inference.ratio_error_bound
+
+    True with probability 1 - 2 delta, and loose: (mu + nu) / nu^2 is the tight factor. ``error`` = M(G, delta) / n^(1/4).
+    """
+    return mu * (1 + nu * mu) / nu**2 * error
+
+
+def theorem_2(T, R, gamma, error, nu):
+    """Eq. 5.3 (Theorem V.2): |J_te - J^zeta_n|^2 over t = 0..T, |r| <= R.   -> inference.value_error_bound
+
+    False: t for t^2, no factor of the lemma, and 1 / nu bounds no zeta: inference.value_bound_counterexample. The bracket is
+    printed in closed form; gamma / nu times it is the sum below.
+    """
+    return T * error**2 * R**2 * sum(t * (gamma / nu) ** t for t in range(1, T + 1))
