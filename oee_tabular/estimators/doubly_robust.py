@@ -14,7 +14,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
-from oee_tabular.estimators.limits import ExactLimit, Population
+from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
@@ -30,6 +30,7 @@ from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio.population import Population
 from oee_tabular.simulate import sample_episodes
 
 DATA = ("transitions", "rollouts", "episodes")

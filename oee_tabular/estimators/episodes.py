@@ -8,11 +8,11 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
-from oee_tabular.estimators.limits import Population
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products
 from oee_tabular.exact import Model, action_values, state_values
 from oee_tabular.exact.walks import per_decision, walk_of
+from oee_tabular.ratio.population import Population
 
 
 @dataclass(frozen=True, eq=False)

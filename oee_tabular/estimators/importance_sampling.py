@@ -12,12 +12,13 @@ from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
-from oee_tabular.estimators.limits import ExactLimit, Population
+from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import forward_measure, walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio.population import Population
 
 
 @dataclass(frozen=True)

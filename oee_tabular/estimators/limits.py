@@ -2,56 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray
-from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
-from oee_tabular.exact import Model, policy_value
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, row_sums
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.ratio import TransitionRatio
+from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
-
-_MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is asked for one
-
-
-@dataclass(frozen=True, eq=False)
-class Population:
-    """A pair and the data that an estimator would have infinitely many of.
-
-    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the caller gives none; ``support`` (S*A,) its
-    support, or all rows.
-    """
-
-    simulator: FiniteMDP
-    target: FiniteMDP
-    policy: Array
-    distribution: Array
-    support: BoolArray
-    behavior: Array | None
-    horizon: int | None
-
-    def counts(self) -> sparse.csr_array:
-        """Expected counts of very many moves, csr (S*A, S)."""
-        matrix = self.target.transitions
-        weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
-        return on_pattern(matrix, weight * matrix.data)
-
-    def model(self, fallback: sparse.csr_array) -> FiniteMDP:
-        """The target's rows where the data have them, ``fallback``'s elsewhere; paying what the simulator pays."""
-        keep, rest = (
-            sparse.diags_array(mask.astype(np.float64), format="csr") for mask in (self.support, ~self.support)
-        )
-        rows = sparse.csr_array(keep @ self.target.transitions + rest @ fallback)
-        return self.simulator.with_transitions(rows)
-
-    def value(self, model: Model) -> float:
-        """J of the policy in ``model``."""
-        return policy_value(model, self.policy, horizon=self.horizon)
 
 
 def population(
@@ -76,15 +37,6 @@ def population(
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
     steps = _checks.optional_horizon(horizon)
     return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
-
-
-def limit_ratio(people: Population, fitted: TransitionRatio) -> sparse.csr_array:
-    """``fitted`` with the exact P_target / P_simulator on the rows that have data."""
-    matrix = people.simulator.transitions
-    inside, _ = align(people.target.transitions, matrix)
-    seen = people.support[row_of_entry(matrix)]
-    safe = np.where(matrix.data > 0, matrix.data, 1.0)
-    return on_pattern(matrix, np.where(seen, inside / safe, fitted.on(people.simulator)))
 
 
 def expected_rewards(simulator: FiniteMDP, transitions: sparse.csr_array) -> Array:

@@ -14,12 +14,13 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate, effective_sample_size, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
-from oee_tabular.estimators.limits import ExactLimit, Population
+from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
 from oee_tabular.mdp import check_policy
+from oee_tabular.ratio.population import Population
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate, without_divergence
-from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
+from oee_tabular.estimators.limits import ExactLimit, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
 from oee_tabular.estimators.problem import Problem
@@ -21,6 +21,7 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import density_ratio
+from oee_tabular.ratio.population import Population
 
 
 def total_discount(discount: float, horizon: int | None) -> float:

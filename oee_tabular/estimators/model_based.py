@@ -13,12 +13,13 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
+from oee_tabular.estimators.limits import ExactLimit, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.ratio.population import Population
 
 
 @dataclass(frozen=True)

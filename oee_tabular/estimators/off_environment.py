@@ -14,7 +14,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import ExactLimit, Population, limit_ratio
+from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
 from oee_tabular.exact import (
@@ -29,12 +29,14 @@ from oee_tabular.exact import (
 )
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import check_policy
-from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.ratio import Method, TransitionRatio
+from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)
 AGAINST = 5.0  # z^2 up to which the value stays at the centre (4 to 6 differ by less than the noise in `oee bench`)
-NAMED = ("conditional", "ratio_of_ratios", "joint")  # the methods that need nothing but the problem
-RatioOption = str | TransitionRatio | Callable[..., TransitionRatio]
+NAMED = ("conditional", "ratio_of_ratios", "joint")  # methods that need no options
+RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class OffEnvironment(ExactLimit):
 
     Parameters
     ----------
-    ratio : "conditional" | "ratio_of_ratios" | "joint", a TransitionRatio, or a function (log, simulator) -> TransitionRatio
+    ratio : "conditional" | "ratio_of_ratios" | "joint"; a method of ``oee.ratio`` with its options (``Conditional(...)``,
+        ``Quotient(normalized=False)``, the paper's own); a TransitionRatio; or a function (log, simulator) -> TransitionRatio
         (``functools.partial(oee.transition_ratio, strength=3.0)``); where the problem was given counts it gets those
     evaluation : "exact" (dynamic programming in zeta * P: no product of ratios, no variance) or "monte_carlo" (the
         paper's product of ratios on rollouts of the simulator)
@@ -88,8 +91,8 @@ class OffEnvironment(ExactLimit):
     def __post_init__(self) -> None:
         if isinstance(self.ratio, str):
             _checks.one_of(self.ratio, "ratio", NAMED)
-        elif not isinstance(self.ratio, TransitionRatio) and not callable(self.ratio):
-            raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {self.ratio!r}")
+        elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
+            raise ValueError(f"ratio must be a method, its name, a TransitionRatio or a function; got {self.ratio!r}")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
 
@@ -123,29 +126,28 @@ class OffEnvironment(ExactLimit):
             return self.ratio
         if callable(self.ratio):
             return self.ratio(problem.observed, problem.simulator)
-        if self.ratio == "conditional":
-            return transition_ratio(problem.observed, problem.simulator, values_of=policy, horizon=problem.horizon)
-        return transition_ratio(
-            problem.log,
+        return self._method.fit(
+            problem.observed,
             problem.simulator,
-            method=self.ratio,
+            values_of=policy,
+            horizon=problem.horizon,
             simulator_data=problem.simulator_data,
             behavior_policy=problem.behavior_policy,
             seed=generator,
         )
 
+    @property
+    def _method(self) -> Method:
+        assert isinstance(self.ratio, str | Method)
+        return method_named(self.ratio) if isinstance(self.ratio, str) else self.ratio
+
     def limit_model(self, people: Population) -> ReweightedModel:
         """zeta * P with the zeta that infinitely many moves would give."""
         if isinstance(self.ratio, TransitionRatio):
             return reweight(people.simulator, self.ratio)
-        counts = people.counts()
         if callable(self.ratio):
-            return reweight(people.simulator, self.ratio(counts, people.simulator))
-        if self.ratio == "conditional":
-            fitted = transition_ratio(counts, people.simulator, values_of=people.policy, horizon=people.horizon)
-            return reweight(people.simulator, limit_ratio(people, fitted))
-        known: dict[str, Any] = {"simulator_data": "exact", "behavior_policy": people.behavior}
-        return reweight(people.simulator, transition_ratio(counts, people.simulator, method=self.ratio, **known))
+            return reweight(people.simulator, self.ratio(people.counts(), people.simulator))
+        return reweight(people.simulator, self._method.limit(people))
 
     def limit_of(self, people: Population) -> float:
         """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from oee_tabular import _checks
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import ExactLimit, Population
+from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
@@ -16,6 +16,7 @@ from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import true_ratio
+from oee_tabular.ratio.population import Population
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from oee_tabular.experiments.common import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
-from oee_tabular.ratio.ties import tied_ratio
 from oee_tabular.tasks import kinova
 from oee_tabular.tasks.continuous_sampling import monte_carlo_value
 from oee_tabular.tasks.discretize import Discretization
@@ -174,8 +173,8 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     counts = kinova.move_counts(defensive, log if inside.all() else log.select(inside))
     kept, uncovered = kinova.within_support(counts, defensive)
     kept_plain, uncovered_plain = kinova.within_support(counts, plain)
-    zeta = tied_ratio(kept, defensive.mdp, tie, strength=STRENGTH)
-    tied_plain = tied_ratio(kept_plain, plain.mdp, plain_tie, strength=STRENGTH)
+    zeta = transition_ratio(kept, defensive.mdp, tie=tie, strength=STRENGTH)
+    tied_plain = transition_ratio(kept_plain, plain.mdp, tie=plain_tie, strength=STRENGTH)
     cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
     models = {
         OEE: (zeta.target_model(defensive.mdp), uncovered),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import OffEnvironment, Problem, Simulator
 from oee_tabular.exact import evaluate_policy, policy_value, reweight, weighted_return_moments
 from oee_tabular.experiments.common import (
@@ -22,9 +22,7 @@ from oee_tabular.experiments.common import (
 )
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
-from oee_tabular.ratio import density_ratio, transition_ratio, true_ratio
-from oee_tabular.ratio.quotient import simulator_weights
-from oee_tabular.ratio.support import aligned_counts
+from oee_tabular.ratio import Conditional, Method, Quotient, transition_ratio, true_ratio
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 if TYPE_CHECKING:
@@ -108,27 +106,18 @@ def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
     policy = gridworld_policy(10, delta)
     behavior = uniform_policy(target)
     log = drawn(target, behavior, n, stream.generator())
-    pattern = simulator.transitions
-    observed = aligned_counts(log.counts(100, 4), simulator)
-    expected = simulator_weights(observed, log, simulator, None, behavior, stream.generator(use="simulator"), None)
     truth = policy_value(target, policy, horizon=HORIZON)
     options: dict[str, Any] = {"lower": 0.01, "upper": 10.0, "ridge": n**-0.5}
     rows = []
     for name in ("none", "global", "rows"):
         if name == "rows":
-            zeta = transition_ratio(log, simulator, prior="none", toward=None, **options)
-            sums, values = zeta.row_sum_error, zeta
+            method: Method = Conditional(prior="none", toward=None, **options)
         else:
-            normalized = name == "global"
-            moves = density_ratio(observed, expected, normalized=normalized, **options).ratio
-            pairs = density_ratio(
-                row_sums(pattern, observed), row_sums(pattern, expected), normalized=normalized, **options
-            ).ratio
-            quotient = moves / pairs[row_of_entry(pattern)]
-            values = on_pattern(pattern, quotient)
-            sums = float(np.abs(row_sums(pattern, quotient * pattern.data) - 1.0).max())
-        value = evaluate_policy(reweight(simulator, values), policy, horizon=HORIZON).value
-        rows.append({"normalisation": name, "error": abs(SCALE * (value - truth)), "row_sum_error": sums})
+            method = Quotient(normalized=name == "global", toward=None, behavior_policy=behavior, **options)
+        zeta = transition_ratio(log, simulator, method=method, seed=stream.generator(use="simulator"))
+        value = evaluate_policy(reweight(simulator, zeta), policy, horizon=HORIZON).value
+        error = abs(SCALE * (value - truth))
+        rows.append({"normalisation": name, "error": error, "row_sum_error": zeta.row_sum_error})
     return rows
 
 

@@ -21,7 +21,7 @@ from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.interior import objective
 from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
-from oee_tabular.ratio.sgd import SgdOptions, SgdTrace, descend
+from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
 
@@ -94,7 +94,7 @@ def density_ratio(
     toward: float | None = None,
     normalized: bool = True,
     loss: str = "kl",
-    solver: str = "dual",
+    solver: str | Sgd = "dual",
     features: Any = None,
     kernel: str | Kernel | None = None,
     coordinates: Any = None,
@@ -120,8 +120,8 @@ def density_ratio(
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
     loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
-    solver : "dual" (structured, exact), a cvxpy solver ("CLARABEL", "SCS"), or "sgd": the paper's Algorithm 1, for what
-        training adds to the error (normalized=False, a box with 0 < lower and finite upper)
+    solver : "dual" (structured, exact), a cvxpy solver ("CLARABEL", "SCS"), or "sgd" or ``Sgd(...)``: the paper's Algorithm
+        1, for what training adds to the error (normalized=False, a box with 0 < lower and finite upper)
     features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the class g = Phi w, for which the ridge is
         ridge/2 * |w|^2; within lower <= g <= upper
     kernel, coordinates, n_centers : "gaussian" (in standard deviations of the coordinates) or a function of (m, c) and (k, c)
@@ -155,6 +155,7 @@ def density_ratio(
     >>> fit.ratio.tolist(), fit.gap
     ([1.5, 0.5], 0.0)
     """
+    sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
@@ -171,14 +172,13 @@ def density_ratio(
             raise ValueError(
                 "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
             )
-        sgd = SgdOptions(step_size, batch_size, n_iterations, seed) if solver == "sgd" else None
         if sgd is not None:
             _check_sgd(box, normalized, loss)
         matrix, details = class_features(
             features, kernel, coordinates, _checks.positive_integer(n_centers, "n_centers"), len(weights[0])
         )
         pk, qk = (w / total for w, total in zip(weights, totals, strict=True))
-        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver, sgd)
+        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver, sgd, seed)
     if coordinates is not None:
         raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
@@ -189,9 +189,9 @@ def density_ratio(
     build = dual.kl_coordinates if loss == "kl" else dual.lsif_coordinates
     program = build(pk, qk, curvature, center)
     trace = None
-    if solver == "sgd":
+    if sgd is not None:
         _check_sgd(box, normalized, loss)
-        g, trace = descend(program, box.lower, box.upper, SgdOptions(step_size, batch_size, n_iterations, seed))
+        g, trace = descend(program, box.lower, box.upper, sgd, seed)
         m, gap, (below, above) = 1.0, float(trace.excess[-1]), (g, g)
     else:
         g, m, gap, (below, above) = _solve(program, box, normalized, solver)
@@ -227,10 +227,12 @@ def density_ratio(
 
 def _class_fit(
     p: Array, q: Array, totals: list[float], matrix: Array, details: dict[str, Any], box: Box, ridge: float,
-    normalized: bool, solver: str, sgd: SgdOptions | None,
+    normalized: bool, solver: Any, sgd: Sgd | None, seed: Any,
 ) -> RatioFit:  # fmt: skip
     """``density_ratio`` over g = Phi w."""
-    program, found, trace = fit_cells(p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd)
+    program, found, trace = fit_cells(
+        p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd, seed=seed
+    )
     g, seen = found.ratio, p > 0
     value = objective(program, found.weights, g)
     return RatioFit(
@@ -292,7 +294,7 @@ def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
 
 
 def _solve(
-    program: dual.Coordinates, box: Box, normalized: bool, solver: str
+    program: dual.Coordinates, box: Box, normalized: bool, solver: Any
 ) -> tuple[Array, float, float, tuple[Array, Array]]:
     """The minimiser, m = 1 + multiplier, the gap, and the enclosure."""
     indptr = np.array([0, len(program.p)], dtype=np.int64)

@@ -12,18 +12,19 @@ simulator enter through d(s, a) alone: P is known.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import programs
-from oee_tabular.ratio.box import check_box, check_ridge
+from oee_tabular.ratio.box import Box, check_box, check_ridge
+from oee_tabular.ratio.method import Given, Method, SimulatorData
+from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.program_types import JointProgram
-from oee_tabular.ratio.quotient import SimulatorData, estimated_behavior, simulator_weights
+from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
 
@@ -87,68 +88,106 @@ def joint_objective(program: JointProgram, moves: Array, pairs: Array) -> float:
     return float(value)
 
 
-def fit_joint(
-    observed: Array,
-    log: Transitions | None,
-    simulator: FiniteMDP,
-    simulator_data: SimulatorData,
-    *,
-    behavior: Array | None,
-    seed: Any,
-    lower: float,
-    upper: float,
-    ridge: float | Callable[[float], float],
-    solver: str,
-    ratio_lower: float | None = None,
-    ratio_upper: float | None = None,
-    discount: float | None = None,
-) -> TransitionRatio:
-    """zeta = beta_sas' / beta_sa from the joint program; 1 where the simulator's data have no (s, a)."""
-    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
-    box = check_box(lower, upper, normalized=True)
-    chosen = estimated_behavior(observed, simulator) if behavior is None else behavior
-    weights = simulator_weights(observed, log, simulator, simulator_data, chosen, seed, discount)
-    share = segment_sums(weights, indptr)
-    ratio_box = check_box(ratio_lower, ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
-    strength = check_ridge(ridge, float(observed.sum()))
-    program = joint_program(
-        observed,
-        share / share.sum(),
-        simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr),
-        indptr,
-        lower=box.lower,
-        upper=box.upper,
-        ridge=strength,
-        least=ratio_box.lower,
-        most=ratio_box.upper,
-    )
-    lost = (program.s > 0) & (share == 0)
-    if lost.any() and not np.isfinite(box.upper) and strength == 0:
-        raise ValueError(
-            "simulator_data must cover the log's (s, a), or upper be finite: the program is unbounded at "
-            f"{int(lost.sum())} of them"
+@dataclass(frozen=True, eq=False)
+class Joint(Method):
+    """Both ratios in one program, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a) beta(s, a): rows of zeta * P sum to 1.
+
+    The program is the module's. d(s, a) alone is taken from the simulator's data: P is known.
+
+    Parameters
+    ----------
+    lower, upper : nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none)
+    ratio_lower, ratio_upper : the box ratio_lower <= beta(s, a, s') / beta(s, a) <= ratio_upper; None: none
+    ridge : lambda_n of both, a number or a function of n
+    solver : "dual", or a cvxpy solver
+    data, behavior_policy : as in ``Quotient``
+
+    Notes
+    -----
+    Limit: that of the program with the simulator's exact occupancy. zeta is 1 where the simulator's data have no (s, a).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
+    >>> Joint(data="exact").fit(log, simulator).values.data.round(1).tolist()
+    [0.8, 1.2, 0.8, 1.2]
+    """
+
+    lower: float | None = 0.01
+    upper: float | None = 10.0
+    ratio_lower: float | None = None
+    ratio_upper: float | None = None
+    ridge: float | Callable[[float], float] = 0.0
+    solver: str = "dual"
+    data: SimulatorData = field(default=None, repr=False)
+    behavior_policy: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        refuse_words(self.ridge, "joint")
+        check_box(self.lower, self.upper, normalized=True)
+        self._ratio_box()
+        check_simulator_data(self.data)
+
+    def _ratio_box(self) -> Box:
+        return check_box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
+
+    @property
+    def uses(self) -> frozenset[str]:
+        """What the simulator's data are, or how they are sampled."""
+        return frozenset({"simulator_data", "behavior_policy"})
+
+    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
+        """The program's ratio with exact rates on both sides."""
+        return super(Joint, replace(self, data=None)).limit(population)
+
+    def _fit(self, given: Given) -> TransitionRatio:
+        observed, simulator = given.observed, given.simulator
+        indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
+        box = check_box(self.lower, self.upper, normalized=True)
+        weights = simulator_weights(given, self.data, self.behavior_policy)
+        share = segment_sums(weights, indptr)
+        ratio_box = self._ratio_box()
+        strength = check_ridge(self.ridge, float(observed.sum()))
+        program = joint_program(
+            observed,
+            share / share.sum(),
+            simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr),
+            indptr,
+            lower=box.lower,
+            upper=box.upper,
+            ridge=strength,
+            least=ratio_box.lower,
+            most=ratio_box.upper,
         )
-    if solver == "dual":
-        solution = solve_joint(program)
-        moves, pairs, gap = solution.moves, solution.pairs, float(solution.gap.sum())
-    else:
-        point = programs.solve_joint(program, solver=solver)
-        moves, pairs = point.moves, point.pairs
-        # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a lower bound
-        bound = max(joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1.0, -1.0))
-        gap = abs(joint_objective(program, moves, pairs) - bound)
-    known = spread((share > 0) & (pairs > 0), indptr)
-    zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
-    details = {
-        "lower": box.lower,
-        "upper": box.upper,
-        "ratio_lower": ratio_box.lower,
-        "ratio_upper": ratio_box.upper,
-        "moves": moves,
-        "pairs": pairs,
-        "pairs_without_simulator_data": int(lost.sum()),
-    }
-    return make_result(simulator, zeta, "joint", gap, observed, details)
+        lost = (program.s > 0) & (share == 0)
+        if lost.any() and not np.isfinite(box.upper) and strength == 0:
+            raise ValueError(
+                "simulator_data must cover the log's (s, a), or upper be finite: the program is unbounded at "
+                f"{int(lost.sum())} of them"
+            )
+        if self.solver == "dual":
+            solution = solve_joint(program)
+            moves, pairs, gap = solution.moves, solution.pairs, float(solution.gap.sum())
+        else:
+            point = programs.solve_joint(program, solver=self.solver)
+            moves, pairs = point.moves, point.pairs
+            # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a lower bound
+            bound = max(joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1.0, -1.0))
+            gap = abs(joint_objective(program, moves, pairs) - bound)
+        known = spread((share > 0) & (pairs > 0), indptr)
+        zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
+        details = {
+            "lower": box.lower,
+            "upper": box.upper,
+            "ratio_lower": ratio_box.lower,
+            "ratio_upper": ratio_box.upper,
+            "moves": moves,
+            "pairs": pairs,
+            "pairs_without_simulator_data": int(lost.sum()),
+        }
+        return make_result(simulator, zeta, "joint", gap, observed, details)
 
 
 def joint_dual_value(

@@ -1,12 +1,13 @@
-"""The paper's zeta: the quotient of two density ratios, (s, a, s') over (s, a)."""
+"""Eq. 4.4: zeta as the quotient of two density ratios, (s, a, s') over (s, a), each by eq. 3.7."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
@@ -14,21 +15,112 @@ from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.ratio.density import density_ratio
+from oee_tabular.ratio.box import check_box
+from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.method import Given, Method, SimulatorData
+from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.simulate import sample_episodes
 
-SimulatorData: TypeAlias = Transitions | str | None
 _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were
 
 
 @dataclass(frozen=True, eq=False)
-class Quotient:
-    """zeta on the simulator's entries, the larger of the two gaps, and how it came about."""
+class Quotient(Method):
+    """The paper's zeta: two density ratios fitted apart, target against simulator, and their quotient (eq. 4.4).
 
-    zeta: Array
-    gap: float
-    details: dict[str, Any]
+        zeta(s, a, s') = beta(s, a, s') / beta(s, a),   each beta = d_te / d_tr by eq. 3.7 (``density_ratio``).
+
+    Nothing makes the rows of zeta * P sum to 1; ``row_sum_error`` says by how much they do not.
+
+    Parameters
+    ----------
+    lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none), so that zeta lies in
+        [lower/upper, upper/lower]
+    ridge, toward : lambda_n and what it pulls to, as in ``density_ratio``; toward None is the paper's I(g)^2 = sum g^2
+    normalized : whether sum beta q = 1 is imposed on each; the paper leaves it to luck: False
+    solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn; needs normalized=False
+    data : a log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
+        the seed of ``fit``; "exact": the simulator's exact occupancy under that policy
+    behavior_policy : (S, A), instead of the estimated one
+
+    Notes
+    -----
+    Limit: the box-clipped quotient of the exact ratios, whatever the solver. Where a move was seen on neither side, 0/0, zeta
+    is 1. ``details["beta"]``: the fits of (s, a, s') and (s, a), with the traces of ``Sgd``.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
+    >>> log = oee.sample_transitions(target, [[0.5], [0.5]], 10_000, seed=0)
+    >>> fit = Quotient(normalized=False, data="exact").fit(log, simulator)
+    >>> fit.values.data.round(1).tolist(), fit.row_sum_error < 0.02
+    ([0.8, 1.2, 0.8, 1.2], True)
+    """
+
+    lower: float | None = 0.01
+    upper: float | None = 10.0
+    ridge: float | Callable[[Any], Any] = 0.0
+    toward: float | None = 1.0
+    normalized: bool = True
+    solver: str | Sgd = "dual"
+    data: SimulatorData = field(default=None, repr=False)
+    behavior_policy: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        refuse_words(self.ridge, "ratio_of_ratios")
+        check_box(self.lower, self.upper, normalized=self.normalized)
+        check_simulator_data(self.data)
+
+    @property
+    def uses(self) -> frozenset[str]:
+        """What the simulator's data are, or how they are sampled."""
+        return frozenset({"simulator_data", "behavior_policy"})
+
+    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
+        """The quotient of the exact ratios; training is no part of it."""
+        exact = replace(self, solver="dual", data=None) if isinstance(self.solver, Sgd) else replace(self, data=None)
+        return super(Quotient, exact).limit(population)
+
+    def _fit(self, given: Given) -> TransitionRatio:
+        given = replace(
+            given, seed=_checks.generator(given.seed)
+        )  # one stream: the simulator's data, then the training
+        observed, pattern = given.observed, given.simulator.transitions
+        expected = simulator_weights(given, self.data, self.behavior_policy)
+
+        def fit(p: Array, q: Array) -> RatioFit:
+            return density_ratio(
+                p, q, lower=self.lower, upper=self.upper, ridge=self.ridge, toward=self.toward,
+                normalized=self.normalized, solver=self.solver, seed=given.seed,
+            )  # fmt: skip
+
+        moves, pairs = fit(observed, expected), fit(row_sums(pattern, observed), row_sums(pattern, expected))
+        below = pairs.ratio[row_of_entry(pattern)]
+        undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
+        zeta = np.where(undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0))
+        lowest, highest = self.lower or 0.0, np.inf if self.upper is None else self.upper
+        details = {
+            "lower": self.lower,
+            "upper": self.upper,
+            "undetermined_moves": int(undetermined.sum()),
+            "share_at_the_box": float(np.mean((moves.ratio <= lowest) | (moves.ratio >= highest))),
+            "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
+            "divergence_moves": moves.divergence,
+            "divergence_pairs": pairs.divergence,
+            "beta": (moves, pairs),
+        }
+        gap = max(moves.gap, pairs.gap)
+        return make_result(given.simulator, zeta, "ratio_of_ratios", gap, observed, details)
+
+
+def refuse_words(ridge: Any, method: str) -> None:
+    """A ridge chosen on the data is the conditional program's alone."""
+    if isinstance(ridge, str):
+        raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
 
 
 def estimated_behavior(observed: Array, simulator: FiniteMDP) -> Array:
@@ -39,68 +131,27 @@ def estimated_behavior(observed: Array, simulator: FiniteMDP) -> Array:
     return np.where(total > 0, pairs / np.where(total > 0, total, 1.0), uniform)
 
 
-def fit_quotient(
-    observed: Array,
-    log: Transitions | None,
-    simulator: FiniteMDP,
-    simulator_data: SimulatorData,
-    *,
-    behavior_policy: Any,
-    seed: Any,
-    lower: float | None,
-    upper: float | None,
-    ridge: float | Callable[[Any], Any],
-    toward: float | None,
-    solver: str,
-    discount: float | None = None,
-) -> Quotient:
-    """beta_sas' / beta_sa, each from ``density_ratio`` with sum beta q = 1.
-
-    Where a move was seen on neither side, 0/0, zeta is 1.
-    """
-    behavior = estimated_behavior(observed, simulator)
-    if behavior_policy is not None:
-        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    expected = simulator_weights(observed, log, simulator, simulator_data, behavior, seed, discount)
-    pattern = simulator.transitions
-    options: dict[str, Any] = {"lower": lower, "upper": upper, "ridge": ridge, "toward": toward, "solver": solver}
-    moves = density_ratio(observed, expected, **options)
-    pairs = density_ratio(row_sums(pattern, observed), row_sums(pattern, expected), **options)
-    below = pairs.ratio[row_of_entry(pattern)]
-    undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
-    zeta = np.where(undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0))
-    details = {
-        "lower": lower,
-        "upper": upper,
-        "undetermined_moves": int(undetermined.sum()),
-        "share_at_the_box": float(np.mean((moves.ratio <= (lower or 0.0)) | (moves.ratio >= (upper or np.inf)))),
-        "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
-        "divergence_moves": moves.divergence,
-        "divergence_pairs": pairs.divergence,
-    }
-    return Quotient(zeta, max(moves.gap, pairs.gap), details)
-
-
 def check_simulator_data(value: object) -> None:
     """Transitions, "exact" or None."""
     if not (value is None or isinstance(value, Transitions) or (isinstance(value, str) and value == "exact")):
         raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {value!r}")
 
 
-def simulator_weights(
-    observed: Array,
-    log: Transitions | None,
-    simulator: FiniteMDP,
-    simulator_data: SimulatorData,
-    behavior: Array,
-    seed: Any,
-    discount: float | None = None,
-) -> Array:
-    """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given."""
+def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -> Array:
+    """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given.
+
+    ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.
+    """
+    observed, simulator, discount = given.observed, given.simulator, given.discount
+    simulator_data = given.simulator_data if data is None else data
     check_simulator_data(simulator_data)
+    if behavior_policy is not None:
+        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+    else:
+        behavior = estimated_behavior(observed, simulator) if given.behavior_policy is None else given.behavior_policy
     steps = _LONGEST_EPISODE
-    if log is not None and log.timestep is not None:
-        steps = int(log.timestep.max()) + 1
+    if given.log is not None and given.log.timestep is not None:
+        steps = int(given.log.timestep.max()) + 1
     if isinstance(simulator_data, Transitions):
         counts = simulator_data.counts(simulator.n_states, simulator.n_actions, discount=discount)
         return aligned_counts(counts, simulator)
@@ -109,8 +160,8 @@ def simulator_weights(
         share = occupancy(weighted, behavior, horizon=steps, of="transition")
         over = simulator.absorbing()[row_of_entry(simulator.transitions) // simulator.n_actions]
         return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
-    n = max(round(float(observed.sum())), 1) if log is None else len(log)
-    generator = _checks.generator(seed)
+    n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
+    generator = _checks.generator(given.seed)
     episodes = max(1, -(-n // steps))
     while True:  # episodes end early, so more of them may be needed; each try is a fresh sample
         sample = sample_episodes(simulator, behavior, episodes, steps, seed=generator)

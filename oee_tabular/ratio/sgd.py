@@ -22,13 +22,12 @@ from oee_tabular.ratio.program_types import LinearProgram
 
 
 @dataclass(frozen=True)
-class SgdOptions:
-    """step_size > 0, batch_size N, n_iterations, and the seed of the draws."""
+class Sgd:
+    """Algorithm 1's settings: ``step_size`` > 0 (eta), ``batch_size`` (N), ``n_iterations``."""
 
     step_size: float = 0.1
     batch_size: int = 64
     n_iterations: int = 10_000
-    seed: Any = None
 
     def __post_init__(self) -> None:
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
@@ -45,14 +44,14 @@ class SgdTrace:
     error: Array
 
 
-def descend(program: dual.Coordinates, lower: float, upper: float, options: SgdOptions) -> tuple[Array, SgdTrace]:
+def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Any) -> tuple[Array, SgdTrace]:
     """g after all iterations, from g = 1, and about fifty points of its trace.
 
     ``program`` is that of ``dual.kl_coordinates``; 0 < lower, upper finite.
     """
     best = dual.solve_free(program, lower, upper)
     optimum = dual.objective(best, program)
-    draws = _Draws(program.p, program.q, options)
+    draws = _Draws(program.p, program.q, options.batch_size, seed)
     g = np.full(len(program.p), min(max(1.0, lower), upper))
     trace = _Trace(options.n_iterations)
     for iteration in range(1, options.n_iterations + 1):
@@ -65,7 +64,7 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: SgdO
 
 
 def descend_linear(
-    program: LinearProgram, best: interior.LinearSolution, options: SgdOptions
+    program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Any
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
     from oee_tabular.kernels.projection import project
@@ -73,7 +72,7 @@ def descend_linear(
     phi = np.ascontiguousarray(program.features)
     lengths = (phi**2).sum(axis=1)
     optimum = interior.objective(program, best.weights, best.ratio)
-    draws = _Draws(program.p, program.q, options)
+    draws = _Draws(program.p, program.q, options.batch_size, seed)
     w: Array = np.array(np.linalg.lstsq(phi, np.ones(len(phi)))[0], dtype=np.float64)
     project(w, phi, lengths, program.lower, program.upper)
     trace = _Trace(options.n_iterations)
@@ -91,10 +90,10 @@ def descend_linear(
 class _Draws:
     """Shares of the entries in batches drawn from p and from q."""
 
-    def __init__(self, p: Array, q: Array, options: SgdOptions) -> None:
-        self._generator = _checks.generator(options.seed)
+    def __init__(self, p: Array, q: Array, batch_size: int, seed: Any) -> None:
+        self._generator = _checks.generator(seed)
         self._sums = [np.cumsum(weights) for weights in (p, q)]
-        self._size, self._n = options.batch_size, len(p)
+        self._size, self._n = batch_size, len(p)
 
     def next(self) -> tuple[Array, Array]:
         drawn = [np.searchsorted(s, self._generator.random(self._size) * s[-1], side="right") for s in self._sums]

@@ -15,6 +15,7 @@ alike.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,38 +24,23 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
-from oee_tabular._threads import one_thread
-from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.density import density_ratio
+from oee_tabular.ratio.method import Given, Method
 from oee_tabular.ratio.result import TransitionRatio, make_result
-from oee_tabular.ratio.support import aligned_counts
 
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
 
-@one_thread
-def tied_ratio(
-    log_or_counts: Transitions | sparse.csr_array, simulator: FiniteMDP, tie: Tie | Any, *, strength: float = 3.0
-) -> TransitionRatio:
+@dataclass(frozen=True, eq=False)
+class Tied(Method):
     """zeta from pooled counts: one number for all entries with the same key, then each row of zeta * P scaled to sum to 1.
-
-    ``transition_ratio(..., tie=tie)`` is the same.
 
     Parameters
     ----------
-    log_or_counts : Transitions, or csr of counts of shape (S*A, S)
-    simulator : FiniteMDP
     tie : array of integers, one for each entry of ``simulator.transitions.data``; or a function of the arrays (s, a, s') of
         all entries that returns one
     strength : kappa >= 0, how many moves the simulator is worth in each group of keys
-
-    Returns
-    -------
-    TransitionRatio
-        ``gap`` is the largest duality gap of the pooled programs (nats); ``visited`` and ``counts`` are the log's own, row
-        by row. ``details``: ``n_keys``, ``n_groups``, ``groups_visited``, ``pooled_row_sums`` (smallest and largest
-        sum_s' P g before the rows were scaled: far from 1 where rows of a group are not alike), ``strength``.
 
     Raises
     ------
@@ -63,9 +49,13 @@ def tied_ratio(
 
     Notes
     -----
-    Converges to the pooled ratio N_c / M_c, which is zeta if zeta is a function of the key; what it makes of a wrong tie
-    does not vanish with more data. A group that the log has never visited keeps zeta = 1, and so does a key that only
-    occurs in rows never visited. No standard error is known for it. Cost: O(nnz log nnz).
+    ``gap`` is the largest duality gap of the pooled programs (nats); ``visited`` and ``counts`` are the log's own, row by
+    row. ``details``: ``n_keys``, ``n_groups``, ``groups_visited``, ``pooled_row_sums`` (smallest and largest sum_s' P g before
+    the rows were scaled: far from 1 where rows of a group are not alike), ``strength``.
+
+    Limit: the pooled ratio N_c / M_c, which is zeta if zeta is a function of the key; what it makes of a wrong tie does not
+    vanish with more data. A group that the log has never visited keeps zeta = 1, and so does a key that only occurs in rows
+    never visited. No standard error is known for it. Cost: O(nnz log nnz).
 
     Examples
     --------
@@ -76,57 +66,61 @@ def tied_ratio(
     ...     steps = {(-1, 0): 0, (1, 0): 1, (0, -1): 2, (0, 1): 3}
     ...     apart = np.stack([following // 5 - s // 5, following % 5 - s % 5], axis=1)
     ...     return np.array([steps.get(tuple(d), 4) for d in apart.tolist()]) + 5 * a
-    >>> zeta = tied_ratio(log, simulator, kind)
+    >>> zeta = Tied(kind).fit(log, simulator)
     >>> zeta.details["n_keys"], zeta.gap < 1e-9, zeta.row_sum_error < 1e-12
     (20, True, True)
     """
-    kappa = _checks.number_in(strength, "strength", 0.0, np.inf)
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
-    matrix = simulator.transitions
-    counts = log_or_counts
-    if isinstance(counts, Transitions):
-        counts = counts.counts(simulator.n_states, simulator.n_actions)
-    if not sparse.issparse(counts):
-        raise ValueError(f"log_or_counts must be Transitions or a sparse matrix of counts; got {type(counts).__name__}")
-    keys = _keys(tie, simulator)
-    observed = aligned_counts(counts, simulator)
-    visits = row_sums(matrix, observed)
-    expected = visits[row_of_entry(matrix)] * matrix.data
-    n_keys = int(keys.max()) + 1
-    seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
-    groups, group = _groups(matrix, keys, n_keys)
-    ratio, gap, visited = np.ones(n_keys), 0.0, 0
-    order = np.argsort(group, kind="stable")
-    for members in np.split(order, np.cumsum(np.bincount(group, minlength=groups))[:-1]):
-        total = float(foreseen[members].sum())
-        known = members[foreseen[members] > 0]
-        if total == 0.0:
-            continue
-        visited += 1
-        share = foreseen[known] / total
-        fit = density_ratio(seen[known] + kappa * share, share)
-        ratio[known] = fit.ratio
-        gap = max(gap, fit.gap)
-    zeta = ratio[keys]
-    sums = row_sums(matrix, zeta * matrix.data)
-    empty = np.flatnonzero(~(sums > 0))
-    if empty.size:
-        s, a = divmod(int(empty[0]), simulator.n_actions)
-        raise ValueError(
-            f"strength must be positive here: no key of row (s={s}, a={a}) was seen, and zeta * P would have no mass there "
-            f"({empty.size} such rows in all); it is {kappa:g}"
-        )
-    zeta = zeta / sums[row_of_entry(matrix)]
-    used = sums[visits > 0] if (visits > 0).any() else sums
-    details: dict[str, Any] = {
-        "n_keys": n_keys,
-        "n_groups": groups,
-        "groups_visited": visited,
-        "pooled_row_sums": (float(used.min()), float(used.max())),
-        "strength": kappa,
-    }
-    return make_result(simulator, zeta, "tied", gap, observed, details)
+
+    tie: Tie | Any = field(default=None, repr=False)
+    strength: float | str = 3.0
+
+    def __post_init__(self) -> None:
+        if self.tie is None:
+            raise ValueError("tie must be given with method 'tied': a key for each entry, or a function of (s, a, s')")
+        if isinstance(self.strength, str):
+            raise ValueError(f"strength must be a number with method 'tied'; got {self.strength!r}")
+        _checks.number_in(self.strength, "strength", 0.0, np.inf)
+
+    def _fit(self, given: Given) -> TransitionRatio:
+        observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
+        matrix = simulator.transitions
+        keys = _keys(self.tie, simulator)
+        visits = row_sums(matrix, observed)
+        expected = visits[row_of_entry(matrix)] * matrix.data
+        n_keys = int(keys.max()) + 1
+        seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
+        groups, group = _groups(matrix, keys, n_keys)
+        ratio, gap, visited = np.ones(n_keys), 0.0, 0
+        order = np.argsort(group, kind="stable")
+        for members in np.split(order, np.cumsum(np.bincount(group, minlength=groups))[:-1]):
+            total = float(foreseen[members].sum())
+            known = members[foreseen[members] > 0]
+            if total == 0.0:
+                continue
+            visited += 1
+            share = foreseen[known] / total
+            fit = density_ratio(seen[known] + kappa * share, share)
+            ratio[known] = fit.ratio
+            gap = max(gap, fit.gap)
+        zeta = ratio[keys]
+        sums = row_sums(matrix, zeta * matrix.data)
+        empty = np.flatnonzero(~(sums > 0))
+        if empty.size:
+            s, a = divmod(int(empty[0]), simulator.n_actions)
+            raise ValueError(
+                f"strength must be positive here: no key of row (s={s}, a={a}) was seen, and zeta * P would have no mass there "
+                f"({empty.size} such rows in all); it is {kappa:g}"
+            )
+        zeta = zeta / sums[row_of_entry(matrix)]
+        used = sums[visits > 0] if (visits > 0).any() else sums
+        details: dict[str, Any] = {
+            "n_keys": n_keys,
+            "n_groups": groups,
+            "groups_visited": visited,
+            "pooled_row_sums": (float(used.min()), float(used.max())),
+            "strength": kappa,
+        }
+        return make_result(simulator, zeta, "tied", gap, observed, details)
 
 
 def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:

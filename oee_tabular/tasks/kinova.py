@@ -8,7 +8,7 @@ take what a real arm would log.
     simulator = kinova_model(KinovaArm(), defensive=0.1)                   a FiniteMDP of the hand's position
     log = record_goals(KinovaArm(velocity_scale=1.4), n_runs=10, seed=0)   50 trajectories of T = 25
     counts, uncovered = within_support(move_counts(simulator, log), simulator)
-    zeta = oee_tabular.ratio.tied_ratio(counts, simulator.mdp, displacement_tie(simulator))
+    zeta = oee_tabular.transition_ratio(counts, simulator.mdp, tie=displacement_tie(simulator))
 
 Without MuJoCo everything imports; what simulates the arm raises an ImportError that names the extra.
 """

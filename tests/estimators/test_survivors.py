@@ -23,7 +23,7 @@ from oee_tabular.estimators import (
 )
 from oee_tabular.estimators.base import effective_sample_size, mean_and_error
 from oee_tabular.estimators.episodes import episode_terms, model_values
-from oee_tabular.estimators.limits import expected_rewards, limit_ratio, population
+from oee_tabular.estimators.limits import expected_rewards, population
 from oee_tabular.estimators.magic import simplex_minimum
 from oee_tabular.estimators.marginalized import total_discount
 from oee_tabular.estimators.names import default_names, named_estimators
@@ -311,10 +311,9 @@ def test_populations():
     keep = share[:, :, None] > 0
     assert_allclose(dense(mixed)[0], np.where(keep, dense(TARGET)[0], dense(SIMULATOR)[0]))
     assert_allclose(part.value(mixed), oee.policy_value(mixed, POLICY, horizon=3))
-    fitted = reweighted_zeta(SIMULATOR, SIMULATOR, 0.5)
-    zeta = limit_ratio(part, fitted).toarray().reshape(4, 2, 4)
+    zeta = oee.ratio.Conditional(prior="simulator").limit(part).toarray().reshape(4, 2, 4)
     true = oee.true_ratio(TARGET, SIMULATOR).values.toarray().reshape(4, 2, 4)
-    assert_allclose(zeta, np.where(keep, true, 0.5 * (dense(SIMULATOR)[0] > 0)))
+    assert_allclose(zeta, np.where(keep, true, 1.0 * (dense(SIMULATOR)[0] > 0)))
     assert_allclose(
         expected_rewards(SIMULATOR, TARGET.transitions),
         (dense(TARGET)[0] * dense(SIMULATOR)[1]).sum(axis=2).reshape(-1),

@@ -12,16 +12,16 @@ from scipy.special import gammaln
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions, exact
-from oee_tabular.ratio import density_ratio_samples, programs
+from oee_tabular.ratio import Sgd, density_ratio_samples, programs
 from oee_tabular.ratio.assumptions import check_assumptions
 from oee_tabular.ratio.box import check_box, check_ridge
 from oee_tabular.ratio.features import gaussian, kernel_features, rank_of
 from oee_tabular.ratio.interior import certificate
 from oee_tabular.ratio.linear import implied_bound, move_points
+from oee_tabular.ratio.method import Given
 from oee_tabular.ratio.prior import StrengthChoice, _weighted_median, choose_strength, kinds_of_rows, meaning
 from oee_tabular.ratio.program_types import LinearProgram
 from oee_tabular.ratio.quotient import estimated_behavior, simulator_weights
-from oee_tabular.ratio.sgd import SgdOptions
 from oee_tabular.ratio.support import refuse_unsupported
 from oee_tabular.ratio.tilt import action_displacement, feature_array, fit_tilt
 
@@ -465,6 +465,10 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     assert_allclose(boxed.details["share_at_the_box"], low + high)
 
 
+def weights(observed, log, simulator, data, behavior, seed, discount=None):
+    return simulator_weights(Given(observed, simulator, log=log, discount=discount, seed=seed), data, behavior)
+
+
 def test_data_of_the_simulator():
     """Exact occupancies over the log's longest episode; counts; samples of the log's size under its policy."""
     observed = LOG.counts(3, 2)
@@ -473,30 +477,30 @@ def test_data_of_the_simulator():
     pairs = observed.sum(axis=1).reshape(3, 2)
     assert_allclose(behavior, pairs / pairs.sum(axis=1, keepdims=True))
     assert_array_equal(estimated_behavior(np.zeros(18), SIMULATOR), np.full((3, 2), 0.5))
-    share = simulator_weights(aligned, LOG, SIMULATOR, "exact", behavior, None)
+    share = weights(aligned, LOG, SIMULATOR, "exact", behavior, None)
     expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=8, of="transition")
     assert_allclose(share, expected.data, rtol=1e-12)
-    weighted = simulator_weights(aligned, LOG, SIMULATOR, "exact", behavior, None, 0.5)
+    weighted = weights(aligned, LOG, SIMULATOR, "exact", behavior, None, 0.5)
     expected = oee.occupancy(SIMULATOR.with_discount(0.5), behavior, horizon=8, of="transition")
     assert_allclose(weighted, expected.data, rtol=1e-12)
-    counted = simulator_weights(aligned, LOG, SIMULATOR, LOG, behavior, None)
+    counted = weights(aligned, LOG, SIMULATOR, LOG, behavior, None)
     assert_array_equal(counted, aligned)
-    halved = simulator_weights(aligned, LOG, SIMULATOR, LOG, behavior, None, 0.5)
+    halved = weights(aligned, LOG, SIMULATOR, LOG, behavior, None, 0.5)
     assert_allclose(halved, LOG.counts(3, 2, discount=0.5).toarray().reshape(-1))
-    drawn = simulator_weights(aligned, LOG, SIMULATOR, None, behavior, 3)
+    drawn = weights(aligned, LOG, SIMULATOR, None, behavior, 3)
     assert drawn.sum() == len(LOG)
-    assert_array_equal(drawn, simulator_weights(aligned, LOG, SIMULATOR, None, behavior, 3))
-    faded = simulator_weights(aligned, LOG, SIMULATOR, None, behavior, 3, 0.5)
+    assert_array_equal(drawn, weights(aligned, LOG, SIMULATOR, None, behavior, 3))
+    faded = weights(aligned, LOG, SIMULATOR, None, behavior, 3, 0.5)
     assert faded.sum() < 0.4 * len(LOG)  # 8 steps of 0.5^t: a quarter
-    without = simulator_weights(aligned, None, SIMULATOR, None, behavior, 3)
+    without = weights(aligned, None, SIMULATOR, None, behavior, 3)
     assert without.sum() == len(LOG)
-    long = simulator_weights(aligned, None, SIMULATOR, "exact", behavior, None)
+    long = weights(aligned, None, SIMULATOR, "exact", behavior, None)
     expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=1000, of="transition")
     assert_allclose(long, expected.data, rtol=1e-9)
     over = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [1, 0], 0.9)
-    share = simulator_weights(np.array([1.0, 1.0, 0.0]), None, over, "exact", np.ones((2, 1)), None)
+    share = weights(np.array([1.0, 1.0, 0.0]), None, over, "exact", np.ones((2, 1)), None)
     ended = FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.9)
-    assert_array_equal(simulator_weights(np.ones(1), None, ended, "exact", np.ones((1, 1)), None), [1.0])
+    assert_array_equal(weights(np.ones(1), None, ended, "exact", np.ones((1, 1)), None), [1.0])
     assert share[2] == 0.0  # logs stop where an episode is over
     assert_allclose(share[0], share[1])
 
@@ -830,7 +834,7 @@ WRONG = {
     "a batch": (density(batch_size=0, **SGD), r"^batch_size must be a positive integer; it is 0$"),
     "iterations": (density(n_iterations=0, **SGD), r"^n_iterations must be a positive integer; it is 0$"),
     "a seed of Algorithm 1": (density(seed="q", **SGD), r"^seed must be what numpy.random.default_rng takes"),
-    "options of Algorithm 1": (lambda: SgdOptions(step_size=-1), r"^step_size must be in \(0, inf\); it is -1$"),
+    "options of Algorithm 1": (lambda: Sgd(step_size=-1), r"^step_size must be in \(0, inf\); it is -1$"),
     "Algorithm 1 without an upper bound": (
         density(**(SGD | {"upper": None})),
         r'^solver "sgd" must have 0 < lower and a finite upper; the box is \[0\.1, inf\]$',

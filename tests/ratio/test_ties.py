@@ -6,8 +6,11 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
-from oee_tabular.ratio import transition_ratio, true_ratio
-from oee_tabular.ratio.ties import tied_ratio
+from oee_tabular.ratio import Tied, transition_ratio, true_ratio
+
+
+def fit_tied(log_or_counts, simulator, tie, **options):
+    return Tied(tie, **options).fit(log_or_counts, simulator)
 
 
 def ring(p, n=12, n_actions=2):
@@ -29,7 +32,7 @@ TARGET = ring([[0.1, 0.3, 0.6], [0.2, 0.4, 0.4]])
 
 
 def test_a_function_of_the_key_is_found_exactly():
-    zeta = tied_ratio(100 * TARGET.transitions, SIMULATOR, displacement, strength=0.0)
+    zeta = fit_tied(100 * TARGET.transitions, SIMULATOR, displacement, strength=0.0)
     assert_allclose(zeta.values.toarray(), true_ratio(TARGET, SIMULATOR).values.toarray(), rtol=1e-9)
     assert zeta.gap < 1e-10
     assert zeta.details["n_keys"] == 6
@@ -40,7 +43,7 @@ def test_a_function_of_the_key_is_found_exactly():
 def test_pooled_counts_and_strength_in_closed_form():
     log = oee.sample_transitions(TARGET, np.full((12, 2), 1 / 24), 40, seed=1)
     counts = log.counts(12, 2)
-    zeta = tied_ratio(log, SIMULATOR, displacement, strength=5.0)
+    zeta = fit_tied(log, SIMULATOR, displacement, strength=5.0)
     n = np.zeros((2, 3))
     rows, columns = counts.nonzero()
     for row, s in zip(rows, columns, strict=True):
@@ -58,7 +61,7 @@ def test_an_action_never_seen_keeps_the_simulator():
     only[1::2] = 0.0
     from scipy import sparse
 
-    zeta = tied_ratio(sparse.csr_array(only), SIMULATOR, displacement)
+    zeta = fit_tied(sparse.csr_array(only), SIMULATOR, displacement)
     assert_allclose(zeta.values.toarray()[1::2][SIMULATOR.transitions.toarray()[1::2] > 0], 1.0)
     assert zeta.details["groups_visited"] == 1
 
@@ -66,21 +69,21 @@ def test_an_action_never_seen_keeps_the_simulator():
 def test_rows_sum_to_one_where_the_tie_is_wrong():
     base = oee.tasks.gridworld(4, 0.3)
     log = oee.sample_transitions(oee.tasks.gridworld(4, 0.1), np.full((16, 4), 1 / 64), 200, seed=0)
-    zeta = tied_ratio(log, base, row_of_entry(base.transitions) % 4 * 0 + np.arange(base.transitions.nnz) % 3)
+    zeta = fit_tied(log, base, row_of_entry(base.transitions) % 4 * 0 + np.arange(base.transitions.nnz) % 3)
     assert_allclose(row_sums(base.transitions, zeta.values.data * base.transitions.data), 1.0)
     assert zeta.details["pooled_row_sums"][1] > 1.01
     zeta.target_model(base)
 
 
 BAD = [
-    (lambda: tied_ratio(TARGET.transitions, SIMULATOR, np.zeros(3, dtype=int)), r"tie must have shape \(72,\)"),
-    (lambda: tied_ratio(TARGET.transitions, SIMULATOR, np.zeros(72)), "tie must have integer keys; they are float64"),
+    (lambda: fit_tied(TARGET.transitions, SIMULATOR, np.zeros(3, dtype=int)), r"tie must have shape \(72,\)"),
+    (lambda: fit_tied(TARGET.transitions, SIMULATOR, np.zeros(72)), "tie must have integer keys; they are float64"),
     (
-        lambda: tied_ratio(TARGET.transitions, SIMULATOR, displacement, strength=-1),
+        lambda: fit_tied(TARGET.transitions, SIMULATOR, displacement, strength=-1),
         r"strength must be in \[0, inf\); it is -1",
     ),
-    (lambda: tied_ratio([1], SIMULATOR, displacement), "log_or_counts must be Transitions or a sparse matrix"),
-    (lambda: tied_ratio(TARGET.transitions, None, displacement), "simulator must be a FiniteMDP; got NoneType"),
+    (lambda: fit_tied([1], SIMULATOR, displacement), "log_or_counts must be Transitions or sparse counts; got list"),
+    (lambda: fit_tied(TARGET.transitions, None, displacement), "simulator must be a FiniteMDP; got NoneType"),
 ]
 
 
@@ -94,20 +97,20 @@ def test_no_mass_left_in_a_row():
     simulator = oee.FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0.0, 1.0], [1.0, 0.0], 0.9)
     counts = on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"strength must be positive here: no key of row \(s=1, a=0\)"):
-        tied_ratio(counts, simulator, np.array([0, 1, 1]), strength=0.0)
+        fit_tied(counts, simulator, np.array([0, 1, 1]), strength=0.0)
 
 
 def test_transition_ratio_takes_a_tie():
     """As an array or a function, with or without the method's name; a discount weights the log's moves."""
     counts = 100 * TARGET.transitions
-    expected = tied_ratio(counts, SIMULATOR, displacement, strength=3.0)
+    expected = fit_tied(counts, SIMULATOR, displacement, strength=3.0)
     for options in ({"tie": displacement}, {"tie": displacement, "method": "tied", "strength": 3.0}):
         found = transition_ratio(counts, SIMULATOR, **options)
         assert found.method == "tied"
         assert_allclose(found.values.data, expected.values.data, rtol=0, atol=0)
     log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 50, 20, seed=0)
     fit = transition_ratio(log, SIMULATOR, tie=displacement, discount=0.5)
-    by_hand = tied_ratio(
+    by_hand = fit_tied(
         log.counts(SIMULATOR.n_states, SIMULATOR.n_actions, discount=0.5), SIMULATOR, displacement, strength=3.0
     )
     assert_allclose(fit.values.data, by_hand.values.data, rtol=1e-12)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import oee_tabular as oee
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import kinova
 from oee_tabular.tasks.continuous_sampling import monte_carlo_value
@@ -81,14 +82,13 @@ def test_the_finite_model_and_the_hand_have_one_value():
 
 
 def test_tied_counts_recover_the_target_s_displacement():
-    from oee_tabular.ratio.ties import tied_ratio
 
     simulator = kinova.kinova_model(synthetic(), spacing=2 * STEP, defensive=0.1)
     log = kinova.record_goals(synthetic(1.4), n_runs=4, delta=0.3, seed=0)
     counts, uncovered = kinova.within_support(kinova.move_counts(simulator, log), simulator)
     assert uncovered < 0.02
     assert_allclose(counts.sum(), (1 - uncovered) * len(log))
-    zeta = tied_ratio(counts, simulator.mdp, kinova.displacement_tie(simulator), strength=0.1)
+    zeta = oee.transition_ratio(counts, simulator.mdp, tie=kinova.displacement_tie(simulator), strength=0.1)
     model = zeta.target_model(simulator.mdp)
     places = simulator.cells.vertices()
     middle = int(np.argmin(np.linalg.norm(places - CENTER, axis=1)))
