@@ -41,6 +41,8 @@ def test_the_saved_results_are_of_the_full_sweep(name):
     assert settings == EXPERIMENTS[name].settings().as_dict()
     assert (RESULTS / name / "figure.svg").is_file()
     assert set(EXPERIMENTS[name].keys) <= set(saved(name).columns)
+    for page in (RESULTS / name / "summary.md", RESULTS / "index.md"):
+        assert EXPERIMENTS[name].caption in page.read_text()
 
 
 def test_a_stream_is_that_of_the_cell():
