@@ -105,7 +105,7 @@ def transition_ratio(
         (s, a, s'); ``oee.ratio.action_displacement`` makes some
     values_of : (S, A), or a list of such
         The policy, or policies, whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is one of the
-        directions of "average".
+        directions of "average"; the other priors do not use them, so that giving both is an error
     horizon : of these values; None: the infinite sum. Without ``values_of`` it has no use and must be left out
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; conditional with the tilt only
         How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
@@ -181,8 +181,8 @@ def transition_ratio(
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
     if prior is None:
         prior = "average" if features is None and smoothness is None else "tilt"
-    for name, users in {"features": ("tilt",), "smoothness": ("tilt",), "values_of": ("average", "tilt")}.items():
-        if options[name] is not None and prior not in users:
+    for name, user in {"features": "tilt", "smoothness": "tilt", "values_of": "average"}.items():
+        if options[name] is not None and prior != user:
             raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
     if horizon is not None and values_of is None:
         raise ValueError("horizon must be left out without values_of: it is that of the values")
