@@ -32,6 +32,7 @@ napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
 MODULES = (
+    "paper",
     "mdp",
     "data",
     "exact",

@@ -12,6 +12,10 @@ Assumption V.1: nu <= g <= mu with nu < 1 < mu. Assumption V.2: p / q is in the 
 
 import numpy as np
 
+__all__ = (
+    "J", "d", "d_moves", "risk", "beta", "zeta", "zeta_of", "J_of_products", "algorithm_1", "theorem_1", "lemma", "theorem_2",
+)  # fmt: skip
+
 
 def J(P, r, S_0, pi, gamma):
     """Eq. 3.1: J = E sum_t gamma^t r(s_t, a_t) = S_0 . (I - gamma P_pi)^-1 r_pi.   -> policy_value
@@ -75,8 +79,8 @@ def zeta_of(beta_moves, beta_pairs):
 def J_of_products(zeta, P_tr, r, S_0, pi, gamma, T):
     """Eq. 4.2: sum_{t < T} gamma^t E_tr[zeta_1 ... zeta_t r(s_t, a_t)], zeta_k of move k.   -> estimators.OffEnvironment
 
-    The product starts at k = 1 (there is no move before s_0), the expectation is over one path, and the sum over t is there
-    (the paper's second line loses it).
+    It is the value of the chain zeta * P_tr. The product starts at k = 1 (there is no move before s_0), the expectation is
+    over one path, and the sum over t is there (the paper's second line loses it).
     """
     K, alpha, total = np.einsum("sa,sat->st", pi, zeta * P_tr), S_0, 0.0
     for t in range(T):

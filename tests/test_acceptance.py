@@ -37,7 +37,7 @@ def policies(target):
 def test_three_files_to_a_value_that_removes_most_of_the_simulator_s_error(case, tmp_path, capsys):
     """20 000 transitions recorded by stepping Gymnasium; the median error is below a quarter of the simulator's own.
 
-    For FrozenLake one log in twenty misses it (38 of 40 did not): the error's standard deviation, near what the efficiency
+    For FrozenLake one log in twenty misses it (37 of 40 did not): the error's standard deviation, near what the efficiency
     bound sets, is 0.14 of the simulator's error. Hence five logs.
     """
     simulator, target_name, discount = case

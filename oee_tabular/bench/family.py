@@ -44,6 +44,8 @@ class Family:
     --------
     >>> import oee_tabular as oee
     >>> family = oee.bench.families()["corridor30"]
+    >>> family
+    Family(Steps slip more often than simulated. 30 states, 2 actions, 58 open rows; discount 0.98, infinite horizon)
     >>> round(family.truth, 2), family.open_rows, family.identical
     (-28.68, 58, False)
     >>> log = family.log(100, seed=0)
@@ -69,6 +71,14 @@ class Family:
             raise ValueError(f"about must be a sentence that says what the simulator has wrong; got {self.about!r}")
         object.__setattr__(self, "horizon", _checks.optional_horizon(self.horizon))
         object.__setattr__(self, "length", _checks.positive_integer(self.length, "length"))
+
+    def __repr__(self) -> str:
+        where = self.simulator
+        horizon = "infinite horizon" if self.horizon is None else f"{self.horizon} rewards"
+        return (
+            f"Family({self.about.strip()} {where.n_states} states, {where.n_actions} actions, {self.open_rows} open rows; "
+            f"discount {where.discount:g}, {horizon})"
+        )
 
     @cached_property
     def truth(self) -> float:

@@ -105,8 +105,8 @@ RATE = Experiment(
     caption=(
         "10 x 10 grid, T = 200; the first n moves of episodes of at most 1000 steps of the uniform policy, or of "
         "pi_0.5. Root mean square over the seeds of the error of the exact value, with lines of slope -1/2 and -1/4. "
-        "The default is far more accurate while its tilt is as good as the data, and joins the others after that: its "
-        "slope is flatter. Where the data policy hardly visits what the evaluated policy needs (data of pi_0.5, delta ="
+        "The default is more accurate at every n, by less as n grows where its centre is only nearly right: its slope is "
+        "then flatter. Where the data policy hardly visits what the evaluated policy needs (data of pi_0.5, delta ="
         " 0.1), n = 10^6 is not yet large."
     ),
 )

@@ -100,8 +100,8 @@ class Conditional(Method):
 
     @property
     def uses(self) -> frozenset[str]:
-        """The policies' values are directions of the tilts; "tilt" alone heeds none, but may be told."""
-        return frozenset({"values_of", "horizon"}) if self.prior in ("average", "tilt") else frozenset()
+        """The policies' values are directions of the average's tilts."""
+        return frozenset({"values_of", "horizon"}) if self.prior == "average" else frozenset()
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""

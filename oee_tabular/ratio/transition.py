@@ -106,7 +106,7 @@ def transition_ratio(
     discount : count each move discount^timestep, as the paper's discounted d does, on both sides (default: count all alike)
     values_of : (S, A), or a list of such
         The policy, or policies, whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is one of the
-        directions of ``Conditional``'s prior "average"
+        directions of ``Conditional``'s prior "average"; the other priors do not use them, so that giving both is an error
     horizon : of these values; None: the infinite sum. Without ``values_of`` it has no use and must be left out
     simulator_data : ``Quotient`` and ``Joint`` (which uses its d(s, a) alone)
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with

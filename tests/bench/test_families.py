@@ -142,6 +142,14 @@ def test_logs_are_exact_and_reproducible():
     assert family.size(1e-6) == 1
 
 
+def test_a_family_prints_as_one_line():
+    family = oee.bench.families()["corridor30"]
+    about = "Steps slip more often than simulated. 30 states, 2 actions, 58 open rows; discount 0.98, "
+    assert repr(family) == str(family) == f"Family({about}infinite horizon)"
+    short = Family(family.simulator, family.target, family.policy, family.data_policy, family.about, horizon=7)
+    assert repr(short) == f"Family({about}7 rewards)"
+
+
 PAIR = oee.bench.families()["corridor30"]
 GRID = oee.tasks.gridworld(3, 0.1)
 STILL = oee.tasks.gridworld(3, 0.0)

@@ -1,14 +1,14 @@
-"""CartPole's experiments: smoke cells, the shipped truths, the baselines' laws, what the saved figure 2 must show."""
+"""CartPole's experiments: smoke cells, the shipped truths, the baselines' laws."""
 
 import subprocess
 import sys
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from saved_results import assert_saved
 
 from oee_tabular.experiments import cartpole_truth
 from oee_tabular.experiments.cartpole import published_error
@@ -28,7 +28,6 @@ from oee_tabular.experiments.run import run_cell
 from oee_tabular.experiments.store import code_version
 from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, monte_carlo_value, record
 
-SAVED = Path(__file__).parents[2] / "notebooks" / "results" / "fig2" / "table.csv"
 IDS = ("fig2", "cartpole_resolution", "cartpole_data", "cartpole_choice")
 
 
@@ -40,6 +39,8 @@ def test_a_smoke_cell(name):
     chosen = [cells[0], cells[-1]]
     rows = [run_cell(experiment.run, settings, cell, code_version()) for cell in chosen]
     assert rows[0] == run_cell(experiment.run, settings, cells[0], code_version())
+    for cell, found in zip(chosen, rows, strict=True):
+        assert_saved(name, cell, pd.DataFrame([{**cell, **row} for row in found]))
     table = pd.DataFrame([{**cell, **row} for cell, found in zip(chosen, rows, strict=True) for row in found])
     summary = summary_of(experiment, table)
     assert set(experiment.keys) <= set(summary.columns)
@@ -123,18 +124,3 @@ def test_a_log_stepped_by_gymnasium_is_the_compiled_task_s():
     moved = CartPole(15.0, 0.0).moves(log.state, log.action, np.zeros((300, 4)))
     assert np.array_equal(moved.next_state, log.next_state)
     assert np.array_equal(moved.terminated, log.terminated)
-
-
-@pytest.mark.skipif(not SAVED.is_file(), reason="no saved fig2 yet: oee reproduce fig2 --output notebooks/results")
-@pytest.mark.parametrize("target", ["compiled", "gymnasium"])
-@pytest.mark.parametrize("gravity", [7.5, 12.5, 15.0])
-def test_figure_2(target, gravity):
-    table = pd.read_csv(SAVED)
-    table = table[(table.target == target) & (table.gravity == gravity)]
-    assert (table.groupby(["n", "estimator"]).size() == 10).all()
-    error = table.groupby(["n", "estimator"]).error.mean()
-    assert error[80_000, "OEE, calibrated"] <= 0.003
-    assert error[80_000, "OEE, calibrated"] < error[80_000, "simulator"]
-    assert error[80_000, "OEE, calibrated"] < error[80_000, "model-based"]
-    assert error[10_000, "OEE, calibrated"] < 0.5 * error[10_000, "simulator"]
-    assert error[80_000, "model-based, calibrated"] <= 0.003  # the gain is the calibration's as much as the ratio's

@@ -496,6 +496,11 @@ BAD = {
         {"values_of": POLICY, "prior": "simulator"},
         r"^values_of must be left out with prior 'simulator'",
     ),
+    "values for the tilt": ({"values_of": POLICY, "prior": "tilt"}, r"^values_of must be left out with prior 'tilt'"),
+    "values for features": (
+        {"values_of": POLICY, "features": np.ones(16)},
+        r"^values_of must be left out with prior 'tilt'",
+    ),
     "values for nothing": ({"values_of": POLICY, "prior": "none"}, r"^values_of must be left out with prior 'none'"),
     "values for another method": (
         {"values_of": POLICY, "method": "joint"},

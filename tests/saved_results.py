@@ -1,0 +1,22 @@
+"""The results saved in notebooks/results, and whether today's code makes them."""
+
+from pathlib import Path
+
+import pandas as pd
+
+RESULTS = Path(__file__).parents[1] / "notebooks" / "results"
+
+
+def saved(name):
+    """Every seed of an experiment's full sweep."""
+    return pd.read_csv(RESULTS / name / "table.csv")
+
+
+def assert_saved(name, cell, table):
+    """The rows computed for a cell are those of the saved table: a table that older code made fails."""
+    rows = saved(name)
+    for setting, value in cell.items():
+        rows = rows[rows[setting] == value]
+    rows = rows.dropna(axis=1, how="all").reset_index(drop=True)
+    made = table.dropna(axis=1, how="all").reset_index(drop=True)
+    pd.testing.assert_frame_equal(made, rows, rtol=1e-5, atol=1e-9, check_dtype=False)
