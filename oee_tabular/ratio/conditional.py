@@ -103,6 +103,11 @@ class Conditional(Method):
         """The policies' values are directions of the average's tilts."""
         return frozenset({"values_of", "horizon"}) if self.prior == "average" else frozenset()
 
+    @property
+    def refuses(self) -> str:
+        """What is said of the others."""
+        return f"must be left out with prior {self.prior!r}, which does not use them"
+
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""
         fitted = super().limit(population)

@@ -124,8 +124,12 @@ class Joint(Method):
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: Any = field(default=None, repr=False)
 
+    @property
+    def _name(self) -> str:
+        return "joint"
+
     def __post_init__(self) -> None:
-        refuse_words(self.ridge, "joint")
+        refuse_words(self.ridge, self._name)
         check_box(self.lower, self.upper, normalized=True)
         self._ratio_box()
         check_simulator_data(self.data)
@@ -187,7 +191,7 @@ class Joint(Method):
             "pairs": pairs,
             "pairs_without_simulator_data": int(lost.sum()),
         }
-        return make_result(simulator, zeta, "joint", gap, observed, details)
+        return make_result(simulator, zeta, self._name, gap, observed, details)
 
 
 def joint_dual_value(

@@ -43,6 +43,16 @@ class Method:
         """What ``fit`` heeds beside the log, of "values_of", "horizon", "simulator_data", "behavior_policy"."""
         return frozenset()
 
+    @property
+    def _name(self) -> str:
+        """As errors and results call it."""
+        return type(self).__name__
+
+    @property
+    def refuses(self) -> str:
+        """What is said of the others."""
+        return f"must not be given with method {self._name!r}, which does not use it"
+
     @one_thread
     def fit(
         self,

@@ -70,8 +70,12 @@ class Quotient(Method):
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: Any = field(default=None, repr=False)
 
+    @property
+    def _name(self) -> str:
+        return "ratio_of_ratios"
+
     def __post_init__(self) -> None:
-        refuse_words(self.ridge, "ratio_of_ratios")
+        refuse_words(self.ridge, self._name)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
 
@@ -114,7 +118,7 @@ class Quotient(Method):
             "beta": (moves, pairs),
         }
         gap = max(moves.gap, pairs.gap)
-        return make_result(given.simulator, zeta, "ratio_of_ratios", gap, observed, details)
+        return make_result(given.simulator, zeta, self._name, gap, observed, details)
 
 
 def refuse_words(ridge: Any, method: str) -> None:

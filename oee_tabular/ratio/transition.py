@@ -155,7 +155,7 @@ def transition_ratio(
     }
     for name, value in beside.items():
         if value is not None and name not in chosen.uses:
-            raise ValueError(f"{name} must not be given with {chosen!r}, which does not use it; got {value!r}")
+            raise ValueError(f"{name} {chosen.refuses}; got {value!r}")
     if horizon is not None and values_of is None:
         raise ValueError("horizon must be left out without values_of: it is that of the values")
     return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **beside)
