@@ -13,7 +13,18 @@ Assumption V.1: nu <= g <= mu with nu < 1 < mu. Assumption V.2: p / q is in the 
 import numpy as np
 
 __all__ = (
-    "J", "d", "d_moves", "risk", "beta", "zeta", "zeta_of", "J_of_products", "algorithm_1", "theorem_1", "lemma", "theorem_2",
+    "J",
+    "J_of_products",
+    "algorithm_1",
+    "beta",
+    "d",
+    "d_moves",
+    "lemma",
+    "risk",
+    "theorem_1",
+    "theorem_2",
+    "zeta",
+    "zeta_of",
 )  # fmt: skip
 
 
@@ -51,7 +62,7 @@ def risk(g, p, q, lam=0.0):
 def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10):
     """Eq. 3.7: argmin of the risk over nu <= g <= mu, stated as it is printed.   -> ratio.density_ratio
 
-    The paper leaves the constraint sum q g = 1 (section VI.A) to luck; ``normalized`` states it.
+    The paper leaves the constraint sum q g = 1 to luck (its experiments on the gridworld); ``normalized`` states it.
     """
     import cvxpy as cp
 

@@ -99,7 +99,7 @@ def test_a_deterministic_simulator_is_refused_and_action_noise_is_the_way_out():
 
 
 def test_the_quotient_explodes_where_the_default_does_not():
-    """numerics.md A1: exact dynamic programming on the 10 x 10 grid, n = 1000, T = 200, values times (1 - discount)."""
+    """Exact dynamic programming on the 10 x 10 grid, n = 1000, T = 200, values times (1 - discount)."""
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     policy = oee.tasks.gridworld_policy(10, 0.1)
     truth = oee.policy_value(target, policy, horizon=200, normalized=True)
@@ -157,7 +157,7 @@ print(grid.transitions.shape[0], found.error_bound / abs(found.value), estimate.
 
 
 def test_the_simulator_s_own_error_is_what_the_lemma_says():
-    """theory.md, population limits: J' - J = g/(1-g) <d_target, (P' - P) V_simulator> for r(s)."""
+    """J' - J = g/(1-g) <d_target, (P' - P) V_simulator> for r(s)."""
     simulator, target = (oee.tasks.gridworld(6, slip, pay="current") for slip in (0.3, 0.1))
     policy = oee.tasks.gridworld_policy(6, 0.5)
     log = oee.sample_episodes(target, policy, 2, 10, seed=0)

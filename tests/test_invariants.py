@@ -1,4 +1,4 @@
-"""The laws of the theory notes, section 5, by number: where each is tested, and here those that belong to no one module."""
+"""The laws of notebooks/statements.md, by number: each has its test, and here are those that belong to no one module."""
 
 import re
 from functools import partial
@@ -13,51 +13,15 @@ from scipy import sparse
 
 import oee_tabular as oee
 
-HERE = "test_invariants.py"
-VALUES, MOMENTS, BOUNDS = "exact/test_values.py", "exact/test_moments.py", "exact/test_efficiency.py"
-RATIOS, DENSITY, LIMITS = "ratio/test_transition.py", "ratio/test_density.py", "estimators/test_limits.py"
-LAWS = {
-    1: (VALUES, "test_flow_and_duality_of_the_occupancy"),
-    2: (VALUES, "test_flow_and_duality_of_the_occupancy"),
-    3: (VALUES, "test_affine_rewards_give_affine_values"),
-    4: (HERE, "test_04_shaping"),
-    5: (HERE, "test_05_relabelling"),
-    6: (HERE, "test_06_a_cloned_state"),
-    7: (MOMENTS, "test_05_06_07_relabelling_and_longer_horizons_change_nothing"),
-    8: (HERE, "test_08_discount_0"),
-    9: (HERE, "test_09_the_average_reward"),
-    10: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
-    11: (HERE, "test_11_what_the_simulator_cannot_do_is_lost"),
-    12: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
-    13: (RATIOS, "test_the_group_law"),
-    14: (RATIOS, "test_ratio_of_ratios_does_not_depend_on_who_sampled"),
-    15: (HERE, "test_15_the_chain_rule_of_divergences"),
-    16: (HERE, "test_16_lumping_and_the_chi_square"),
-    17: (HERE, "test_17_three_estimates_of_the_divergence"),
-    18: (DENSITY, "test_closed_forms"),
-    19: (MOMENTS, "test_19_products_of_ratios_equal_enumeration"),
-    20: (MOMENTS, "test_20_21_the_mean_is_the_value_of_the_model"),
-    21: (LIMITS, "test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit"),
-    22: (MOMENTS, "test_22_42_doubly_robust_moments_equal_enumeration"),
-    23: (MOMENTS, "test_23_with_the_true_values_only_the_start_varies"),
-    24: (LIMITS, "test_24_the_error_on_transitions_is_a_product_of_errors"),
-    25: (MOMENTS, "test_25_the_law_of_total_variance"),
-    26: (MOMENTS, "test_10_12_26_moments_of_the_weight"),
-    27: (VALUES, "test_the_simulation_lemma_in_both_forms"),
-    28: (LIMITS, "test_28_with_beta_alone_halving_the_mismatch_quarters_the_error"),
-    29: (VALUES, "test_the_gradient_is_the_derivative"),
-    30: (BOUNDS, "test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_says"),
-    31: (LIMITS, "test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_of_returns"),
-    32: (LIMITS, "test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_else"),
-    41: (BOUNDS, "test_41_the_bound_is_the_variance_of_the_numeric_gradient"),
-    42: (MOMENTS, "test_22_42_doubly_robust_moments_equal_enumeration"),
-}  # 33 to 40, 43 and 44 are about intervals
+TESTS = Path(__file__).parent
+STATED = (TESTS.parent / "notebooks" / "statements.md").read_text()
+LAWS = re.findall(r"^(\d+)\. .*`([\w/]+\.py)::(\w+)`$", STATED, flags=re.M)
 
 
-@pytest.mark.parametrize("number", LAWS)
-def test_every_law_has_its_test(number):
-    name, test = LAWS[number]
-    assert re.search(rf"^def {test}\(", (Path(__file__).parent / name).read_text(), flags=re.M)
+def test_every_statement_has_its_test():
+    assert [int(number) for number, _, _ in LAWS] == list(range(1, 45))
+    for number, name, test in LAWS:
+        assert re.search(rf"^def {test}\(", (TESTS / name).read_text(), flags=re.M), number
 
 
 def pair(rng, **options):

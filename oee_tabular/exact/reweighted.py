@@ -1,6 +1,6 @@
 """The simulator reweighted by a ratio: K_zeta(s' | s, a) = zeta(s, a, s') P(s' | s, a).
 
-Its rows need not sum to 1. The exact value of the per-decision product of ratios is J(K_zeta) (theory: population limits):
+Its rows need not sum to 1. The exact value of the per-decision product of ratios is J(K_zeta) (statement 20):
 a reward r(s, a) at time t carries zeta_1 ... zeta_t, a reward r(s, a, s') also zeta_{t+1}.
 """
 

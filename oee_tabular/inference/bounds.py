@@ -1,4 +1,4 @@
-"""Bounds on the error of J that hold: theory.md, section 4, (A), (B) and (C).
+"""Bounds on the error of J that hold: (A), (B) and (C) of notebooks/statements.md.
 
 P' is the target, K the model that stands for it, K = zhat * P or any other, with the target's rewards, start and discount;
 R = max |r|, and alpha_t the distribution of (s_t, a_t). A horizon T means the rewards at t = 0..T-1, as everywhere in this

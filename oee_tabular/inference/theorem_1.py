@@ -1,4 +1,4 @@
-"""Theorem 1 of the paper, on the error of the ratio g, beside what is true (theory.md, section 4).
+"""Theorem 1 of the paper, on the error of the ratio g, beside what is true (notebooks/statements.md).
 
 Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables. Theorem 1
 (equation "upperbound") needs a constant K that does not exist (``universal_constant_counterexample``); ``sup_error_bound``

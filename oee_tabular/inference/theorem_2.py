@@ -1,4 +1,4 @@
-"""The paper's Lemma (zeta) and Theorem 2 (the value), beside what is true of them (theory.md, section 4).
+"""The paper's Lemma (zeta) and Theorem 2 (the value), beside what is true of them (notebooks/statements.md).
 
 Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given MDPs. The Lemma holds
 and is loose (``tight=True``: its tight constant); Theorem 2 is false (``value_bound_counterexample``);

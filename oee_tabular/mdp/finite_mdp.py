@@ -1,6 +1,6 @@
 """A finite MDP on sparse rows.
 
-The model (S, A, P, r, mu_0, gamma) of the paper's Section III.A. Row ``s*A + a`` of ``transitions`` is P(. | s, a).
+The model (S, A, P, r, mu_0, gamma) of the paper's eq. 3.4. Row ``s*A + a`` of ``transitions`` is P(. | s, a).
 Rewards are r(s), r(s, a) or r(s, a, s'); the last form belongs to the transition and is kept beside its expectation
 r(s, a) = sum_s' P(s' | s, a) r(s, a, s'), which never stands in for it where a transition is weighted.
 """

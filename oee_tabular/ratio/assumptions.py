@@ -16,8 +16,8 @@ class Assumptions:
 
     Attributes
     ----------
-    box_contains_one : nu < 1 < mu (Assumption IV.1)
-    inside : nu <= p/q <= mu wherever q > 0 (Assumption IV.2 for the class of all functions in the box)
+    box_contains_one : nu < 1 < mu (Assumption V.1)
+    inside : nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all functions in the box)
     supported : p = 0 wherever q = 0
     below, above, unsupported : how many entries miss each
     smallest, largest : of p/q where q > 0

@@ -1,4 +1,4 @@
-"""The ratio of two distributions by minimising the dual of the KL divergence: the paper's Section III.C.
+"""The ratio of two distributions by minimising the dual of the KL divergence: eq. 3.6 and 3.7.
 
 References: [1] Nguyen, Wainwright and Jordan, Estimating divergence functionals and the likelihood ratio by convex risk
 minimization, IEEE Trans. Information Theory 56(11), 2010. [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares approach

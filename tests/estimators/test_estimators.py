@@ -64,7 +64,7 @@ def test_off_environment_reports_what_the_log_has_not_seen():
 @pytest.mark.parametrize("pay", ["next", "current"])
 @pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
 def test_products_of_ratios_are_unbiased_with_the_reward_s_own_weight(pay, weighting):
-    """theory.md, reward timing: the mean over rollouts of the true zeta's product is J; also for an unnormalised zeta."""
+    """The mean over rollouts of the true zeta's product is J; also for an unnormalised zeta."""
     simulator, target = (oee.tasks.gridworld(3, slip, pay=pay, discount=0.9) for slip in (0.3, 0.15))
     policy = oee.tasks.gridworld_policy(3, 0.5)
     problem = Problem(simulator, covering_log(target), horizon=6)
@@ -163,7 +163,7 @@ def test_a_horizon_cuts_episodes():
 
 
 def test_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
-    """theory.md: on the survival chain the truth is 1/(1 - .7 gamma) = 2.70; "zero" gives E[r | alive] = 10."""
+    """On the survival chain the truth is 1/(1 - .7 gamma) = 2.70; "zero" gives E[r | alive] = 10."""
     chain = survival_chain(0.9)
     policy = np.ones((2, 1))
     log = oee.sample_episodes(chain, policy, 20_000, 60, seed=0)
@@ -220,7 +220,7 @@ def test_the_linearised_error_of_self_normalised_estimates(kind, target):
 
 
 def test_self_normalised_estimates_move_with_the_reward():
-    """theory.md 31: SN(r + b) = SN(r) + b sum gamma^t exactly (episodes of full length)."""
+    """Statement 31: SN(r + b) = SN(r) + b sum gamma^t exactly (episodes of full length)."""
     simulator, target = (oee.tasks.gridworld(4, slip, pay="current") for slip in (0.3, 0.1))
     log = oee.sample_episodes(target, oee.uniform_policy(target), 40, 5, seed=0)
     moved = Transitions(**(log.columns() | {"reward": log.reward + 2.0}))

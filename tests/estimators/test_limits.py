@@ -1,4 +1,4 @@
-"""Exact population limits of the estimators, on logs whose frequencies are exact; theory.md sections 1 and 5."""
+"""Exact population limits of the estimators, on logs whose frequencies are exact."""
 
 import functools
 
@@ -81,7 +81,7 @@ def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit
         value = estimator(problem, policy).value
         assert_allclose(value, limit, rtol=1e-7, atol=1e-8, err_msg=repr(estimator))
         values[type(estimator).__name__ + getattr(estimator, "fallback", "")] = value
-    # off-environment evaluation == maximum likelihood == DualDICE (theory.md 21)
+    # off-environment evaluation == maximum likelihood == DualDICE (statement 21)
     assert_allclose(values["OffEnvironment"], values["ModelBasedsimulator"], rtol=1e-7, atol=1e-8)
     if horizon is None:
         assert_allclose(values["DualDice"], values["OffEnvironment"], rtol=1e-7, atol=1e-8)
@@ -162,7 +162,7 @@ def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
 
 @given(rngs)
 def test_importance_sampling_without_support_keeps_what_can_be_seen(rng):
-    """J(P', pi 1[b > 0]) per decision (theory.md section 1), by a kernel that loses what the behaviour policy never does."""
+    """J(P', pi 1[b > 0]) per decision, by a kernel that loses what the behaviour policy never does."""
     simulator, target = pair(rng)
     policy, behavior = random_policy(rng, simulator, zeros=0), random_policy(rng, simulator, zeros=0.5)
     kept = np.where(behavior > 0, policy, 0.0)

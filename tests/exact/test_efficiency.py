@@ -1,4 +1,4 @@
-"""Efficiency bounds and asymptotic variances; theory.md sections 2 and 5."""
+"""Efficiency bounds and asymptotic variances."""
 
 import numpy as np
 import pytest

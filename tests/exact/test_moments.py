@@ -1,4 +1,4 @@
-"""Exact moments against the enumeration of every path; theory.md sections 2 and 5, invariants named in brackets."""
+"""Exact moments against the enumeration of every path; statements named in brackets (notebooks/statements.md)."""
 
 import itertools
 
@@ -87,7 +87,7 @@ def test_19_policy_importance_sampling_equals_enumeration(rng, kind):
 @settings(max_examples=60)
 @given(rngs, st.sampled_from(KINDS))
 def test_self_normalised_limits_variances_and_biases(rng, kind):
-    """theory.md section 1: bias -(E[W^2 G] - J E[W^2]) / N, N * MSE -> E[W^2 (G - J)^2], weights scaled to mean 1."""
+    """Bias -(E[W^2 G] - J E[W^2]) / N, N * MSE -> E[W^2 (G - J)^2], weights scaled to mean 1."""
     simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
     policy, horizon = random_policy(rng, simulator), int(rng.integers(1, 4))
     zeta = ratio_of(rng, simulator)

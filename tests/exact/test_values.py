@@ -49,7 +49,7 @@ def test_finite_horizon_is_the_sum_over_all_paths(rng, horizon, stationary):
 
 @given(rngs, st.sampled_from([None, 1, 7]))
 def test_flow_and_duality_of_the_occupancy(rng, horizon):
-    """theory.md 01 and 02: the flow equation, and mu_0 . V = d . r * sum gamma^t."""
+    """Statements 1 and 2: the flow equation, and mu_0 . V = d . r * sum gamma^t."""
     mdp = random_mdp(rng)
     policy = random_policy(rng, mdp)
     pairs = oee.occupancy(mdp, policy, horizon=horizon)
@@ -64,7 +64,7 @@ def test_flow_and_duality_of_the_occupancy(rng, horizon):
 
 @given(rngs, st.sampled_from([None, 4]))
 def test_affine_rewards_give_affine_values(rng, horizon):
-    """theory.md 03."""
+    """Statement 3."""
     mdp = random_mdp(rng, form=3)
     policy = random_policy(rng, mdp)
     table = mdp.transition_rewards.copy()
@@ -142,7 +142,7 @@ def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
 
 @given(rngs)
 def test_the_gradient_is_the_derivative(rng):
-    """theory.md 29: finite differences along directions that keep rows summing to 1."""
+    """Statement 29: finite differences along directions that keep rows summing to 1."""
     mdp = random_mdp(rng, n_states=4, zeros=0.0, discount=0.9)
     policy = random_policy(rng, mdp)
     horizon = [None, 3][int(rng.integers(2))]
@@ -161,7 +161,7 @@ def test_the_gradient_is_the_derivative(rng):
 
 @given(rngs)
 def test_the_simulation_lemma_in_both_forms(rng):
-    """theory.md 27: J' - J = g/(1-g) <d', (P' - P) V> = g/(1-g) <d, (P' - P) V'> for r(s, a)."""
+    """Statement 27: J' - J = g/(1-g) <d', (P' - P) V> = g/(1-g) <d, (P' - P) V'> for r(s, a)."""
     simulator = random_mdp(rng, form=2)
     target = random_mdp(rng, like=simulator)
     policy = random_policy(rng, simulator)
@@ -174,7 +174,7 @@ def test_the_simulation_lemma_in_both_forms(rng):
 
 
 def test_unnormalised_kernels_diverge_with_their_radius():
-    """theory.md, table of limits: 1.15 P at discount 0.9 has a radius of 1.035."""
+    """1.15 P at discount 0.9 has a radius of 1.035."""
     mdp = random_mdp(np.random.default_rng(3), n_states=4, n_actions=2, discount=0.9, form=2)
     policy = oee.uniform_policy(mdp)
     inflated = exact.reweight(mdp, mdp.transitions * 0 + mdp.transitions.sign() * 1.15)

@@ -1,4 +1,4 @@
-"""Planned data collection: closed forms, certificates against a conic solver, the figures of theory.md section 6, bad calls."""
+"""Planned data collection: closed forms, certificates against a conic solver, known figures, bad calls."""
 
 import cvxpy as cp
 import numpy as np
@@ -26,7 +26,7 @@ SCALE = 0.05**2  # (1 - discount)^2 of the grid
 
 
 def small_grid(slip):
-    """The grid of theory.md, section 3."""
+    """A 5 x 5 grid, slip .3 for .1."""
     base = oee.tasks.gridworld(5, slip, discount=0.95)
     row, column = np.divmod(np.arange(25), 5)
     return FiniteMDP(base.transitions, (row + column - 8) / 8, base.initial, 0.95)
@@ -301,14 +301,14 @@ def test_a_plan_is_no_worse_than_uniform_and_on_policy(rng):
             assert plan.inefficiency <= value * (1 + 1e-9)
 
 
-# the figures of theory.md, section 6
+# known figures
 
 
 def bound(q):
     return oee.efficiency_bound(TARGET, POLICY, q) * SCALE
 
 
-def test_the_figures_of_theory_md():
+def test_known_figures():
     """n Var (1 - g)^2: uniform .1732, on-policy .0445, planned in the simulator .0436, oracle flow .0433, free .0405."""
     world = collection_mdp(TARGET, 0.05, restart_costs_a_move=True)
     options = {"n": 1000, "sampling": "behavior", "restart_costs_a_move": True}
@@ -332,7 +332,7 @@ def test_the_figures_of_theory_md():
 
 @pytest.mark.parametrize("costly", [False, True])
 def test_three_policies(costly):
-    """The worst inefficiency: minimax 1.46, uniform 8.67, the design for one of them 2.6 to 2.95 (theory.md: 1.46, 8.62, 2.66).
+    """The worst inefficiency: minimax 1.46, uniform 8.67, the design for one of them 2.6 to 2.95 (from simulation: 1.46, 8.62, 2.66).
 
     The design for delta = 0.5 gives rows that only delta = 0.1 needs little, and how little depends on its own last 0.1%.
     """

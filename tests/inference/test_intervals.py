@@ -196,7 +196,7 @@ def test_33_four_times_the_same_moves_give_an_interval_inside(rng):
 
 
 def test_the_rectangular_set_as_one_conic_program():
-    """theory.md section 3: CLARABEL equals robust policy evaluation (3e-7; 1e-6 asked for)."""
+    """CLARABEL equals robust policy evaluation (3e-7; 1e-6 asked for)."""
     rng = np.random.default_rng(3)
     for trial in range(6):
         _, _, problem, policy = case(rng, n=40, form=2)

@@ -1,4 +1,4 @@
-"""The paper's theorems and the bounds that replace them: theory.md, sections 4 and 5, on random and on worked MDPs."""
+"""The paper's theorems and the bounds that replace them, on random and on worked MDPs."""
 
 import math
 
@@ -55,7 +55,7 @@ def distributions(rng, zeros=0.3):
 
 @given(rngs, horizons)
 def test_the_simulation_lemma_for_models(rng, horizon):
-    """theory.md 27, with any form of rewards."""
+    """Statement 27, with any form of rewards."""
     target, model = pair(rng)
     policy = some_policy(rng, target, horizon)
     lemma = inference.simulation_lemma(target, model, policy, horizon=horizon)
@@ -98,7 +98,7 @@ def test_the_simulation_lemma_on_the_survival_chain():
 
 @given(rngs, horizons)
 def test_a_b_and_c_hold_for_models(rng, horizon):
-    """theory.md 40, and (B) <= (A): min(2, t eta) <= (1 + eta)^t - 1."""
+    """Statement 40, and (B) <= (A): min(2, t eta) <= (1 + eta)^t - 1."""
     target, model = pair(rng)
     policy = some_policy(rng, target, horizon)
     a, b, c = (
@@ -179,7 +179,7 @@ def fork(lean, discount, reward=1.0):
 
 
 def test_c_is_tight_on_the_fork():
-    """theory.md, section 4: error .11830281, bound .11830380 (both cut off after eight digits); lean .005, g .95, T 20."""
+    """Error .11830281, bound .11830380 (both cut off after eight digits); lean .005, g .95, T 20."""
     sides = inference.kl_path_sides(fork(0.0, 0.95), fork(0.005, 0.95), np.ones((3, 1)), horizon=20)
     assert f"{sides.left:.10f}"[:10] == "0.11830281"
     assert f"{sides.right:.10f}"[:10] == "0.11830380"
@@ -230,7 +230,7 @@ def test_rewards_on_moves_rest_on_one_move_more():
 
 @given(rngs)
 def test_renyi_divergences_grow_with_their_order(rng):
-    """theory.md 16; Pinsker; E_q zeta^2 = 1 + chi^2 = exp(D_2)."""
+    """Statement 16; Pinsker; E_q zeta^2 = 1 + chi^2 = exp(D_2)."""
     p, q = distributions(rng)
     orders = [1e-3, 0.3, 0.5, 0.999, 1, 1.001, 1.5, 2, 5, 80, math.inf]
     values = [renyi_divergence(p, q, order) for order in orders]
@@ -261,7 +261,7 @@ def test_renyi_divergences_in_closed_form():
 
 @given(rngs, st.integers(1, 3))
 def test_the_divergence_of_paths_is_the_sum_of_its_moves(rng, horizon):
-    """theory.md 15, by enumeration of all paths."""
+    """Statement 15, by enumeration of all paths."""
     target, model = pair(rng, n_states=2, n_actions=2)
     policy = some_policy(rng, target, horizon)
     kl = inference.path_kl(target, model, policy, horizon=horizon)
@@ -281,7 +281,7 @@ def test_the_divergence_of_paths_is_the_sum_of_its_moves(rng, horizon):
 
 @given(rngs)
 def test_the_divergence_of_moves_is_that_of_pairs_and_that_of_rows(rng):
-    """theory.md 15: KL(sas') = KL(sa) + E KL(P_te || P_tr)."""
+    """Statement 15: KL(sas') = KL(sa) + E KL(P_te || P_tr)."""
     simulator = random_mdp(rng)
     target = random_mdp(rng, like=simulator)
     policy = random_policy(rng, target)
@@ -316,7 +316,7 @@ def test_the_bound_of_theorem_1_by_hand():
 
 
 def test_no_universal_constant():
-    """theory.md, section 4: K >= 55, 549, 5491 at n = 1e2, 1e4, 1e6; the estimates are the package's own."""
+    """K >= 55, 549, 5491 at n = 1e2, 1e4, 1e6; the estimates are the package's own."""
     for n, needed in ((100, 55), (10_000, 549), (1_000_000, 5491)):
         found = inference.universal_constant_counterexample(n)
         assert round(found.ratio) == needed
@@ -357,7 +357,7 @@ def test_the_sup_error_bound_by_hand():
 
 
 def test_chernoff_with_a_third_needs_e_below_one():
-    """Where e_p > 1, theory.md's e_p = sqrt(3 L / (n p)) is too small: 1 of 50 against a claimed 1 of 148."""
+    """Where e_p > 1, the plain e_p = sqrt(3 L / (n p)) is too small: 1 of 50 against a claimed 1 of 148."""
     from oee_tabular.inference.theorem_1 import _chernoff
 
     mean, log_term = 0.02, 5.0
@@ -373,7 +373,7 @@ def test_chernoff_with_a_third_needs_e_below_one():
 
 @given(rngs)
 def test_the_excess_risk_and_the_squared_error(rng):
-    """L(g) - L(g*) = E_p phi(g/g*), E_p (g - g*)^2 <= 2 mu^2 of it; theory.md 17 on the dual of the KL divergence."""
+    """L(g) - L(g*) = E_p phi(g/g*), E_p (g - g*)^2 <= 2 mu^2 of it; statement 17 on the dual of the KL divergence."""
     p, q = distributions(rng)
     g = rng.uniform(0.1, 3.0, len(p))
     risk = inference.excess_risk(g, p, q)
@@ -415,7 +415,7 @@ def test_the_lemma_holds_with_either_constant(rng, nu, mu):
 
 
 def test_the_tight_constant_is_attained():
-    """mu = 2, nu = 1/2: 10. The worst case mu -> mu - e, nu -> nu + e gives 10 / (1 + e/nu): theory.md's 9.999."""
+    """mu = 2, nu = 1/2: 10. The worst case mu -> mu - e, nu -> nu + e gives 10 / (1 + e/nu): 9.999."""
     for error in (1e-2, 1e-5):
         worst = inference.ratio_error_sides([2.0], [0.5], [2.0 - error], [0.5 + error], mu=2.0, nu=0.5, tight=True)
         assert_allclose(worst.left / error, 10 / (1 + 2 * error), rtol=1e-9)
@@ -437,7 +437,7 @@ def test_the_sum_is_the_papers_fraction(horizon, discount, nu):
 
 
 def test_theorem_2_is_false():
-    """theory.md, section 4: err^2 / bound = 1.43 at T = 2, 18 at T = 50 (g .99, nu .97, epsilon .03)."""
+    """Err^2 / bound = 1.43 at T = 2, 18 at T = 50 (g .99, nu .97, epsilon .03)."""
     ratios = {T: inference.value_bound_counterexample(T, 0.99, 0.03, 0.97).ratio for T in (1, 2, 20, 50, 200)}
     assert round(ratios[2], 2) == 1.43
     assert round(ratios[50]) == 18

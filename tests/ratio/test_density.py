@@ -132,7 +132,7 @@ def test_equal_distributions_have_ratio_one_exactly(rng, options):
 
 @given(rngs)
 def test_closed_forms(rng):
-    """theory.md, population limits: unconstrained p/q; box clip(p/q); ridge 2p / (q + sqrt(q^2 + 4 lam p))."""
+    """Unconstrained p/q; box clip(p/q); ridge 2p / (q + sqrt(q^2 + 4 lam p))."""
     n = int(rng.integers(1, 20))
     p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
     p[0] += 1
@@ -149,7 +149,7 @@ def test_closed_forms(rng):
 
 @given(rngs)
 def test_without_a_box_the_ridge_sets_the_mass(rng):
-    """numerics.md A1: with the paper's penalty and no normalisation, sum q g = 1 - ridge * I(g)^2."""
+    """With the paper's penalty and no normalisation, sum q g = 1 - ridge * I(g)^2."""
     n = int(rng.integers(1, 20))
     p, q = rng.integers(1, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
     g = oee.density_ratio(p, q, ridge=0.2, normalized=False).ratio
@@ -158,7 +158,7 @@ def test_without_a_box_the_ridge_sets_the_mass(rng):
 
 @given(rngs)
 def test_shrinking_to_zero_and_to_one_are_one_program_once_normalised(rng):
-    """numerics.md A1: sum q (g - 1)^2 = sum q g^2 - 1 where sum q g = 1."""
+    """Sum q (g - 1)^2 = sum q g^2 - 1 where sum q g = 1."""
     n = int(rng.integers(2, 20))
     p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
     p[0] += 1
@@ -168,7 +168,7 @@ def test_shrinking_to_zero_and_to_one_are_one_program_once_normalised(rng):
 
 @given(rngs)
 def test_the_divergence_estimate(rng):
-    """Unrestricted it is KL(p || q); a restricted class gives less (theory.md 17)."""
+    """Unrestricted it is KL(p || q); a restricted class gives less (statement 17)."""
     n = int(rng.integers(1, 20))
     p, q = rng.integers(1, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
     ps, qs = p / p.sum(), q / q.sum()
@@ -260,7 +260,7 @@ def test_a_box_within_rounding_of_one_says_what_it_reached():
 
 @given(rngs)
 def test_least_squares_in_closed_form_and_against_clarabel(rng):
-    """LSIF: free (p + A c) / (q + A); its ridge towards 1 is a Dirichlet prior (numerics.md A3)."""
+    """LSIF: free (p + A c) / (q + A); its ridge towards 1 is a Dirichlet prior."""
     n = int(rng.integers(1, 15))
     p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
     p[0] += 1
@@ -281,7 +281,7 @@ def test_least_squares_in_closed_form_and_against_clarabel(rng):
 
 
 def test_the_enclosure_is_tight():
-    """numerics.md A6: relative width about 4e-14 where no jump leaves the minimiser free."""
+    """Relative width about 4e-14 where no jump leaves the minimiser free."""
     rng = np.random.default_rng(0)
     for _ in range(50):
         p, q = rng.integers(1, 50, 40) + 0.0, rng.integers(1, 50, 40) + 0.0

@@ -10,7 +10,7 @@ GRID = np.linspace(-3, 3, 400)
 
 
 def gaussians(n=1000, seed=0):
-    """numerics.md A7: P = N(0.5, 0.8), Q = N(0, 1)."""
+    """P = N(0.5, 0.8), Q = N(0, 1)."""
     rng = np.random.default_rng(seed)
     return rng.normal(0.5, 0.8, n), rng.normal(0, 1, n)
 

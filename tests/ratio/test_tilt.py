@@ -214,7 +214,7 @@ def test_log_rising_does_not_cancel():
 
 
 def test_the_ridge_may_be_chosen_on_the_data():
-    """kappa / n_sa: near the Dirichlet prior of the same kappa (numerics.md A3: to second order)."""
+    """kappa / n_sa: near the Dirichlet prior of the same kappa (to second order)."""
     simulator, target = grids(5)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 60, 300, seed=0)
     ridged = oee.transition_ratio(log, simulator, prior="none", ridge="evidence")

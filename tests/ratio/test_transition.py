@@ -48,7 +48,7 @@ def test_a_target_outside_the_support_has_no_true_ratio():
 
 @given(rngs)
 def test_the_group_law(rng):
-    """theory.md 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where supports are equal."""
+    """Statements 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where supports are equal."""
     a = random_mdp(rng, zeros=0.0)
     b, c = (a.with_transitions(rng.dirichlet(np.ones(a.n_states), size=(a.n_states, a.n_actions))) for _ in range(2))
     assert_array_equal(oee.true_ratio(a, a).values.data, 1.0)
@@ -58,7 +58,7 @@ def test_the_group_law(rng):
 
 @given(rngs, st.sampled_from([0.0, 0.3, 1.0, 7.0]))
 def test_conditional_is_the_dirichlet_posterior_mean(rng, strength):
-    """numerics.md A2, A3: zeta = (n/P + kappa) / (n_sa + kappa); rows never visited are the simulator's."""
+    """zeta = (n/P + kappa) / (n_sa + kappa); rows never visited are the simulator's."""
     simulator, target = pair(rng)
     counts = counts_of(rng, target, int(rng.integers(1, 60)))
     zeta = oee.transition_ratio(counts, simulator, prior="simulator", strength=strength)
@@ -76,7 +76,7 @@ def test_conditional_is_the_dirichlet_posterior_mean(rng, strength):
 
 @given(rngs)
 def test_without_shrinkage_it_is_the_maximum_likelihood_model(rng):
-    """theory.md 21: OEE == model-based, where the log covers everything."""
+    """Statement 21: OEE == model-based, where the log covers everything."""
     simulator, target = pair(rng)
     weights = np.full((simulator.n_states, simulator.n_actions), 1 / (simulator.n_states * simulator.n_actions))
     log = oee.sample_transitions(target, weights, 4000, seed=1)
@@ -117,7 +117,7 @@ def test_ridge_per_row_as_a_function_of_its_count():
     by_row = oee.transition_ratio(counts, simulator, prior="none", ridge=lambda n: 5.0 / np.maximum(n, 1))
     dirichlet = oee.transition_ratio(counts, simulator, prior="simulator", strength=5.0)
     plain = oee.transition_ratio(counts, simulator, prior="none")
-    # numerics.md A3: KL with a quadratic pull agrees with the Dirichlet prior to second order
+    # KL with a quadratic pull agrees with the Dirichlet prior to second order
     near = np.abs(by_row.values.data - dirichlet.values.data).mean()
     far = np.abs(plain.values.data - dirichlet.values.data).mean()
     assert near < 0.35 * far
@@ -125,7 +125,7 @@ def test_ridge_per_row_as_a_function_of_its_count():
 
 @given(rngs)
 def test_ratio_of_ratios_does_not_depend_on_who_sampled(rng):
-    """theory.md 14: from exact occupancies the quotient is the true zeta, whatever the two data policies."""
+    """Statement 14: from exact occupancies the quotient is the true zeta, whatever the two data policies."""
     simulator, target = pair(rng, discount=0.9)
     behavior = random_policy(rng, simulator, zeros=0.0)
     shares = oee.occupancy(target, random_policy(rng, simulator, zeros=0.0), horizon=30, of="transition")
@@ -308,7 +308,7 @@ def test_the_joint_program_against_clarabel(rng, options):
 
 
 def test_the_joint_program_at_ten_by_ten():
-    """numerics.md A5: agreement of 4e-10 with Clarabel at tolerances of 1e-12; 1e-8 asked for."""
+    """Agreement of 4e-10 with Clarabel at tolerances of 1e-12; 1e-8 asked for."""
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     uniform = oee.uniform_policy(simulator)
     log = oee.sample_episodes(target, uniform, 60, 1000, seed=0)

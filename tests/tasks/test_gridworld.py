@@ -54,7 +54,7 @@ def test_the_expert_walks_rows_then_columns():
 
 
 def test_the_scale_of_the_paper_s_values():
-    """numerics.md A1: delta = 0.1, T = 200 has |J| = 1.60 when the current cell pays."""
+    """delta = 0.1, T = 200 has |J| = 1.60 when the current cell pays."""
     target = gridworld(10, 0.1, pay="current")
     value = oee.policy_value(target, gridworld_policy(10, 0.1), horizon=200, normalized=True)
     assert_allclose(value, -1.60, atol=0.01)
