@@ -332,7 +332,7 @@ def test_known_figures():
 
 @pytest.mark.parametrize("costly", [False, True])
 def test_three_policies(costly):
-    """The worst inefficiency: minimax 1.46, uniform 8.67, the design for one of them 2.6 to 2.95 (from simulation: 1.46, 8.62, 2.66).
+    """The worst inefficiency: minimax 1.46, uniform 8.67, the design for one of them 2.6 to 2.95 (1.46, 8.62, 2.66 sampled).
 
     The design for delta = 0.5 gives rows that only delta = 0.1 needs little, and how little depends on its own last 0.1%.
     """
