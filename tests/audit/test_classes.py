@@ -46,7 +46,9 @@ def test_the_linear_class_by_its_own_risk(box, ridge):
 
     def risk(w):
         each = np.log(np.maximum(zeta(w)[n > 0], 1e-12))
-        return (P * zeta(w) * n.sum(axis=2, keepdims=True)).sum() / total - n[n > 0] @ each / total + strength / 2 * w @ w
+        return (
+            (P * zeta(w) * n.sum(axis=2, keepdims=True)).sum() / total - n[n > 0] @ each / total + strength / 2 * w @ w
+        )
 
     w, least = by_slsqp(risk, np.zeros(3), *box, lambda w: zeta(w)[P > 0])
     fit = oee.transition_ratio(

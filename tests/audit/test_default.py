@@ -88,7 +88,9 @@ class Own:
         """theta and f'' by scipy on the risk as it is written, f'' by the rows' covariances."""
 
         def risk(theta):
-            each = np.log(np.where(self.rows > 0, self.tilt(theta, features), 1.0) / np.where(self.rows > 0, self.rows, 1))
+            each = np.log(
+                np.where(self.rows > 0, self.tilt(theta, features), 1.0) / np.where(self.rows > 0, self.rows, 1)
+            )
             return -np.sum(weight[:, None] * self.n * each) + 0.5 * precision @ theta**2
 
         theta = optimize.minimize(risk, np.zeros(len(features)), method="BFGS", options={"gtol": 1e-7}).x
@@ -269,7 +271,9 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     error = np.sqrt(each.sum() + variance[~seen].sum())
     assert_allclose(estimate.value, value + moved * change, rtol=1e-9)
     assert_allclose(estimate.standard_error, error, rtol=1e-7)
-    assert_allclose(estimate.interval, value + moved * change + np.array([-1, 1]) * 1.959963984540054 * error, rtol=1e-7)
+    assert_allclose(
+        estimate.interval, value + moved * change + np.array([-1, 1]) * 1.959963984540054 * error, rtol=1e-7
+    )
     told = estimate.diagnostics
     assert_allclose(told["model_value"], value, rtol=1e-9)
     assert_allclose(told["one_step_value"], value + first, rtol=1e-9)

@@ -7,11 +7,13 @@ import pandas as pd
 import pytest
 from audit.reference import Dense
 from numpy.testing import assert_allclose
-from scipy import stats
+from scipy import integrate, stats
 
 import oee_tabular as oee
 from oee_tabular.bench.league import league_of
 from oee_tabular.mdp.layout import displacements
+from oee_tabular.tasks.continuous import ContinuousTask, Moves
+from oee_tabular.tasks.discretize_grid import GridInterpolation
 
 
 @pytest.mark.parametrize("given", [False, True])
@@ -79,13 +81,89 @@ def test_a_toy_text_table_with_duplicates_and_ends_by_path():
     assert_allclose(Dense(mdp).r[0, 0, 1], (0.3 * 1 + 0.2 * 5) / 0.5)
 
 
-class Line(oee.tasks.ContinuousTask):
-    """x' = 0.8 x + a + 0.3 noise on a line, pays x."""
+class Line(ContinuousTask):
+    """x' = 0.8 x + a + 0.3 xi on a line, pays x'; starts evenly in [-1, 1]."""
 
     name, state_names, feature_names = "line", ("x",), ("x",)
+    actions, n_disturbances, periodic, terminates = np.array([-0.2, 0.3]), 1, (False,), False
+    feature_low, feature_high = np.array([-3.0]), np.array([3.0])
 
-    def __init__(self):
-        self._scale = 0.3
+    def moves(self, states, actions, disturbance):
+        following = 0.8 * states + self.actions[actions][:, None] + 0.3 * disturbance
+        return Moves(following, following[:, 0], np.zeros(len(states), dtype=bool))
 
-    def parameters(self):
-        return {}
+    def initial_states(self, n, rng):
+        return rng.uniform(-1.0, 1.0, (n, 1))
+
+
+def test_a_discretised_table_by_integrals():
+    """Vertex j gets the integral of its hat; the nodes and weights of the quadrature are numpy's."""
+    model = GridInterpolation((13,), noise_points=20, closure_episodes=0).build(Line())
+    vertices = np.linspace(-3, 3, 13)
+    table = model.mdp.transitions.toarray().reshape(13, 2, 13)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(20)
+    weights = weights / weights.sum()
+    for s in range(13):
+        for a, push in enumerate([-0.2, 0.3]):
+            mean = 0.8 * vertices[s] + push
+            at = np.clip(mean + 0.3 * nodes, -3, 3)
+            hats = np.clip(1 - np.abs(at[:, None] - vertices[None]) / 0.5, 0, None)
+            assert_allclose(table[s, a], weights @ hats, atol=1e-9)
+            x = np.linspace(mean - 2.4, mean + 2.4, 4001)
+            hats = np.clip(1 - np.abs(np.clip(x, -3, 3)[:, None] - vertices[None]) / 0.5, 0, None)
+            whole = integrate.trapezoid(hats * stats.norm.pdf(x, mean, 0.3)[:, None], x, axis=0)
+            assert_allclose(table[s, a], whole, atol=0.02)
+            assert_allclose(model.mdp.rewards[s, a], mean, atol=1e-9)
+    inner = np.array([0.5 if abs(v) < 1 else 0.25 if abs(v) == 1 else 0.0 for v in vertices]) * 0.5
+    assert_allclose(model.mdp.initial, inner, atol=0.006)  # 50 000 draws
+
+
+@pytest.mark.parametrize("name", ["machine", "queue25", "corridor30", "garnet"])
+def test_the_truth_of_a_bench_pair_and_where_its_episodes_go(name):
+    """By a dense solve, and by stepping an episode's distribution until all of it is over or cut."""
+    every = oee.bench.families()
+    family = every[next(key for key in every if key.startswith(name))]
+    base = Dense(family.target)
+    if family.horizon is None and base.g < 1:
+        assert_allclose(family.truth, base.J(family.policy), rtol=1e-8)
+    else:
+        assert_allclose(family.truth, base.J(family.policy, family.horizon), rtol=1e-8)
+    over = np.array([(base.P[s, :, s] == 1.0).all() and (base.r[s, :, s] == 0.0).all() for s in range(len(base.mu))])
+    at, visits = base.mu.copy(), np.zeros_like(family.policy)
+    for t in range(family.length):
+        going = at if t == 0 else np.where(over, 0.0, at)
+        visits += going[:, None] * family.data_policy
+        at = going @ base.chain(family.data_policy)
+    assert_allclose(family.moves_per_state_action, visits, atol=1e-8)
+    assert_allclose(family.data_distribution.sum(), 1.0)
+    assert family.open_rows == sum((row > 0).sum() > 1 for row in Dense(family.simulator).P.reshape(-1, len(base.mu)))
+
+
+@pytest.mark.parametrize("identical", [False, True])
+def test_the_ratio_of_errors_and_its_lower_bound_by_own_resamples(identical):
+    rng = np.random.default_rng(0)
+    errors = {"maximum-likelihood": rng.normal(size=12), "simulator": 0.3 + 0.8 * rng.normal(size=12)}
+    errors["mine"] = 0.7 * errors["maximum-likelihood"] + 0.4 * rng.normal(size=12)
+    rows = [
+        {
+            "family": "f", "size": 3.0, "seed": seed, "estimator": name, "value": 1 + error[seed], "error": error[seed],
+            "truth": 1.0, "lower": error[seed], "upper": 2 + error[seed], "seconds": 0.1, "covered": 0.95, "bound": 0.5,
+            "identical": identical, "status": "ok",
+        }
+        for name, error in errors.items() for seed in range(12)
+    ]  # fmt: skip
+    found = league_of(pd.DataFrame(rows)).cells.set_index("estimator").loc["mine"]
+
+    def ratio(chosen):
+        rms = {name: np.sqrt(np.mean(error[chosen] ** 2)) for name, error in errors.items()}
+        best = rms["maximum-likelihood"] if identical else min(rms["maximum-likelihood"], rms["simulator"])
+        return rms["mine"] / best
+
+    assert_allclose(found["ratio"], ratio(np.arange(12)), rtol=1e-12)
+    own = np.quantile([ratio(rng.integers(0, 12, 12)) for _ in range(20_000)], 0.05)
+    assert_allclose(found["low"], own, rtol=0.04)
+    assert_allclose(found["over_bound"], np.sqrt(np.mean(errors["mine"] ** 2) / 0.5), rtol=1e-12)
+    assert_allclose(found["bias"], errors["mine"].mean(), rtol=1e-12)
+    held = np.sum((errors["mine"] <= 1) & (errors["mine"] >= -1))
+    assert (found["logs"], found["held"]) == (12, held)
+    assert_allclose(found["width"], 1.0)

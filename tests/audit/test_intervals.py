@@ -126,7 +126,10 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_move(left_o
     covariance = np.array(
         [
             [
-                (((law * x * y).sum(axis=2) - (law * x).sum(axis=2) * (law * y).sum(axis=2)) / np.maximum(total[:, :, 0], 1)).sum()
+                (
+                    ((law * x * y).sum(axis=2) - (law * x).sum(axis=2) * (law * y).sum(axis=2))
+                    / np.maximum(total[:, :, 0], 1)
+                ).sum()
                 for y in slopes
             ]
             for x in slopes
