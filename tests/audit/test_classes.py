@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from audit.reference import Dense, table_of
 from numpy.testing import assert_allclose
-from scipy import optimize, sparse
+from scipy import optimize, sparse, stats
 
 import oee_tabular as oee
 from oee_tabular.ratio.local_tilt import fit_local_tilt
@@ -263,3 +263,41 @@ def test_a_sample_ratio_of_the_kernel_class_leaving_each_point_out():
     assert_allclose(fit.p_ratio, np.maximum(g, 0.0), rtol=1e-8)
     assert_allclose(fit.at(p), np.maximum(g, 0.0), rtol=1e-8)
     assert fit.gap < 1e-12
+
+
+@pytest.mark.parametrize("shape", ["normal", "skewed"])
+def test_the_test_that_may_refuse_the_quadratic_class(shape):
+    """Means of six bumps over p and over g q, their regression on the features taken off, as a chi-square."""
+    rng = np.random.default_rng(0)
+    p = rng.normal(0.3, 0.9, (600, 1)) if shape == "normal" else rng.gamma(4.0, 0.4, (600, 1)) - 1.2
+    q = rng.normal(size=(700, 1))
+    fit = oee.density_ratio_samples(p, q)
+    z = [(x[:, 0] - q.mean()) / q.std() for x in (p, q)]
+    phi = [np.column_stack([x, x**2]) for x in z]
+    size = phi[1].std(axis=0)
+    phi = [(x - phi[1].mean(axis=0)) / size for x in phi]
+
+    def risk(theta):
+        return np.log(np.mean(np.exp(phi[1] @ theta))) - (phi[0] @ theta).mean() + theta @ theta / 1200
+
+    theta = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-10}).x
+    g = np.exp(phi[1] @ theta)
+    g /= g.mean()
+    places = np.concatenate([phi[0][::200, 0], phi[1][::234, 0]])
+    psi = [np.exp(-2 * (x[:, :1] - places) ** 2) for x in phi]
+    mean = (g[:, None] * phi[1]).mean(axis=0)
+    inner = ((phi[1] - mean) * g[:, None]).T
+    slope = np.linalg.solve(inner @ phi[1] / 700 + np.eye(2) / 600, inner @ psi[1] / 700)
+    left = [x - y @ slope for x, y in zip(psi, phi, strict=True)]
+    center = (g[:, None] * left[1]).mean(axis=0)
+    rise = left[0].mean(axis=0) - center
+    V = (
+        np.cov(left[0].T, bias=True) / 600
+        + ((left[1] - center) * g[:, None]).T @ ((left[1] - center) * g[:, None]) / 700**2
+    )
+    values, vectors = np.linalg.eigh(V)
+    known = values > 1e-6 * values[-1]
+    own = stats.chi2.sf((((rise @ vectors) ** 2)[known] / values[known]).sum(), known.sum())
+    assert_allclose(fit.details["p_value"], own, rtol=1e-4, atol=1e-12)
+    assert fit.method == ("log-linear" if own > 0.2 else "kernel")
+    assert (shape == "skewed") == (fit.method == "kernel")

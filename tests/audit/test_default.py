@@ -109,8 +109,8 @@ class Own:
             weight, precision = np.minimum((1 + kappa) / (n + kappa), 1.0), np.ones(len(features))
             for _ in range(30):
                 theta, bend, model = self.fit(features, weight, precision)
-                new = (1 - precision * np.diag(np.linalg.inv(bend))) / theta**2
-                if np.allclose(new := np.clip(new, 1.0, 1e6), precision, rtol=1e-3):
+                new = np.clip((1 - precision * np.diag(np.linalg.inv(bend))) / theta**2, 1.0, 1e6)
+                if np.abs(np.log(new / precision)).max() < 1e-3:
                     break
                 precision = new
             kappa, score = strengths(self.n, model, self.kind)
@@ -161,7 +161,7 @@ def test_the_average_is_by_evidence_to_the_power_of_three_quarters(fitted):
 
 
 def test_the_rows_are_the_posterior_mean_around_the_average_with_the_best_kappa(fitted):
-    simulator, policy, _, zeta, own = fitted
+    simulator, _, _, zeta, own = fitted
     P = own.mdp.P.reshape(-1, simulator.n_states)
     base = np.zeros_like(P)
     base[P > 0] = sum(part.weight * part.rows for part in zeta._influence.parts)

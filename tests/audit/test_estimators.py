@@ -233,3 +233,39 @@ def test_calibrated_values_by_hand():
     apart = calibrated.calibrate(raw, discretised=-0.5, continuous=0.6, continuous_error=0.02, kind="difference")
     assert_allclose(apart.diagnostics["calibrated_value"], 1.5, rtol=1e-12)
     assert_allclose(apart.diagnostics["calibrated_standard_error"], np.hypot(0.05, 0.02), rtol=1e-12)
+
+
+def clipped(p, q, low, high):
+    """argmin sum q g - p log g over low <= g <= high with sum q g = 1: clip(p / (c q))."""
+
+    def mass(c):
+        return (q * np.clip(p / (c * q), low, high)).sum() - 1.0
+
+    return np.clip(p / (optimize.brentq(mass, 1e-6, 1e6) * q), low, high)
+
+
+@pytest.mark.parametrize("box", [(0.01, 10.0), (0.7, 1.3)])
+def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
+    """Rows of zeta * P need not sum to 1; doubly robust on rollouts has the same limit, by any V."""
+    simulator, target, policy, behavior = world(2)
+    share = np.array([[0.2, 0.4], [0.25, 0.15]])
+    here, there = Dense(simulator), Dense(target)
+    at, d = here.mu, np.zeros((2, 2))
+    for _ in range(1000):  # every move counts alike, as in a log, of episodes of a thousand
+        d += at[:, None] * behavior / 1000
+        at = at @ here.chain(behavior)
+    pairs = clipped(share, d, *box)
+    moves = clipped(share[:, :, None] * there.P, d[:, :, None] * here.P, *box)
+    own = here.like(moves / pairs[:, :, None] * here.P).J(policy)
+    ask = functools.partial(
+        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
+        lower=box[0], upper=box[1],
+    )  # fmt: skip
+    options = {"data_distribution": share, "behavior_policy": behavior}
+    assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), own, rtol=1e-7)
+    on_rollouts = DoublyRobust(data="rollouts", ratio=ask).limit(simulator, target, policy, **options)
+    assert_allclose(on_rollouts, own, rtol=1e-7)
+    if box[1] == 10.0:
+        assert_allclose(own, there.J(policy), rtol=1e-9)
+        named = OffEnvironment(ratio="ratio_of_ratios").limit(simulator, target, policy, **options)
+        assert_allclose(named, own, rtol=1e-7)

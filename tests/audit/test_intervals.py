@@ -61,7 +61,7 @@ def test_the_interval_that_is_printed_by_brute_force_over_the_rows(seed, n_state
 
             start = np.log(np.maximum(likeliest, 0.02)).reshape(-1)
             got = optimize.minimize(
-                lambda x: -sign * model(x).J(policy), start, method="SLSQP",
+                lambda x, model=model, sign=sign: -sign * model(x).J(policy), start, method="SLSQP",
                 constraints=[{"type": "ineq", "fun": room}], options={"maxiter": 300, "ftol": 1e-12},
             )  # fmt: skip
             if room(got.x) > -1e-6:
@@ -98,7 +98,7 @@ def test_changes_of_rows_by_roots_of_their_own(episodes):
             rest = (1 - f) * np.log((1 - f) / (1 - p)) if f < 1 else 0.0
             return f * np.log(f / p) + rest
 
-        smallest = optimize.brentq(lambda p: kl(p) - c / total, 1e-300, f)
+        smallest = optimize.brentq(lambda p, radius=c / total: kl(p) - radius, 1e-300, f)
         assert_allclose(found.certain[s, a], max(smallest - P[s, a][more].sum(), 0.0), atol=1e-9)
         assert_allclose(found.estimated[s, a], np.abs(phat - P[s, a]).sum() / 2, rtol=1e-12)
         seen = phat > 0
