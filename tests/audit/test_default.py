@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize
 
 import oee_tabular as oee
+from oee_tabular.ratio.library import library
 from oee_tabular.ratio.prior import choose_strength
 from oee_tabular.ratio.rows import Rows
 from oee_tabular.ratio.selection import Selection
@@ -281,3 +282,19 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     assert_allclose(told["unseen_standard_error"], np.sqrt(variance[~seen].sum()), rtol=1e-7, atol=1e-12)
     assert moved > 0 or case != 3 or horizon  # or the rule would not be seen here
     assert_allclose([told["moved"], told["one_step_distance"]], [moved, abs(change) / own], rtol=1e-6)
+
+
+def test_a_displacement_must_have_a_fiftieth_of_the_moves_in_the_rows_that_the_log_has_visited():
+    """Per visited row, not per state: a move of probability .5 in one of 30 or of 24 rows of 10 states."""
+    P = np.zeros((10, 3, 10))
+    for s in range(10):
+        P[s, :, s] = P[s, :, (s + 1) % 10] = 0.5
+    P[4, 1] = 0.0
+    P[4, 1, [4, 9]] = 0.5  # the only move by +5
+    simulator = oee.FiniteMDP(P, np.zeros(10), np.full(10, 0.1), 0.9)
+    for visited, there in ((30, False), (24, True)):
+        chosen = np.zeros(30, dtype=bool)
+        chosen[:visited] = True
+        names = [feature.name for feature in library(simulator, [], Rows.of(simulator, chosen))]
+        assert ("move +5" in names) is there, visited
+        assert "move +1" in names

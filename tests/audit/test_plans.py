@@ -97,6 +97,16 @@ def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver
         assert_allclose(later, (own / (before + 1000 * q)).sum(), rtol=1e-6)
 
 
+@pytest.mark.parametrize("discount", [0.8, 1.0])
+def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
+    simulator, policies = three(2)
+    simulator = simulator.with_discount(discount)
+    plan = oee.plan_data_collection(simulator, policies["one"], n=50, horizon=4, model="simulator")
+    own = costs_of(Dense(simulator), policies["one"], 4)
+    assert_allclose(plan.costs["policy"], own, rtol=1e-9)
+    assert_allclose(plan.expected_standard_error[1], np.sqrt(own).sum() / np.sqrt(50), rtol=1e-9)  # Neyman's
+
+
 def test_the_error_that_a_behaviour_policy_s_plan_foretells_is_that_of_its_logs():
     simulator, policies = three(1)
     policy, n = policies["one"], 600
