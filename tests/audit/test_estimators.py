@@ -105,6 +105,9 @@ def test_limits_on_moves_by_dense_algebra(share, horizon, form):
     ask = functools.partial(oee.transition_ratio, prior="none")
     assert_allclose(ModelBased(fallback="simulator").limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
     assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), likeliest, rtol=1e-8)
+    stay = here.like(np.where(seen[:, :, None], there.P, np.eye(2)[:, None, :] + np.zeros((2, 2, 2))))
+    if form == "sat":  # a row that stays pays r(s, a, s)
+        assert_allclose(ModelBased().limit(simulator, target, policy, **options), stay.J(policy, horizon), rtol=1e-10)
     if horizon is None:
         assert_allclose(DualDice().limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
 
@@ -123,12 +126,11 @@ def test_limits_on_moves_by_dense_algebra(share, horizon, form):
         assert_allclose(found, here.J(policy, horizon) + change, rtol=1e-8)
     scale = 10.0 if horizon is None else (1 - 0.9**HORIZON) / 0.1
     d_here, d_there = total(here) / scale, total(mixed) / scale
-    inside = d_here[seen].sum()
     for box in ((None, None), (0.8, 1.3)):
-        beta = d_here[seen] / inside / share[seen]
+        beta = d_here[seen] / share[seen]
         beta = beta if box[0] is None else np.clip(beta, *box)
         pay = (there.P * there.r).sum(axis=2)
-        own = scale * (share[seen] * beta * inside * (d_there / d_here)[seen] * pay[seen]).sum()
+        own = scale * (share[seen] * beta * (d_there / d_here)[seen] * pay[seen]).sum()
         found = Marginalized(ratio=ask, lower=box[0], upper=box[1]).limit(simulator, target, policy, **options)
         assert_allclose(found, own, rtol=1e-7)
 
@@ -149,7 +151,7 @@ def test_dualdice_by_least_squares():
     assert_allclose(found.diagnostics["largest_weight"], w.max(), rtol=1e-5)
 
 
-def ragged():
+def ragged_world():
     """Four episodes of unequal length; the second and the fourth are cut, the others end in the absorbing state 2."""
     P = np.array([[[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]], [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]], [[0, 0, 1.0]] * 2])
     r = np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]])
@@ -172,7 +174,7 @@ def ragged():
 @pytest.mark.parametrize("normal", [False, True])
 def test_doubly_robust_on_cut_and_ended_episodes(horizon, normal):
     """An episode that ended is worth nothing from there; one that was cut goes on as the model, to the horizon."""
-    simulator, log, policy, rows, episode, behavior = ragged()
+    simulator, log, policy, rows, episode, behavior = ragged_world()
     same = oee.true_ratio(simulator, simulator)
     found = DoublyRobust(data="episodes", ratio=same, self_normalized=normal)(
         oee.Problem(simulator, log, horizon=horizon), policy
@@ -205,7 +207,7 @@ def test_doubly_robust_on_cut_and_ended_episodes(horizon, normal):
 
 @pytest.mark.parametrize("horizon", [None, 2, 5])
 def test_importance_sampling_of_cut_episodes_counts_what_is_missing(horizon):
-    simulator, log, policy, rows, episode, behavior = ragged()
+    simulator, log, policy, rows, episode, behavior = ragged_world()
     found = ImportanceSampling()(oee.Problem(simulator, log, horizon=horizon), policy)
     steps = 3 if horizon is None else min(3, horizon)
     values, bound = [], 0.0
@@ -269,3 +271,21 @@ def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
         assert_allclose(own, there.J(policy), rtol=1e-9)
         named = OffEnvironment(ratio="ratio_of_ratios").limit(simulator, target, policy, **options)
         assert_allclose(named, own, rtol=1e-7)
+
+
+@pytest.mark.parametrize("ragged", ["pad", "zero"])
+def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
+    """Weights stand still once it is over; "zero" takes such paths out of the step's normaliser."""
+    simulator, _, policy, _, _, behavior = ragged_world()
+    base = Dense(simulator)
+    top, mass = np.zeros(4), np.zeros(4)
+    for chance, path in sequences(base, behavior, 4):
+        rho = 1.0
+        for t, (s, a, j) in enumerate(path):
+            rho *= policy[s, a] / behavior[s, a] if s != 2 else 1.0
+            top[t] += chance * rho * base.r[s, a, j]
+            mass[t] += chance * rho * (s != 2 or ragged == "pad")
+    found = ImportanceSampling(kind="per_decision", self_normalized=True, ragged=ragged).limit(
+        simulator, simulator, policy, behavior_policy=behavior, horizon=4
+    )
+    assert_allclose(found, (0.9 ** np.arange(4) * top / mass).sum(), rtol=1e-10)
