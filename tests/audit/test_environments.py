@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy import integrate, stats
 
 import oee_tabular as oee
-from oee_tabular.bench.league import league_of
+from oee_tabular.bench.league import league_of, summary
 from oee_tabular.mdp.layout import displacements
 from oee_tabular.tasks.continuous import ContinuousTask, Moves
 from oee_tabular.tasks.discretize_grid import GridInterpolation
@@ -167,3 +167,13 @@ def test_the_ratio_of_errors_and_its_lower_bound_by_own_resamples(identical):
     held = np.sum((errors["mine"] <= 1) & (errors["mine"] >= -1))
     assert (found["logs"], found["held"]) == (12, held)
     assert_allclose(found["width"], 1.0)
+
+
+def test_a_ratio_is_surely_above_a_limit_where_its_lower_bound_is():
+    cells = pd.DataFrame(
+        {"family": ["f", "g", "h", "i"], "size": [1.0] * 4, "ratio": [1.3, 1.3, 1.6, 2.5], "low": [1.0, 1.2, 1.49, 1.7]}
+    )
+    found = summary(cells)
+    assert (found["above 1.1"], found["above 1.5"]) == (0.75, 0.25)
+    assert_allclose(found["geo"], np.prod([1.3, 1.3, 1.6, 2.5]) ** 0.25, rtol=1e-12)
+    assert (found["worst"], found["worst cell"], found["q90"]) == (2.5, "i at 1", 2.5)
