@@ -246,6 +246,11 @@ def test_what_a_feature_gains_is_its_integral_at_the_best_precision(before):
             assert best < 1e-3, part
 
 
+def leaves(P):
+    """(S, 1): whether some action leaves the state."""
+    return np.array([[(P[s, :, s] < 1).any()] for s in range(len(P))])
+
+
 @pytest.mark.parametrize("horizon", [None, 6])
 @pytest.mark.parametrize("case", range(len(CASES)))
 def test_the_value_its_error_and_its_interval(case, horizon):
@@ -280,6 +285,12 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     assert_allclose(told["one_step_value"], value + first, rtol=1e-9)
     assert_allclose(told["maximum_likelihood_value"], value + second, rtol=1e-9)
     assert_allclose(told["unseen_standard_error"], np.sqrt(variance[~seen].sum()), rtol=1e-7, atol=1e-12)
+    time = model.visits(policy, horizon)
+    time = np.where(leaves(base.P), time if horizon is None else sum(time), 0.0)
+    assert_allclose(told["coverage"], time[seen].sum() / time.sum(), rtol=1e-9)
+    assert_allclose(
+        told["effective_sample_size"], time[seen].sum() ** 2 / (time[seen] ** 2 / total[seen]).sum(), rtol=1e-9
+    )
     assert moved > 0 or case != 3 or horizon  # or the rule would not be seen here
     assert_allclose([told["moved"], told["one_step_distance"]], [moved, abs(change) / own], rtol=1e-6)
 
