@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from audit.reference import Dense, sequences, table_of
 from numpy.testing import assert_allclose
-from scipy import optimize
+from scipy import optimize, sparse
 
 import oee_tabular as oee
 from oee_tabular.estimators import (
@@ -289,3 +289,31 @@ def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
         simulator, simulator, policy, behavior_policy=behavior, horizon=4
     )
     assert_allclose(found, (0.9 ** np.arange(4) * top / mass).sum(), rtol=1e-10)
+
+
+@pytest.mark.parametrize("form", ["sa", "sat"])
+@pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
+@pytest.mark.parametrize("normal", [False, True])
+def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(form, weighting, normal):
+    """A reward r(s, a) at t rests on t ratios, a reward r(s, a, s') on t + 1; rows of zeta * P that do not sum to 1."""
+    simulator, target, policy, behavior = world(2, form)
+    ask = functools.partial(
+        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
+        lower=0.7, upper=1.3,
+    )  # fmt: skip
+    share = np.array([[0.2, 0.4], [0.25, 0.15]])
+    fitted = ask(sparse.csr_array(share.reshape(4, 1) * Dense(target).P.reshape(4, 2)), simulator)
+    zeta = fitted.values.toarray().reshape(2, 2, 2)
+    shift = int(form == "sat")
+    base, g = Dense(simulator), 0.9 ** np.arange(HORIZON)
+    top, mass = np.zeros(HORIZON), np.zeros(HORIZON)
+    for chance, path in sequences(base, policy, HORIZON):
+        w = np.cumprod([1.0] + [zeta[move] for move in path])
+        w = w[shift : shift + HORIZON] if weighting == "per_decision" else np.full(HORIZON, w[HORIZON - 1 + shift])
+        top += chance * w * np.array([base.r[move] for move in path])
+        mass += chance * w
+    own = g @ (top / (mass if normal else 1.0))
+    found = OffEnvironment(ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal).limit(
+        simulator, target, policy, data_distribution=share, horizon=HORIZON
+    )
+    assert_allclose(found, own, rtol=1e-9)

@@ -152,3 +152,52 @@ def test_a_row_without_spread_costs_its_largest_plausible_variance():
         assert plan.optimistic[s, 0]
         assert_allclose(plan.costs["policy"][s, 0], best, rtol=5e-3)
     assert not plan.optimistic[2].any()
+
+
+@pytest.mark.parametrize("costs_a_move", [False, True])
+def test_a_behaviour_plan_where_episodes_end(costs_a_move):
+    """Entering the absorbing state leads to a start, at once or by one recorded move more."""
+    rng = np.random.default_rng(4)
+    P = rng.dirichlet(np.ones(3), size=(3, 2))
+    P[2] = [0.0, 0.0, 1.0]
+    simulator = oee.FiniteMDP(P, np.array([1.0, -1.0, 0.0]), [0.6, 0.4, 0.0], 0.8)
+    policy, n = np.array([[0.7, 0.3], [0.2, 0.8], [0.5, 0.5]]), 100
+    plan = oee.plan_data_collection(
+        simulator, policy, n=n, sampling="behavior", model="simulator", restart=0.3, restart_costs_a_move=costs_a_move
+    )
+    base = Dense(simulator)
+    own = costs_of(base, policy).reshape(-1)
+    led = P.copy()
+    if costs_a_move:
+        led[2] = base.mu
+    else:
+        led[:, :, :2] += P[:, :, 2:] * base.mu[:2]
+        led[:, :, 2] = 0.0
+    q = plan.distribution.reshape(-1)
+    flow = collected(base.like(led), 0.3)
+    assert_allclose(flow(q), 0.0, atol=1e-9)
+    assert q[4:].sum() > 0 if costs_a_move else q[4:].sum() < 1e-12
+    used = np.array([0, 1, 2, 3, 4, 5]) if costs_a_move else np.arange(4)
+
+    def spent(x):
+        return flow(np.pad(x, (0, 6 - len(used))))[: len(used) // 2]
+
+    _, _, least = best_shares([own[used]], np.zeros(len(used)), n, spent)
+    assert_allclose(plan.policies[0].variance_after, least[0], rtol=3e-3)
+
+
+def test_the_next_pairs_are_the_largest_falls_one_after_another():
+    simulator, policies = three(3)
+    log = oee.sample_transitions(simulator, [[0.5, 0.1], [0.2, 0.1], [0.1, 0.0]], 30, seed=0)
+    plan = oee.plan_data_collection(oee.Problem(simulator, log), policies["one"], n=8, model="simulator")
+    cost, counts = costs_of(Dense(simulator), policies["one"]), np.zeros((3, 2))
+    np.add.at(counts, (log.state, log.action), 1.0)
+    own = []
+    for _ in range(8):
+        falls = {
+            (s, a): cost[s, a] / counts[s, a] - cost[s, a] / (counts[s, a] + 1) if counts[s, a] else 1e9 + cost[s, a]
+            for s, a in np.ndindex(3, 2)
+        }
+        own.append(max(falls, key=falls.get))
+        counts[own[-1]] += 1
+    assert list(plan.next_pairs) == own
