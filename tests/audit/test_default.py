@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from audit.reference import Dense, dirichlet, kinds_of, strengths, table_of
 from numpy.testing import assert_allclose
-from scipy import integrate, optimize
+from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
 from oee_tabular.ratio.library import library
@@ -313,3 +313,24 @@ def test_a_displacement_must_have_a_fiftieth_of_the_moves_in_the_rows_that_the_l
         names = [feature.name for feature in library(simulator, [], Rows.of(simulator, chosen))]
         assert ("move +5" in names) is there, visited
         assert "move +1" in names
+
+
+def test_in_the_limit_rows_without_data_are_the_centre_s_of_the_horizon_asked_for():
+    simulator, policy, _ = random_case(10)
+    base, share = Dense(simulator), np.full((8, 2), 1 / 14)
+    share[5] = 0.0
+    V = base.values(policy, 2)[0]
+    Q = base.P * np.exp(-0.5 * V / V.std())
+    Q /= Q.sum(axis=2, keepdims=True)
+    counts = sparse.csr_array((1e12 * share[:, :, None] * Q).reshape(16, 8))
+    found = {}
+    for horizon in (2, None):
+        options = {} if horizon is None else {"horizon": horizon}
+        zeta = oee.transition_ratio(counts, simulator, values_of=policy, **options)
+        rows = np.where(share[:, :, None] > 0, Q, zeta.values.toarray().reshape(Q.shape) * base.P)
+        found[horizon] = base.like(rows).J(policy, 2)
+    limit = oee.estimators.OffEnvironment().limit(
+        simulator, simulator.with_transitions(Q), policy, data_distribution=share, horizon=2
+    )
+    assert_allclose(limit, found[2], rtol=1e-9)
+    assert abs(found[2] - found[None]) > 1e-5  # or the horizon would not be seen
