@@ -21,6 +21,7 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio import density_ratio
+from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.population import Population
 
 
@@ -41,7 +42,7 @@ class Marginalized(ExactLimit):
     Parameters
     ----------
     ratio : as in ``OffEnvironment``: where zeta is from
-    lower, upper : box for beta (None: none; then it is exact where the log has rows)
+    lower, upper : lower <= beta <= upper where the log has rows (None: no bound; then beta is exact there)
 
     Notes
     -----
@@ -63,6 +64,7 @@ class Marginalized(ExactLimit):
 
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
+        check_box(self.lower, self.upper, normalized=False)
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
@@ -94,9 +96,13 @@ class Marginalized(ExactLimit):
         there = occupancy(model, policy, horizon=horizon).reshape(-1)
         seen = share > 0
         beta, gap = np.zeros_like(share), 0.0
-        if here[seen].sum() > 0:
-            fit = density_ratio(here[seen], share[seen], lower=self.lower, upper=self.upper, normalized=False)
-            beta[seen], gap = fit.ratio * here[seen].sum(), fit.gap
+        inside = float(here[seen].sum())
+        if inside > 0:  # the fit scales both to distributions: its ratio is beta / inside, and so is its box
+            box = check_box(self.lower, self.upper, normalized=False)
+            fit = density_ratio(
+                here[seen], share[seen], lower=box.lower / inside, upper=box.upper / inside, normalized=False
+            )
+            beta[seen], gap = fit.ratio * inside, fit.gap
         shift = np.divide(there, here, out=np.zeros_like(there), where=here > 0)
         weights = beta * shift
         return total_discount(model.discount, horizon) * float(share @ (weights * pay)), weights, gap

@@ -353,6 +353,8 @@ BAD = {
     "an unknown data": (lambda: DoublyRobust(data="log"), "data must be one of 'transitions', 'rollouts', 'episodes'"),
     "an unknown weight": (lambda: DoublyRobust(weights="rho"), "weights must be one of 'occupancy', 'beta'; got 'rho'"),
     "an unknown ratio": (lambda: Marginalized(ratio="beta"), "ratio must be one of"),
+    "an empty box": (lambda: Marginalized(lower=2.0, upper=1.0), "lower must not exceed upper; they are 2 and 1"),
+    "a bound in words": (lambda: Marginalized(upper="wide"), "upper must be"),
     "no lengths": (lambda: Magic(n_lengths=0), "n_lengths must be a positive integer; it is 0"),
     "a bag for episodes": (
         lambda: DoublyRobust(data="episodes")(oee.Problem(GRID, oee.Transitions([0], [0], [0])), UNIFORM),

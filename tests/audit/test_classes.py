@@ -1,0 +1,303 @@
+"""Ratios in classes by own programs: linear, kernel, tied, one tilt and one that varies, and ratios of two samples."""
+
+import numpy as np
+import pytest
+from audit.reference import Dense, table_of
+from numpy.testing import assert_allclose
+from scipy import optimize, sparse, stats
+
+import oee_tabular as oee
+from oee_tabular.ratio.local_tilt import fit_local_tilt
+from oee_tabular.ratio.tilt import fit_tilt
+
+
+def small(seed=4, moves=150):
+    """Five states, two actions, rows of three next states; counts on the stored entries."""
+    rng = np.random.default_rng(seed)
+    P = np.zeros((5, 2, 5))
+    for s in range(5):
+        for a in range(2):
+            P[s, a, rng.choice(5, 3, replace=False)] = rng.dirichlet(np.full(3, 2.0))
+    simulator = oee.FiniteMDP(P, rng.normal(size=(5, 2)), np.full(5, 0.2), 0.9)
+    Q = np.where(P > 0, P * np.exp(rng.normal(scale=0.5, size=P.shape)), 0.0)
+    target = simulator.with_transitions(Q / Q.sum(axis=2, keepdims=True))
+    log = oee.sample_transitions(target, np.full((5, 2), 0.1), moves, seed=seed)
+    return simulator, P, table_of(log, (5, 2)), log
+
+
+def by_slsqp(risk, start, low, high, of):
+    """The least risk over w with low <= of(w) <= high."""
+    rows = [optimize.NonlinearConstraint(of, low, high)] if np.isfinite([low, high]).any() else []
+    found = optimize.minimize(risk, start, method="SLSQP", constraints=rows, options={"ftol": 1e-14, "maxiter": 2000})
+    return found.x, found.fun
+
+
+@pytest.mark.parametrize("box", [(0.0, np.inf), (0.7, 1.4)])
+@pytest.mark.parametrize("ridge", [None, 0.05])
+def test_the_linear_class_by_its_own_risk(box, ridge):
+    simulator, P, n, log = small()
+    phi = np.random.default_rng(0).normal(size=(3, *P.shape)) * (P > 0)
+    centred = (phi - (P * phi).sum(axis=3, keepdims=True)) * (P > 0)
+    total = n.sum()
+    strength = 1.0 / total if ridge is None else ridge
+
+    def zeta(w):
+        return 1.0 + np.tensordot(w, centred, 1)
+
+    def risk(w):
+        each = np.log(np.maximum(zeta(w)[n > 0], 1e-12))
+        return (
+            (P * zeta(w) * n.sum(axis=2, keepdims=True)).sum() / total - n[n > 0] @ each / total + strength / 2 * w @ w
+        )
+
+    w, least = by_slsqp(risk, np.zeros(3), *box, lambda w: zeta(w)[P > 0])
+    fit = oee.transition_ratio(
+        log, simulator, method="linear", features=np.moveaxis(phi, 0, 3), ridge=ridge, lower=box[0], upper=box[1]
+    )
+    assert_allclose(fit.values.toarray().reshape(P.shape)[P > 0], zeta(w)[P > 0], atol=2e-5)
+    assert_allclose(fit.details["weights"], w, atol=2e-5)
+    assert -1e-10 < risk(fit.details["weights"]) - least < 1e-8
+    assert fit.row_sum_error < 1e-12
+
+
+def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
+    """With the whole Gram matrix K of the moves, less row means: zeta = 1 + K alpha, penalty alpha' K alpha."""
+    simulator, P, n, log = small(moves=3000)
+    places = np.random.default_rng(1).normal(size=(5, 2))
+    fit = oee.transition_ratio(log, simulator, method="kernel", coordinates=places, bandwidth=0.8)
+    s, a, j = np.nonzero(P)
+    x = np.hstack([places[s], places[j] - places[s]])
+    x = x / x.std(axis=0)
+    K = np.exp(-((x[:, None] - x[None]) ** 2).sum(axis=2) / (2 * 0.8**2)) * (a[:, None] == a[None])
+    row = 2 * s + a
+    center = np.eye(len(s)) - (row[:, None] == row[None]) * P[s, a, j][None]
+    root = np.linalg.cholesky(K + 1e-13 * np.eye(len(s)))
+    features = center @ root
+    counts, total = n[s, a, j], n.sum()
+    mass = n.sum(axis=2)[s, a] * P[s, a, j] / total
+
+    def risk(w):
+        z = 1.0 + features @ w
+        if (z <= 0).any():
+            return np.inf
+        return mass @ z - counts[counts > 0] @ np.log(z[counts > 0]) / total + w @ w / (2 * total)
+
+    w = np.zeros(len(s))
+    for _ in range(200):  # Newton, halved where it leaves the domain or rises
+        z = 1.0 + features @ w
+        gradient = features.T @ (mass - counts / z / total) + w / total
+        bend = (features * (counts / z**2 / total)[:, None]).T @ features + np.eye(len(w)) / total
+        step, length = -np.linalg.solve(bend, gradient), 1.0
+        while risk(w + length * step) > risk(w) and length > 1e-12:
+            length /= 2
+        w = w + length * step
+    assert (1.0 + features @ w > 0.0).all()  # or zeta >= 0 would bind
+    assert_allclose(fit.values.toarray().reshape(P.shape)[s, a, j], 1.0 + features @ w, atol=1e-5)
+    assert fit.gap < 1e-7
+
+
+def test_the_standard_error_of_a_linear_class_is_its_sandwich():
+    """Refits with one count a little larger give the influence of a move."""
+    simulator, P, n, _ = small(moves=4000)
+    phi = np.moveaxis(np.random.default_rng(0).normal(size=(2, *P.shape)) * (P > 0), 0, 3)
+    policy, base = np.full((5, 2), 0.5), Dense(simulator)
+
+    def fitted(counts):
+        flat = sparse.csr_array(counts.reshape(10, 5))
+        return oee.transition_ratio(flat, simulator, method="linear", features=phi, ridge=1.0 / n.sum())
+
+    def value(counts):
+        return base.like(fitted(counts).values.toarray().reshape(P.shape) * P).J(policy)
+
+    fit = fitted(n)
+    model = base.like(fit.values.toarray().reshape(P.shape) * P)
+    slope = model.slope(policy)
+    influence = np.zeros_like(P)
+    for place in np.argwhere(P > 0):
+        more = n.copy()
+        more[tuple(place)] += 0.5
+        less = n.copy()
+        less[tuple(place)] -= 0.5
+        influence[tuple(place)] = value(more) - value(less)
+    share = n / n.sum(axis=2, keepdims=True)
+    mean = (share * influence).sum(axis=2, keepdims=True)
+    error = np.sqrt((n.sum(axis=2) * (share * (influence - mean) ** 2).sum(axis=2)).sum())
+    assert_allclose(fit.log_standard_error(slope[P > 0]), error, rtol=0.02)
+
+
+def test_one_tilt_by_its_own_likelihood():
+    simulator, P, n, _ = small()
+    observed = n[P > 0]
+    phi = np.random.default_rng(3).normal(size=(2, *P.shape)) * (P > 0)
+    fit = fit_tilt(observed, simulator, np.moveaxis(phi, 0, 3))
+    centred = (phi - (P * phi).sum(axis=3, keepdims=True)) * (P > 0)
+    size = np.sqrt((P * centred**2).sum(axis=(1, 2, 3)) / 10)
+    standard = centred / size[:, None, None, None]
+
+    def model(theta):
+        raw = P * np.exp(np.tensordot(theta, standard, 1))
+        return raw / raw.sum(axis=2, keepdims=True)
+
+    def risk(theta):
+        return -(n[P > 0] * np.log(model(theta)[P > 0] / P[P > 0])).sum() + 0.5 * theta @ theta
+
+    theta = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-8}).x
+    assert_allclose(fit.theta, theta / size, rtol=1e-5)
+    assert_allclose(fit.ratio, model(theta)[P > 0] / P[P > 0], rtol=1e-5)
+    grid = np.linspace(-8, 8, 161)
+    spread = np.linalg.inv(fit.information)
+    root = np.linalg.cholesky(spread)
+    at = theta[:, None, None] + np.einsum("ij,jkl->ikl", root, np.array(np.meshgrid(grid, grid, indexing="ij")))
+    level = np.array([[risk(at[:, i, k]) for k in range(0, 161, 4)] for i in range(0, 161, 4)])
+    integral = np.log(np.exp(-(level - level.min())).sum() * 0.16 * np.linalg.det(root)) - level.min()
+    assert abs(fit.evidence - (integral - np.log(2 * np.pi))) < 0.03  # the prior's constant; Laplace's error
+
+
+@pytest.mark.parametrize("smoothness", [0.5, 20.0])
+def test_a_tilt_that_varies_by_its_own_risk_and_evidence(smoothness):
+    simulator, P, n, _ = small()
+    phi = np.where(P > 0, np.log(np.where(P > 0, P, 1.0)), 0.0)
+    phi = (phi - (P * phi).sum(axis=2, keepdims=True)) * (P > 0)
+    phi /= np.sqrt((P * phi**2).sum() / 10)
+    one = fit_tilt(n[P > 0], simulator)
+    fit = fit_local_tilt(n[P > 0], simulator, phi[P > 0][:, None], one.coefficients, smoothness)
+    moves = P.mean(axis=1)
+    w = 0.5 * (moves + moves.T)
+    Q = np.diag(w.sum(axis=1) - np.diag(w) + 1e-4) - w + np.diag(np.diag(w))
+
+    def risk(x, prior=1.0):
+        u, theta = x[:5], x[5]
+        raw = P * np.exp((u + theta)[:, None, None] * phi)
+        z = raw / raw.sum(axis=2, keepdims=True)
+        likelihood = (n[P > 0] * np.log(z[P > 0] / P[P > 0])).sum()
+        return -likelihood + 0.5 * prior * theta**2 + 0.5 * smoothness * u @ Q @ u
+
+    x = optimize.minimize(risk, np.zeros(6), method="BFGS", options={"gtol": 1e-8}).x
+    assert_allclose(fit.theta[:, 0], x[:5] + x[5], atol=1e-5)
+    raw = P * np.exp((x[:5] + x[5])[:, None, None] * phi)
+    assert_allclose(fit.ratio, (raw / raw.sum(axis=2, keepdims=True))[P > 0] / P[P > 0], rtol=1e-5)
+
+    def bend(f, at, h=1e-3):
+        eye = h * np.eye(len(at))
+        four = [[f(at + p + q) - f(at + p - q) - f(at - p + q) + f(at - p - q) for q in eye] for p in eye]
+        return np.array(four) / (4 * h * h)
+
+    local = -risk(x) + 0.5 * np.linalg.slogdet(smoothness * Q)[1] - 0.5 * np.linalg.slogdet(bend(risk, x))[1]
+    alone = []
+    for prior in (1.0, (wide := smoothness * 1e-4 * 5) / (1 + wide)):
+
+        def still(t, prior=prior):
+            return risk(np.append(np.zeros(5), t), prior)
+
+        t = optimize.minimize(still, [one.coefficients[0]], method="BFGS", options={"gtol": 1e-8}).x
+        alone.append(-still(t) + 0.5 * np.log(prior) - 0.5 * np.log(bend(still, t)[0, 0]))
+    assert_allclose(fit.gain, local - max(alone), atol=2e-4)
+
+
+def test_tied_entries_by_their_own_sums():
+    """Two groups of keys: those of action 0 and those of action 1; g = N / M up to the group's constant, then the rows."""
+    simulator, P, n, log = small()
+    key = np.arange(5)[None, None, :] % 3 + 3 * np.arange(2)[None, :, None] + np.zeros((5, 1, 1), dtype=int)
+    fit = oee.transition_ratio(log, simulator, tie=key[P > 0], strength=4.0)
+    zeta = np.zeros_like(P)
+    for a in range(2):
+        rows = n[:, a].sum(axis=1)
+        total = rows.sum()
+        for k in np.unique(key[:, a]):
+            mine = (key[:, a] == k) & (P[:, a] > 0)
+            foreseen = (P[:, a] * rows[:, None])[mine].sum() / total
+            seen = n[:, a][mine].sum()
+            zeta[:, a][mine] = (seen + 4.0 * foreseen) / ((total + 4.0) * foreseen)
+    zeta /= (P * zeta).sum(axis=2, keepdims=True)
+    assert_allclose(fit.values.toarray().reshape(P.shape)[P > 0], zeta[P > 0], rtol=1e-9)
+
+
+def test_a_sample_ratio_of_the_log_linear_class_and_its_certificate():
+    rng = np.random.default_rng(0)
+    p, q = rng.normal(0.4, 0.8, (60, 2)), rng.normal(size=(90, 2))
+    fit = oee.density_ratio_samples(p, q, features="quadratic")
+
+    def features(x):
+        z = (x - q.mean(axis=0)) / q.std(axis=0)
+        return np.column_stack([z, z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1] ** 2])
+
+    at_q = features(q)
+    standard = [(features(x) - at_q.mean(axis=0)) / at_q.std(axis=0) for x in (p, q)]
+
+    def risk(theta):
+        up = standard[1] @ theta
+        return np.log(np.mean(np.exp(up - up.max()))) + up.max() - (standard[0] @ theta).mean() + theta @ theta / 120
+
+    theta = optimize.minimize(risk, np.zeros(5), method="BFGS", options={"gtol": 1e-10}).x
+    g = [np.exp(x @ theta) / np.mean(np.exp(standard[1] @ theta)) for x in standard]
+    assert_allclose(fit.p_ratio, g[0], rtol=1e-5)
+    assert_allclose(fit.q_ratio, g[1], rtol=1e-5)
+    assert_allclose(fit.at(p), g[0], rtol=1e-5)
+    assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
+    own = fit.details["theta"] * at_q.std(axis=0)
+    assert -1e-12 < risk(own) - risk(theta) < max(fit.gap, 1e-12) + 1e-12
+
+
+def test_a_sample_ratio_of_the_kernel_class_leaving_each_point_out():
+    rng = np.random.default_rng(1)
+    p, q = rng.normal(0.5, 0.7, (14, 1)), rng.normal(size=(17, 1))
+    fit = oee.density_ratio_samples(p, q, kernel="gaussian", n_centers=6)
+    c = fit.details["centers"]
+    for (h, ridge), score in list(fit.details["scores"].items())[::9]:
+        k_p, k_q = (np.exp(-((x - c.T) ** 2) / (2 * h * h)) for x in (p, q))
+
+        def weights(k_p, k_q, ridge=ridge):
+            return np.linalg.solve(k_q.T @ k_q / len(k_q) + ridge * np.eye(6), k_p.mean(axis=0))
+
+        left_q = np.mean([0.5 * (k_q[i] @ weights(k_p, np.delete(k_q, i, 0))) ** 2 for i in range(17)])
+        left_p = np.mean([k_p[i] @ weights(np.delete(k_p, i, 0), k_q) for i in range(14)])
+        assert_allclose(score, left_q - left_p, rtol=1e-8)
+    scores = np.array(list(fit.details["scores"].values()))
+    shares = np.exp((scores.min() - scores) * 2 / (1 / 14 + 1 / 17))
+    shares = np.where(shares > 1e-6 * shares.sum(), shares, 0.0)
+    assert_allclose(list(fit.details["shares"].values()), shares / shares.sum(), rtol=1e-12)
+    g = np.zeros(14)
+    for (h, ridge), share in fit.details["shares"].items():
+        k_p, k_q = (np.exp(-((x - c.T) ** 2) / (2 * h * h)) for x in (p, q))
+        g += share * (k_p @ np.linalg.solve(k_q.T @ k_q / 17 + ridge * np.eye(6), k_p.mean(axis=0)))
+    assert_allclose(fit.p_ratio, np.maximum(g, 0.0), rtol=1e-8)
+    assert_allclose(fit.at(p), np.maximum(g, 0.0), rtol=1e-8)
+    assert fit.gap < 1e-12
+
+
+@pytest.mark.parametrize("shape", ["normal", "skewed"])
+def test_the_test_that_may_refuse_the_quadratic_class(shape):
+    """Means of six bumps over p and over g q, their regression on the features taken off, as a chi-square."""
+    rng = np.random.default_rng(0)
+    p = rng.normal(0.3, 0.9, (600, 1)) if shape == "normal" else rng.gamma(4.0, 0.4, (600, 1)) - 1.2
+    q = rng.normal(size=(700, 1))
+    fit = oee.density_ratio_samples(p, q)
+    z = [(x[:, 0] - q.mean()) / q.std() for x in (p, q)]
+    phi = [np.column_stack([x, x**2]) for x in z]
+    size = phi[1].std(axis=0)
+    phi = [(x - phi[1].mean(axis=0)) / size for x in phi]
+
+    def risk(theta):
+        return np.log(np.mean(np.exp(phi[1] @ theta))) - (phi[0] @ theta).mean() + theta @ theta / 1200
+
+    theta = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-10}).x
+    g = np.exp(phi[1] @ theta)
+    g /= g.mean()
+    places = np.concatenate([phi[0][::200, 0], phi[1][::234, 0]])
+    psi = [np.exp(-2 * (x[:, :1] - places) ** 2) for x in phi]
+    mean = (g[:, None] * phi[1]).mean(axis=0)
+    inner = ((phi[1] - mean) * g[:, None]).T
+    slope = np.linalg.solve(inner @ phi[1] / 700 + np.eye(2) / 600, inner @ psi[1] / 700)
+    left = [x - y @ slope for x, y in zip(psi, phi, strict=True)]
+    center = (g[:, None] * left[1]).mean(axis=0)
+    rise = left[0].mean(axis=0) - center
+    V = (
+        np.cov(left[0].T, bias=True) / 600
+        + ((left[1] - center) * g[:, None]).T @ ((left[1] - center) * g[:, None]) / 700**2
+    )
+    values, vectors = np.linalg.eigh(V)
+    known = values > 1e-6 * values[-1]
+    own = stats.chi2.sf((((rise @ vectors) ** 2)[known] / values[known]).sum(), known.sum())
+    assert_allclose(fit.details["p_value"], own, rtol=1e-4, atol=1e-12)
+    assert fit.method == ("log-linear" if own > 0.2 else "kernel")
+    assert (shape == "skewed") == (fit.method == "kernel")

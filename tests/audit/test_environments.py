@@ -1,0 +1,179 @@
+"""Environments by brute force: displacements, the gridworld, toy-text tables, discretised tables, the bench's pairs."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from audit.reference import Dense
+from numpy.testing import assert_allclose
+from scipy import integrate, stats
+
+import oee_tabular as oee
+from oee_tabular.bench.league import league_of, summary
+from oee_tabular.mdp.layout import displacements
+from oee_tabular.tasks.continuous import ContinuousTask, Moves
+from oee_tabular.tasks.discretize_grid import GridInterpolation
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_displacements_move_by_move(given):
+    rng = np.random.default_rng(0)
+    P = rng.dirichlet(np.ones(5), size=(5, 2)) * (rng.random((5, 2, 5)) < 0.7)
+    P = P / P.sum(axis=2, keepdims=True)
+    places = rng.integers(0, 3, size=(5, 2)).astype(float) if given else np.arange(5.0)[:, None]
+    mdp = oee.FiniteMDP(P, np.zeros(5), np.full(5, 0.2), 0.9, layout=places if given else None)
+    kinds, kind = displacements(mdp)
+    mass = {}
+    for number, (s, a, j) in enumerate(np.argwhere(P > 0)):
+        step = tuple(places[j] - places[s])
+        assert tuple(kinds[kind[number]]) == step
+        mass[step] = mass.get(step, 0.0) + P[s, a, j]
+    assert [tuple(k) for k in kinds] == sorted(mass, key=lambda step: (-mass[step], step))
+
+
+@pytest.mark.parametrize("pay", ["next", "current"])
+def test_the_gridworld_cell_by_cell(pay):
+    size, slip = 3, 0.3
+    mdp = oee.tasks.gridworld(size, slip, pay=pay)
+    base = Dense(mdp)
+    for s in range(9):
+        row, column = divmod(s, size)
+        for a in range(4):
+            want = np.zeros(9)
+            for direction, (down, right) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)]):
+                to = s
+                if 0 <= row + down < size and 0 <= column + right < size:
+                    to = (row + down) * size + column + right
+                want[8 if s == 8 else to] += 0.7 if direction == a else 0.1
+            assert_allclose(base.P[s, a], want, atol=1e-15)
+            for j in np.flatnonzero(want):
+                at = j if pay == "next" else s
+                assert_allclose(base.r[s, a, j], -0.2 * (4 - at // size - at % size), atol=1e-15)
+    assert_allclose(mdp.layout, [divmod(s, size) for s in range(9)])
+    assert mdp.initial[0] == 1.0
+
+
+def test_a_toy_text_table_with_duplicates_and_ends_by_path():
+    """Outcomes of one (s, a, s') are added up, their rewards averaged by probability; what was ended pays no more."""
+    table = {
+        0: {0: [(0.3, 1, 1.0, False), (0.2, 1, 5.0, False), (0.5, 2, -1.0, True)], 1: [(1.0, 0, 0.5, False)]},
+        1: {0: [(0.6, 2, 2.0, False), (0.4, 2, 3.0, True)], 1: [(0.0, 0, 9.0, False), (1.0, 1, 0.0, False)]},
+        2: {0: [(1.0, 0, 4.0, False)], 1: [(0.5, 2, 1.0, False), (0.5, 0, 1.0, True)]},
+    }
+    env = SimpleNamespace(P=table, initial_state_distrib=np.array([1.0, 0.0, 0.0]))
+    mdp = oee.FiniteMDP.from_gymnasium(env, discount=0.9)
+    policy = np.array([[0.7, 0.3], [0.5, 0.5], [0.4, 0.6]])
+
+    def walk(s, steps):
+        if steps == 0:
+            return 0.0
+        return sum(
+            policy[s, a] * p * (r + (0.0 if ended else 0.9 * walk(j, steps - 1)))
+            for a in range(2)
+            for p, j, r, ended in table[s][a]
+            if p > 0
+        )
+
+    assert_allclose(oee.policy_value(mdp, policy, horizon=5), walk(0, 5), rtol=1e-12)
+    assert_allclose(mdp.transitions.toarray().sum(axis=1), 1.0, rtol=1e-15)
+    assert_allclose(Dense(mdp).P[0, 0, 1], 0.5)
+    assert_allclose(Dense(mdp).r[0, 0, 1], (0.3 * 1 + 0.2 * 5) / 0.5)
+
+
+class Line(ContinuousTask):
+    """x' = 0.8 x + a + 0.3 xi on a line, pays x'; starts evenly in [-1, 1]."""
+
+    name, state_names, feature_names = "line", ("x",), ("x",)
+    actions, n_disturbances, periodic, terminates = np.array([-0.2, 0.3]), 1, (False,), False
+    feature_low, feature_high = np.array([-3.0]), np.array([3.0])
+
+    def moves(self, states, actions, disturbance):
+        following = 0.8 * states + self.actions[actions][:, None] + 0.3 * disturbance
+        return Moves(following, following[:, 0], np.zeros(len(states), dtype=bool))
+
+    def initial_states(self, n, rng):
+        return rng.uniform(-1.0, 1.0, (n, 1))
+
+
+def test_a_discretised_table_by_integrals():
+    """Vertex j gets the integral of its hat; the nodes and weights of the quadrature are numpy's."""
+    model = GridInterpolation((13,), noise_points=20, closure_episodes=0).build(Line())
+    vertices = np.linspace(-3, 3, 13)
+    table = model.mdp.transitions.toarray().reshape(13, 2, 13)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(20)
+    weights = weights / weights.sum()
+    for s in range(13):
+        for a, push in enumerate([-0.2, 0.3]):
+            mean = 0.8 * vertices[s] + push
+            at = np.clip(mean + 0.3 * nodes, -3, 3)
+            hats = np.clip(1 - np.abs(at[:, None] - vertices[None]) / 0.5, 0, None)
+            assert_allclose(table[s, a], weights @ hats, atol=1e-9)
+            x = np.linspace(mean - 2.4, mean + 2.4, 4001)
+            hats = np.clip(1 - np.abs(np.clip(x, -3, 3)[:, None] - vertices[None]) / 0.5, 0, None)
+            whole = integrate.trapezoid(hats * stats.norm.pdf(x, mean, 0.3)[:, None], x, axis=0)
+            assert_allclose(table[s, a], whole, atol=0.02)
+            assert_allclose(model.mdp.rewards[s, a], mean, atol=1e-9)
+    inner = np.array([0.5 if abs(v) < 1 else 0.25 if abs(v) == 1 else 0.0 for v in vertices]) * 0.5
+    assert_allclose(model.mdp.initial, inner, atol=0.006)  # 50 000 draws
+
+
+@pytest.mark.parametrize("name", ["machine", "queue25", "corridor30", "garnet"])
+def test_the_truth_of_a_bench_pair_and_where_its_episodes_go(name):
+    """By a dense solve, and by stepping an episode's distribution until all of it is over or cut."""
+    every = oee.bench.families()
+    family = every[next(key for key in every if key.startswith(name))]
+    base = Dense(family.target)
+    if family.horizon is None and base.g < 1:
+        assert_allclose(family.truth, base.J(family.policy), rtol=1e-8)
+    else:
+        assert_allclose(family.truth, base.J(family.policy, family.horizon), rtol=1e-8)
+    over = np.array([(base.P[s, :, s] == 1.0).all() and (base.r[s, :, s] == 0.0).all() for s in range(len(base.mu))])
+    at, visits = base.mu.copy(), np.zeros_like(family.policy)
+    for t in range(family.length):
+        going = at if t == 0 else np.where(over, 0.0, at)
+        visits += going[:, None] * family.data_policy
+        at = going @ base.chain(family.data_policy)
+    assert_allclose(family.moves_per_state_action, visits, atol=1e-8)
+    assert_allclose(family.data_distribution.sum(), 1.0)
+    assert family.open_rows == sum((row > 0).sum() > 1 for row in Dense(family.simulator).P.reshape(-1, len(base.mu)))
+
+
+@pytest.mark.parametrize("identical", [False, True])
+def test_the_ratio_of_errors_and_its_lower_bound_by_own_resamples(identical):
+    rng = np.random.default_rng(0)
+    errors = {"maximum-likelihood": rng.normal(size=12), "simulator": 0.3 + 0.8 * rng.normal(size=12)}
+    errors["mine"] = 0.7 * errors["maximum-likelihood"] + 0.4 * rng.normal(size=12)
+    rows = [
+        {
+            "family": "f", "size": 3.0, "seed": seed, "estimator": name, "value": 1 + error[seed], "error": error[seed],
+            "truth": 1.0, "lower": error[seed], "upper": 2 + error[seed], "seconds": 0.1, "covered": 0.95, "bound": 0.5,
+            "identical": identical, "status": "ok",
+        }
+        for name, error in errors.items() for seed in range(12)
+    ]  # fmt: skip
+    found = league_of(pd.DataFrame(rows)).cells.set_index("estimator").loc["mine"]
+
+    def ratio(chosen):
+        rms = {name: np.sqrt(np.mean(error[chosen] ** 2)) for name, error in errors.items()}
+        best = rms["maximum-likelihood"] if identical else min(rms["maximum-likelihood"], rms["simulator"])
+        return rms["mine"] / best
+
+    assert_allclose(found["ratio"], ratio(np.arange(12)), rtol=1e-12)
+    own = np.quantile([ratio(rng.integers(0, 12, 12)) for _ in range(20_000)], 0.05)
+    assert_allclose(found["low"], own, rtol=0.04)
+    assert_allclose(found["over_bound"], np.sqrt(np.mean(errors["mine"] ** 2) / 0.5), rtol=1e-12)
+    assert_allclose(found["bias"], errors["mine"].mean(), rtol=1e-12)
+    held = np.sum((errors["mine"] <= 1) & (errors["mine"] >= -1))
+    assert (found["logs"], found["held"]) == (12, held)
+    assert_allclose(found["width"], 1.0)
+
+
+def test_a_ratio_is_surely_above_a_limit_where_its_lower_bound_is():
+    cells = pd.DataFrame(
+        {"family": ["f", "g", "h", "i"], "size": [1.0] * 4, "ratio": [1.3, 1.3, 1.6, 2.5], "low": [1.0, 1.2, 1.49, 1.7]}
+    )
+    found = summary(cells)
+    assert (found["above 1.1"], found["above 1.5"]) == (0.75, 0.25)
+    assert_allclose(found["geo"], np.prod([1.3, 1.3, 1.6, 2.5]) ** 0.25, rtol=1e-12)
+    assert (found["worst"], found["worst cell"], found["q90"]) == (2.5, "i at 1", 2.5)

@@ -1,0 +1,319 @@
+"""Limits of the estimators by every path, episode sums by their recursions, and calibrated values by hand."""
+
+import functools
+
+import numpy as np
+import pytest
+from audit.reference import Dense, sequences, table_of
+from numpy.testing import assert_allclose
+from scipy import optimize, sparse
+
+import oee_tabular as oee
+from oee_tabular.estimators import (
+    DoublyRobust,
+    DualDice,
+    Estimate,
+    ImportanceSampling,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    calibrated,
+)
+
+HORIZON = 3
+
+
+def world(seed=0, form="sat", lack=False):
+    """Two states, two actions; the behaviour lacks action 1 in state 1 where ``lack``."""
+    rng = np.random.default_rng(seed)
+    P, Q = rng.dirichlet([2.0, 2.0], size=(2, 2, 2))
+    r = rng.normal(size=(2, 2, 2)[: len(form)])
+    simulator = oee.FiniteMDP(P, r, [0.6, 0.4], 0.9)
+    behavior = np.array([[0.3, 0.7], [1.0, 0.0] if lack else [0.6, 0.4]])
+    return simulator, simulator.with_transitions(Q), rng.dirichlet([1.0, 1.0], size=2), behavior
+
+
+def weighted(target, policy, behavior):
+    """(probability under the behaviour, weights rho_0..t, rewards) of every path of the horizon."""
+    for chance, path in sequences(target, behavior, HORIZON):
+        rho = np.cumprod([policy[s, a] / behavior[s, a] for s, a, _ in path])
+        yield chance, rho, np.array([target.r[move] for move in path])
+
+
+@pytest.mark.parametrize("lack", [False, True])
+@pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
+@pytest.mark.parametrize("normal", [False, True])
+def test_importance_sampling_s_limit_by_every_path(lack, kind, normal):
+    simulator, target, policy, behavior = world(lack=lack)
+    found = ImportanceSampling(kind=kind, self_normalized=normal).limit(
+        simulator, target, policy, behavior_policy=behavior, horizon=HORIZON
+    )
+    g = 0.9 ** np.arange(HORIZON)
+    chances, rhos, rewards = (np.array(x) for x in zip(*weighted(Dense(target), policy, behavior), strict=True))
+    weights = rhos if kind == "per_decision" else np.repeat(rhos[:, -1:], HORIZON, axis=1)
+    top = chances @ (weights * rewards)
+    mass = chances @ weights if normal else np.ones(HORIZON)
+    assert_allclose(found, (g * top / mass).sum(), rtol=1e-10)
+    if not lack:
+        assert_allclose(found, Dense(target).J(policy, HORIZON), rtol=1e-10)
+
+
+@pytest.mark.parametrize("form", ["sa", "sat"])
+def test_doubly_robust_on_episodes_without_support_by_every_path(form):
+    """E[V(s_0) + sum g^t rho_t (r_t + g V(s_t+1) - Q(s_t, a_t))], V and Q of the model: here the simulator itself."""
+    simulator, target, policy, behavior = world(form=form, lack=True)
+    same = oee.true_ratio(simulator, simulator)
+    found = DoublyRobust(data="episodes", ratio=same).limit(
+        simulator, target, policy, behavior_policy=behavior, horizon=HORIZON
+    )
+    truth, model = Dense(target), Dense(simulator)
+    # the reward of a model's row is its own mean for r(s, a, s')
+    V = model.values(policy, HORIZON)
+    Q = [np.einsum("sat,sat->sa", model.P, model.r + model.g * V[t + 1]) for t in range(HORIZON)]
+    own = model.mu @ V[0]
+    for chance, path in sequences(truth, behavior, HORIZON):
+        rho = 1.0
+        for t, (s, a, j) in enumerate(path):
+            rho *= policy[s, a] / behavior[s, a]
+            own += chance * 0.9**t * rho * (truth.r[s, a, j] + 0.9 * V[t + 1][j] - Q[t][s, a])
+    assert_allclose(found, own, rtol=1e-10)
+    assert abs(own - truth.J(policy, HORIZON)) > 1e-5  # the model fills in, with its own error
+
+
+def test_magic_s_limit_is_the_truth_and_is_refused_without_support():
+    simulator, target, policy, behavior = world()
+    options = {"behavior_policy": behavior, "horizon": HORIZON}
+    assert_allclose(Magic().limit(simulator, target, policy, **options), Dense(target).J(policy, HORIZON), rtol=1e-10)
+    simulator, target, policy, behavior = world(lack=True)
+    with pytest.raises(ValueError, match="action"):
+        Magic().limit(simulator, target, policy, behavior_policy=behavior, horizon=HORIZON)
+
+
+@pytest.mark.parametrize("share", [[[0.5, 0.2], [0.3, 0.0]], [[0.25, 0.25], [0.25, 0.25]]])
+@pytest.mark.parametrize("horizon", [None, HORIZON])
+@pytest.mark.parametrize("form", ["sa", "sat"])
+def test_limits_on_moves_by_dense_algebra(share, horizon, form):
+    """Of maximum likelihood, its twin DualDICE, doubly robust on moves (both weights) and marginalised IS with a box."""
+    simulator, target, policy, _ = world(3, form)
+    share = np.array(share)
+    options = {"data_distribution": share, "horizon": horizon}
+    here, there = Dense(simulator), Dense(target)
+    seen = share > 0
+    mixed = here.like(np.where(seen[:, :, None], there.P, here.P))
+    likeliest = mixed.J(policy, horizon)
+    ask = functools.partial(oee.transition_ratio, prior="none")
+    assert_allclose(ModelBased(fallback="simulator").limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
+    assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), likeliest, rtol=1e-8)
+    stay = here.like(np.where(seen[:, :, None], there.P, np.eye(2)[:, None, :] + np.zeros((2, 2, 2))))
+    if form == "sat":  # a row that stays pays r(s, a, s)
+        assert_allclose(ModelBased().limit(simulator, target, policy, **options), stay.J(policy, horizon), rtol=1e-10)
+    if horizon is None:
+        assert_allclose(DualDice().limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
+
+    def total(model):
+        time = model.visits(policy, horizon)
+        return time if horizon is None else sum(time)
+
+    for weights, where in (("occupancy", mixed), ("beta", here)):
+        change = 0.0
+        times = [where.visits(policy)] if horizon is None else where.visits(policy, horizon)
+        values = here.values(policy, horizon)
+        for t, time in enumerate(times):
+            V = values if horizon is None else values[t + 1]
+            change += (time[:, :, None] * (there.P - here.P) * (here.r + 0.9 * V))[seen].sum()
+        found = DoublyRobust(weights=weights, ratio=ask).limit(simulator, target, policy, **options)
+        assert_allclose(found, here.J(policy, horizon) + change, rtol=1e-8)
+    scale = 10.0 if horizon is None else (1 - 0.9**HORIZON) / 0.1
+    d_here, d_there = total(here) / scale, total(mixed) / scale
+    for box in ((None, None), (0.8, 1.3)):
+        beta = d_here[seen] / share[seen]
+        beta = beta if box[0] is None else np.clip(beta, *box)
+        pay = (there.P * there.r).sum(axis=2)
+        own = scale * (share[seen] * beta * (d_there / d_here)[seen] * pay[seen]).sum()
+        found = Marginalized(ratio=ask, lower=box[0], upper=box[1]).limit(simulator, target, policy, **options)
+        assert_allclose(found, own, rtol=1e-7)
+
+
+def test_dualdice_by_least_squares():
+    """nu by the normal equations of its objective on the log's frequencies."""
+    simulator, target, policy, _ = world(1, "sa")
+    log = oee.sample_transitions(target, np.full((2, 2), 0.25), 60, seed=0)
+    found = DualDice()(oee.Problem(simulator, log), policy)
+    n = table_of(log, (2, 2))
+    model = Dense(simulator).like(n / n.sum(axis=2, keepdims=True))
+    d = Dense(simulator).visits(policy).reshape(-1) * 0.1
+    B = np.eye(4) - 0.9 * np.einsum("sat,tb->satb", model.P, policy).reshape(4, 4)
+    start = 0.1 * (model.mu[:, None] * policy).reshape(-1)
+    nu = optimize.minimize(lambda x: 0.5 * d @ (B @ x) ** 2 - start @ x, np.zeros(4), method="BFGS", tol=1e-12).x
+    w = B @ nu
+    assert_allclose(found.value, (d * w * model.r[:, :, 0].reshape(-1)).sum() / 0.1, rtol=1e-5)
+    assert_allclose(found.diagnostics["largest_weight"], w.max(), rtol=1e-5)
+
+
+def ragged_world():
+    """Four episodes of unequal length; the second and the fourth are cut, the others end in the absorbing state 2."""
+    P = np.array([[[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]], [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]], [[0, 0, 1.0]] * 2])
+    r = np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]])
+    simulator = oee.FiniteMDP(P, r, [0.7, 0.3, 0.0], 0.9)
+    rows = [(0, 0, 1), (1, 1, 2), (1, 0, 0), (0, 1, 1), (1, 1, 1), (0, 1, 2), (0, 0, 0), (0, 1, 1)]
+    episode = [0, 0, 1, 1, 1, 2, 3, 3]
+    truncated = [False] * 4 + [True, False, False, True]
+    s, a, j = (list(x) for x in zip(*rows, strict=True))
+    behavior = np.array([[0.4, 0.6], [0.5, 0.5], [0.5, 0.5]])
+    timestep = [0, 1, 0, 1, 2, 0, 0, 1]
+    log = oee.Transitions(
+        s, a, j, r[s, a], episode=episode, timestep=timestep, truncated=truncated,
+        terminated=[j == 2 for _, _, j in rows], behavior_probability=behavior[s, a],
+    )  # fmt: skip
+    policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5]])
+    return simulator, log, policy, rows, episode, behavior
+
+
+@pytest.mark.parametrize("horizon", [None, 2, 3, 5])
+@pytest.mark.parametrize("normal", [False, True])
+def test_doubly_robust_on_cut_and_ended_episodes(horizon, normal):
+    """An episode that ended is worth nothing from there; one that was cut goes on as the model, to the horizon."""
+    simulator, log, policy, rows, episode, behavior = ragged_world()
+    same = oee.true_ratio(simulator, simulator)
+    found = DoublyRobust(data="episodes", ratio=same, self_normalized=normal)(
+        oee.Problem(simulator, log, horizon=horizon), policy
+    )
+    model = Dense(simulator)
+    steps = max(episode.count(e) for e in range(4)) if horizon is None else horizon
+    still = model.values(policy) if horizon is None else None
+    to_go = [still] * (steps + 1) if horizon is None else list(model.values(policy, horizon))
+    paths = [[row for row, e in zip(rows, episode, strict=True) if e == k][:steps] for k in range(4)]
+    rho = np.ones((4, steps + 1))
+    for k, path in enumerate(paths):
+        for t in range(steps):
+            factor = policy[path[t][:2]] / behavior[path[t][:2]] if t < len(path) else 1.0
+            rho[k, t + 1] = rho[k, t] * factor
+    shares = rho / rho.sum(axis=0) if normal else rho / 4
+    value = 0.0
+    for k, path in enumerate(paths):
+        value += shares[k, 0] * to_go[0][path[0][0]]
+        for t, (s, a, j) in enumerate(path):
+            Q = (model.P[s, a] * (model.r[s, a] + 0.9 * to_go[t + 1])).sum()
+            last = t + 1 == len(path)
+            following = 0.0 if (last and j == 2) else to_go[t + 1][j]
+            value += 0.9**t * (shares[k, t + 1] * (model.r[s, a, j] - Q))
+            if last:
+                value += 0.9 ** (t + 1) * shares[k, t + 1] * following
+            else:
+                value += 0.9 ** (t + 1) * shares[k, t + 1] * following
+    assert_allclose(found.value, value, rtol=1e-9)
+
+
+@pytest.mark.parametrize("horizon", [None, 2, 5])
+def test_importance_sampling_of_cut_episodes_counts_what_is_missing(horizon):
+    simulator, log, policy, rows, episode, behavior = ragged_world()
+    found = ImportanceSampling()(oee.Problem(simulator, log, horizon=horizon), policy)
+    steps = 3 if horizon is None else min(3, horizon)
+    values, bound = [], 0.0
+    for k in range(4):
+        path = [row for row, e in zip(rows, episode, strict=True) if e == k][:steps]
+        rho, value = 1.0, 0.0
+        for t, (s, a, _) in enumerate(path):
+            rho *= policy[s, a] / behavior[s, a]
+            value += 0.9**t * rho * Dense(simulator).r[s, a, 0]
+        values.append(value)
+        if path[-1][2] != 2 and (horizon is None or len(path) < horizon):
+            end = 0.0 if horizon is None else 0.9**horizon
+            bound += rho * 2.0 * (0.9 ** len(path) - end) / 0.1 / 4
+    assert_allclose(found.value, np.mean(values), rtol=1e-12)
+    assert_allclose(found.standard_error, np.std(values, ddof=1) / 2, rtol=1e-12)
+    assert_allclose(found.diagnostics["truncation_bias_bound"], bound, rtol=1e-12, atol=1e-15)
+
+
+def test_calibrated_values_by_hand():
+    raw = Estimate(0.4, 0.05)
+    by_ratio = calibrated.calibrate(raw, discretised=0.5, continuous=0.6, continuous_error=0.02).diagnostics
+    assert_allclose(by_ratio["calibrated_value"], 0.48, rtol=1e-12)
+    # d (J c / d) = (c / d) dJ + (J / d) dc
+    assert_allclose(by_ratio["calibrated_standard_error"], np.hypot(1.2 * 0.05, 0.8 * 0.02), rtol=1e-12)
+    apart = calibrated.calibrate(raw, discretised=-0.5, continuous=0.6, continuous_error=0.02, kind="difference")
+    assert_allclose(apart.diagnostics["calibrated_value"], 1.5, rtol=1e-12)
+    assert_allclose(apart.diagnostics["calibrated_standard_error"], np.hypot(0.05, 0.02), rtol=1e-12)
+
+
+def clipped(p, q, low, high):
+    """argmin sum q g - p log g over low <= g <= high with sum q g = 1: clip(p / (c q))."""
+
+    def mass(c):
+        return (q * np.clip(p / (c * q), low, high)).sum() - 1.0
+
+    return np.clip(p / (optimize.brentq(mass, 1e-6, 1e6) * q), low, high)
+
+
+@pytest.mark.parametrize("box", [(0.01, 10.0), (0.7, 1.3)])
+def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
+    """Rows of zeta * P need not sum to 1; doubly robust on rollouts has the same limit, by any V."""
+    simulator, target, policy, behavior = world(2)
+    share = np.array([[0.2, 0.4], [0.25, 0.15]])
+    here, there = Dense(simulator), Dense(target)
+    at, d = here.mu, np.zeros((2, 2))
+    for _ in range(1000):  # every move counts alike, as in a log, of episodes of a thousand
+        d += at[:, None] * behavior / 1000
+        at = at @ here.chain(behavior)
+    pairs = clipped(share, d, *box)
+    moves = clipped(share[:, :, None] * there.P, d[:, :, None] * here.P, *box)
+    own = here.like(moves / pairs[:, :, None] * here.P).J(policy)
+    ask = functools.partial(
+        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
+        lower=box[0], upper=box[1],
+    )  # fmt: skip
+    options = {"data_distribution": share, "behavior_policy": behavior}
+    assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), own, rtol=1e-7)
+    on_rollouts = DoublyRobust(data="rollouts", ratio=ask).limit(simulator, target, policy, **options)
+    assert_allclose(on_rollouts, own, rtol=1e-7)
+    if box[1] == 10.0:
+        assert_allclose(own, there.J(policy), rtol=1e-9)
+        named = OffEnvironment(ratio="ratio_of_ratios").limit(simulator, target, policy, **options)
+        assert_allclose(named, own, rtol=1e-7)
+
+
+@pytest.mark.parametrize("ragged", ["pad", "zero"])
+def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
+    """Weights stand still once it is over; "zero" takes such paths out of the step's normaliser."""
+    simulator, _, policy, _, _, behavior = ragged_world()
+    base = Dense(simulator)
+    top, mass = np.zeros(4), np.zeros(4)
+    for chance, path in sequences(base, behavior, 4):
+        rho = 1.0
+        for t, (s, a, j) in enumerate(path):
+            rho *= policy[s, a] / behavior[s, a] if s != 2 else 1.0
+            top[t] += chance * rho * base.r[s, a, j]
+            mass[t] += chance * rho * (s != 2 or ragged == "pad")
+    found = ImportanceSampling(kind="per_decision", self_normalized=True, ragged=ragged).limit(
+        simulator, simulator, policy, behavior_policy=behavior, horizon=4
+    )
+    assert_allclose(found, (0.9 ** np.arange(4) * top / mass).sum(), rtol=1e-10)
+
+
+@pytest.mark.parametrize("form", ["sa", "sat"])
+@pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
+@pytest.mark.parametrize("normal", [False, True])
+def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(form, weighting, normal):
+    """A reward r(s, a) at t rests on t ratios, a reward r(s, a, s') on t + 1; rows of zeta * P that do not sum to 1."""
+    simulator, target, policy, behavior = world(2, form)
+    ask = functools.partial(
+        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
+        lower=0.7, upper=1.3,
+    )  # fmt: skip
+    share = np.array([[0.2, 0.4], [0.25, 0.15]])
+    fitted = ask(sparse.csr_array(share.reshape(4, 1) * Dense(target).P.reshape(4, 2)), simulator)
+    zeta = fitted.values.toarray().reshape(2, 2, 2)
+    shift = int(form == "sat")
+    base, g = Dense(simulator), 0.9 ** np.arange(HORIZON)
+    top, mass = np.zeros(HORIZON), np.zeros(HORIZON)
+    for chance, path in sequences(base, policy, HORIZON):
+        w = np.cumprod([1.0] + [zeta[move] for move in path])
+        w = w[shift : shift + HORIZON] if weighting == "per_decision" else np.full(HORIZON, w[HORIZON - 1 + shift])
+        top += chance * w * np.array([base.r[move] for move in path])
+        mass += chance * w
+    own = g @ (top / (mass if normal else 1.0))
+    found = OffEnvironment(ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal).limit(
+        simulator, target, policy, data_distribution=share, horizon=HORIZON
+    )
+    assert_allclose(found, own, rtol=1e-9)
