@@ -187,7 +187,9 @@ def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError(f"{member.filename} must be stored or deflated; its method is {member.compress_type}")
             if member.compress_size > size or member.file_size > _PACKED * (member.compress_size + 1):
-                raise ValueError(f"{member.filename} must be as long as it says, {member.file_size} bytes; it is not")
+                raise ValueError(
+                    f"{member.filename} must be as long as it says, {_memory.words(member.file_size)}; it is not"
+                )
         _memory.require(sum(member.file_size for member in members), repr(name))
         arrays = {}
         for member in members:
@@ -209,7 +211,9 @@ def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
         raise ValueError("it holds Python objects, which are never unpickled")
     declared, stored = dtype.itemsize * math.prod(shape), size - stream.tell()
     if min(shape, default=1) < 0 or declared > stored:
-        raise ValueError(f"an array of {dtype} of shape {shape} needs {declared} bytes; {stored} are stored")
+        raise ValueError(
+            f"an array of {dtype} of shape {shape} needs {_memory.words(declared)}; the file has {_memory.words(stored)}"
+        )
     _memory.require(declared, repr(name))
     stream.seek(0)
     found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)

@@ -14,12 +14,12 @@ def require(size: float, what: str) -> None:
     """MemoryError, with the sizes, where ``size`` bytes are not to be had."""
     free = available()
     if size > free:
-        raise MemoryError(f"{what} needs {gib(size)} of memory; {gib(free)} are free")
+        raise MemoryError(f"{what} needs {words(size)} of memory; {words(free)} are free")
 
 
-def gib(size: float) -> str:
-    """Bytes in words."""
-    return f"{size / 2**30:.3g} GiB" if size < 1e15 else f"{size / 2**30:.1e} GiB"
+def words(size: float) -> str:
+    """A number of bytes in words."""
+    return f"{size:.0f} bytes" if size < 2**20 else f"{size / 2**30:.3g} GiB"
 
 
 def available() -> float:

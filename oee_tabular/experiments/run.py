@@ -8,6 +8,7 @@ sweep goes on from there.
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,7 +129,9 @@ def _compute(
         before = len(left)
         tasks = (joblib.delayed(_task)((k, experiment.run, settings, cell, store.code)) for k, cell in left.items())
         try:
-            for number, rows in parallel(len(left))(list(tasks)):
+            with _deaf():
+                results = parallel(len(left))(list(tasks))
+            for number, rows in results:
                 store.add(left.pop(number), rows)
                 bar.update()
             return
@@ -141,6 +144,19 @@ def _compute(
                 raise RuntimeError(
                     f"a worker was killed {ATTEMPTS} times in a row without a finished cell; unfinished: {first}"
                 ) from error
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes that are started here are not interrupted by Ctrl-C: this one is, and ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _died(error: Exception) -> bool:
