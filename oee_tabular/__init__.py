@@ -16,7 +16,8 @@ there, and how sure are we? For finite MDPs this package answers with exact line
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
 
 __version__ = "0.1.0"
 
@@ -172,7 +173,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _EXPORTS:
         value = getattr(importlib.import_module(f"oee_tabular.{_EXPORTS[name]}"), name)
     elif name in _MODULES:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from typing import Any
+
+# nothing else is imported here: what comes before main is not caught
 
 INTERRUPTED = 130  # the exit code of what Ctrl-C ended
 
@@ -28,7 +29,7 @@ def main() -> None:
             signal.signal(signal.SIGINT, _leave)
 
 
-def _leave(*_: Any) -> None:
+def _leave(*_: object) -> None:
     """Nothing is to be tidied up."""
     os._exit(INTERRUPTED)
 

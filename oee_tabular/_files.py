@@ -39,7 +39,9 @@ def local(path: str | os.PathLike[str]) -> str:
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name:
         raise ValueError(f"path must be text without a null character; got {name!r}")
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(name):  # pathlib makes one slash of two
+    if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
+        name
+    ):  # pathlib makes one slash of two
         raise ValueError(f"path must be a file of this machine; {name!r} is an address, and nothing is fetched")
     return name
 
@@ -58,8 +60,8 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     error on the way leaves what stood there before, and names ``path``. A link stays one: the file that it leads to is
     replaced.
     """
-    if suffixes and Path(path).suffix.lower() not in suffixes:
-        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {local(path)!r}")
+    if suffixes and Path(local(path)).suffix.lower() not in suffixes:
+        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}")
     target = _place(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(2, "no such folder", str(target.parent))
@@ -172,9 +174,9 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
             zipped = handle.read(4) in _ZIP
             handle.seek(0)
             return _members(handle, size, name) if zipped else {"array": _array(handle, size, name)}
-        except MemoryError:
-            raise
         except Exception as error:  # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
+            if isinstance(error, MemoryError) and str(error):  # with a size; ast has none for a header that is too deep
+                raise
             words = str(error) or type(error).__name__
             raise ValueError(f"{name!r} must be an npz or npy file of plain arrays; {words:.300}") from None
 

@@ -36,10 +36,10 @@ def checked(matrix: Any, name: str) -> sparse.csr_array:
         raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
     if matrix.format == "csr":
         return checked_rows(matrix.data, matrix.indices, matrix.indptr, matrix.shape, name)
+    _check_form(matrix, name)
     try:
-        _check_form(matrix, name)
         csr = sparse.csr_array(matrix, dtype=np.float64)
-    except (IndexError, TypeError, OverflowError, KeyError) as error:
+    except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be a sound sparse matrix; its {matrix.format} form is not ({error})") from None
     return checked_rows(csr.data, csr.indices, csr.indptr, csr.shape, name)
 
@@ -94,9 +94,9 @@ def _check_form(matrix: Any, name: str) -> None:
     if matrix.format == "csc":
         _check_compressed(matrix.data, matrix.indices, matrix.indptr, (columns, rows), name)
     elif matrix.format == "bsr":
-        high, wide = matrix.data.shape[1:]
+        high, wide = matrix.data.shape[1:] if matrix.data.ndim == 3 else (0, 0)
         if high < 1 or wide < 1 or rows % high or columns % wide:
-            raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has {(high, wide)}")
+            raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has shape {matrix.data.shape}")
         _check_compressed(matrix.data, matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
     elif matrix.format == "coo":
         if not len(matrix.coords[0]) == len(matrix.coords[1]) == len(matrix.data):

@@ -357,7 +357,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _sentence(error: Exception) -> str:
     if isinstance(error, MemoryError):
-        return f"not enough memory; {str(error).replace('Unable to allocate', 'this needs', 1) or 'this needs more than there is'}"
+        words = str(error).replace("Unable to allocate", "this needs", 1)
+        return f"not enough memory; {words or 'this needs more than there is'}"
     if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError) and error.filename:

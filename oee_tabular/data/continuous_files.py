@@ -66,7 +66,6 @@ def read(path: str | os.PathLike[str]) -> Columns:
         frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, _known)
         columns = _gathered({str(label): frame[label].to_numpy() for label in frame.columns}, name)
         columns |= {label: np.empty(0) for label in frame.attrs["labels"] if not _known(label)}
-    warn_left_out(name, [column for column in columns if column not in COLUMNS], COLUMNS, level=4)
     absent = [column for column in VECTORS if column not in columns]
     if absent:
         raise ValueError(
@@ -74,6 +73,7 @@ def read(path: str | os.PathLike[str]) -> Columns:
             f"{', no '.join(absent)}, only {', '.join(columns) or 'nothing':.300}"
             + meant(("state_0", "next_state_0", *VECTORS), list(columns))
         )
+    warn_left_out(name, [column for column in columns if column not in COLUMNS], COLUMNS, level=4)
     if columns["state"].ndim == 1 and columns["next_state"].ndim == 1:
         raise ValueError(
             f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered states"
