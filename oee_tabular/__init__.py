@@ -18,6 +18,8 @@ from __future__ import annotations
 import importlib
 
 TYPE_CHECKING = False  # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 
@@ -173,7 +175,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     if name in _EXPORTS:
         value = getattr(importlib.import_module(f"oee_tabular.{_EXPORTS[name]}"), name)
     elif name in _MODULES:

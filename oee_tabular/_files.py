@@ -128,7 +128,10 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
 
 
 def _defused(value: Any) -> Any:
-    return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
+    if not isinstance(value, str):
+        return value
+    text = "\n".join(value.splitlines()) if "\r" in value else value  # a bare one ends the line, and is not quoted
+    return f"'{text}" if FORMULA.match(text) else text
 
 
 def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -152,5 +152,6 @@ def _gathered(flat: Columns, name: str) -> Columns:
             raise ValueError(
                 f"{name!r} must have every column from {vector}_0 to {last}; {vector}_{missing} is missing"
             )
-        columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
+        with _files.parts_of(name, f"{vector}_0, ..."):  # columns of kinds that have nothing in common
+            columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
     return columns
