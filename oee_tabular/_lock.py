@@ -19,7 +19,7 @@ def only_one(folder: Path) -> Iterator[None]:
 
     On a file system without locks nothing is held.
     """
-    made = not folder.exists()
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / NAME
     handle = _held(path)
@@ -29,9 +29,9 @@ def only_one(folder: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # Windows removes no open file
             path.unlink()
         os.close(handle)
-        if made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()  # where nothing was written
+        with contextlib.suppress(OSError):
+            for path in made:
+                path.rmdir()  # where nothing was written
 
 
 def _held(path: Path) -> int:

@@ -203,7 +203,7 @@ def edited_csv(data, rng):
     lines = [line.split(",") for line in data.decode().splitlines()]
     for _ in range(rng.integers(1, 4)):
         row = lines[rng.integers(len(lines))]
-        kind = rng.integers(7)
+        kind = rng.integers(7) if row and lines[0] else 1
         if kind == 0:
             row[rng.integers(len(row))] = FIELDS[rng.integers(len(FIELDS))]
         elif kind == 1:
@@ -255,7 +255,9 @@ def edited_parquet(data, rng):
             arrays[label] = pa.array([str(item) for item in values])
     if rng.random() < 0.2:
         arrays = {
-            label: array.dictionary_encode() for label, array in arrays.items() if not pa.types.is_nested(array.type)
+            label: array.dictionary_encode()
+            for label, array in arrays.items()
+            if not (pa.types.is_nested(array.type) or pa.types.is_null(array.type))
         }
     made = pa.table(arrays)
     if rng.random() < 0.1:

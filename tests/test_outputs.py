@@ -1,5 +1,6 @@
 """What the commands write: nothing recorded is lost, links stay, no formulas; one command a folder; Ctrl-C."""
 
+import csv
 import errno
 import json
 import os
@@ -186,12 +187,10 @@ def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
     assert sorted(table["policy"].unique()) == sorted([*(f"'{name}".replace("\r", "\n") for name in FORMULAS), "plain"])
     found = json.loads((tmp_path / "report.json").read_text())
     assert {row["policy"] for row in found["results"]} == {*FORMULAS, "plain"}  # JSON needs none
-    assert not [
-        cell
-        for line in (tmp_path / "table.csv").read_text().splitlines()
-        for cell in line.split(",")
-        if cell[:1] in "=@+"
-    ]
+    with open(tmp_path / "table.csv", newline="") as handle:
+        cells = [cell for row in csv.reader(handle) for cell in row]
+    assert len(cells) == table.shape[1] * (len(table) + 1)
+    assert not [cell for cell in cells if cell.startswith(("=", "@", "+"))]
 
 
 def test_numbers_and_their_signs_stay():
@@ -255,7 +254,7 @@ def test_a_dead_process_holds_nothing(tmp_path, holder):
 def test_a_lock_leaves_nothing_and_takes_no_file_away(tmp_path):
     with _lock.only_one(tmp_path / "a" / "b"):
         pass
-    assert [path.name for path in tmp_path.rglob("*")] == ["a"]
+    assert list(tmp_path.iterdir()) == []
     with _lock.only_one(tmp_path / "c"):
         (tmp_path / "c" / "kept").write_text("x")
     assert [path.name for path in (tmp_path / "c").iterdir()] == ["kept"]
