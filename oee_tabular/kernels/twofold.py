@@ -69,7 +69,15 @@ expected_rest = njit(cache=True)(expected_rest)
 
 
 def average_rest(
-    indptr: Any, indices: Any, data: Any, policy: Any, rewards: Any, rest_of: Any, starts: Any, columns: Any, values: Any
+    indptr: Any,
+    indices: Any,
+    data: Any,
+    policy: Any,
+    rewards: Any,
+    rest_of: Any,
+    starts: Any,
+    columns: Any,
+    values: Any,
 ) -> Any:
     """What ``policy_rows.average_rows`` and ``average_rewards`` rounded away: low parts of the kernel, rewards and theirs.
 

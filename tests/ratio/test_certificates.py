@@ -145,7 +145,7 @@ def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
     assert dual.objective(moved, program) - gap <= best + 1e-9 * max(1.0, abs(best))
     outside = g.copy()
     outside[0] = low - 0.1
-    assert dual.row_gaps(program, outside, m, low, high, indptr)[0] >= 0.1  # off by so much
+    assert dual.row_gaps(program, outside, m, low, high, indptr)[0] > 0.099  # off by so much
 
 
 def test_a_wrong_answer_is_not_certified():
