@@ -79,13 +79,13 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
                 + (": there is no interval." if no_interval else ".")
             ),
         )
-    if no_interval and estimate.standard_error == 0.0:
+    silent = estimate.interval is None and estimate.standard_error is None and estimate.status == "ok"
+    if silent and facts.get("standard_error_of"):
         add(
             "constant",
             1.0,
-            "0",
-            "the standard error is {} because what was seen never varied, which does not make the value certain: there is no "
-            "interval.",
+            "no standard error",
+            "there is {} and no interval: what was seen never varied, which does not make the value certain.",
         )
     single = facts.get("single_share", 0.0)
     if no_interval and single > 0.02:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.estimators.base import mean_and_error
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.limits import Population
 from oee_tabular.estimators.problem import Problem
@@ -104,8 +105,8 @@ def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normali
     partial = begun + closing
     values = partial[:, -1] * n
     total = float(partial[:, -1].sum())
-    error = None
-    if n > 1:
+    error = mean_and_error(values)[1]
+    if error is not None:
         error = float(np.sqrt(n / (n - 1.0) * np.sum((partial[:, -1] - total / n) ** 2)))
     return EpisodeTerms(values, total, error, products[final], partial, weights, gains)
 

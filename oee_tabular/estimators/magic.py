@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate, effective_sample_size, without_divergence
+from oee_tabular.estimators.base import ROUNDING, Estimate, effective_sample_size, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
 from oee_tabular.estimators.limits import ExactLimit, Population
@@ -86,7 +86,7 @@ class Magic(ExactLimit):
         error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
         return Estimate(
             float(weights @ totals),
-            error,
+            error if error > ROUNDING * float(np.abs(n * parts).max()) else None,
             diagnostics={
                 "standard_error_of": "log",
                 "n_episodes": n,
