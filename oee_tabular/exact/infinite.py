@@ -72,7 +72,8 @@ def _values(model: Model, shift: int, policy: Array, certify: bool) -> Found:
 
 
 def _scaled(numbers: Array, shift: int) -> Array:
-    return readable(np.ascontiguousarray(np.ldexp(numbers, -shift) if shift else numbers))
+    scaled: Array = readable(np.ascontiguousarray(np.ldexp(numbers, -shift) if shift else numbers))
+    return scaled
 
 
 def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:
