@@ -75,8 +75,8 @@ class ModelBased(ExactLimit):
         if model.discount < 1.0 or problem.horizon is not None:
             error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))
             diagnostics["standard_error_of"] = "log"
-            varying = (totals > 0) & (np.diff(problem.model.transitions.indptr) > 1)
-            if varying.any() and error <= ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max())):
+            certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
+            if not certain and error <= ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max())):
                 error = None
         return Estimate(found.value, error, diagnostics=diagnostics)
 

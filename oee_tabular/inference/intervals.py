@@ -185,9 +185,11 @@ def _sampled(
     lower: float, upper: float, error: float, evidence: Evidence, level: float, method: str, diagnostics: dict[str, Any]
 ) -> Interval:
     """An interval from the log's own variation; without any there is none, and neither error nor interval."""
-    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & (evidence.n > 0)).any():
+    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reached_rows(evidence)).any():
         return Interval(lower, upper, level, method, diagnostics | {"standard_error": error})
-    status = "the log's moves do not vary, which does not tell how much they might have; use method='likelihood'"
+    status = (
+        "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
+    )
     return Interval(np.nan, np.nan, level, method, diagnostics | {"standard_error": np.nan}, status)
 
 
