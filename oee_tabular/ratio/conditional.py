@@ -167,9 +167,5 @@ def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -
         return solution.ratio, float(solution.gap.max()), {"enclosure": solution.enclosure()}
     found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
     zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-    gaps = []
-    for low, high, m in zip(indptr[:-1], indptr[1:], found.multiplier, strict=True):
-        row = slice(low, high)
-        part = dual.Coordinates(program.p[row], program.q[row], program.curvature[row], program.center[row])
-        gaps.append(abs(dual.objective(zeta[row], part) - dual.dual_value(1.0 + m, part, box.lower, box.upper)))
-    return zeta, max(gaps), {}
+    gaps = dual.row_gaps(program, zeta, 1.0 + found.multiplier, box.lower, box.upper, indptr)
+    return zeta, float(gaps.max()), {}

@@ -93,13 +93,14 @@ def transition_ratio(
     prior : "average" (default) | "tilt" (default where ``features`` or ``smoothness`` is given) | "simulator" | "none";
         conditional only
         The row that every row is shrunk to: the simulator's, that of its conditional exponential tilt zeta proportional to
-        exp(theta . phi), fitted to all rows together (theta varies over the states where the log gives evidence that it
-        does), or the average by evidence of these two and of tilts along directions made from the simulator and
-        ``values_of`` (``ratio.centre``).
+        exp(theta . phi), fitted to all rows together under the penalty |theta|^2 / 2 on standardised features, a unit
+        Gaussian prior (theta varies over the states where the log gives evidence that it does), or the average by
+        evidence of these two and of tilts along directions made from the simulator and ``values_of`` (``ratio.centre``).
     strength : "evidence" (default) | "loo", or a nonnegative number; conditional, and tied (a number, default 3)
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
-        likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
-        probabilities), or given. ``details`` has the choice, its curve and its meaning.
+        likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
+        probabilities; kinds with fewer than 5 visited rows or 100 moves are pooled), or given. ``details`` has the choice,
+        its curve and its meaning.
     features : phi for the tilt and for "linear": None (tilt: log P, and (log P)^2 where the evidence asks for it), an
         array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of
         (s, a, s'); ``oee.ratio.action_displacement`` makes some
