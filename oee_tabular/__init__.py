@@ -16,7 +16,10 @@ there, and how sure are we? For finite MDPs this package answers with exact line
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 

@@ -25,16 +25,21 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
     try:
         given: Any = np.array(value)
-        if np.iscomplexobj(given):
-            raise TypeError("complex numbers")
+        if given.dtype.kind not in "biufO" or holds_words(given):
+            raise TypeError("complex numbers" if np.iscomplexobj(given) else f"it holds {given.dtype}, no numbers")
         array = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
     if allowed is not None and array.ndim not in allowed:
         rule = " or ".join(str(n) for n in allowed)
         raise ValueError(f"{name} must have {rule} dimension(s); it has shape {array.shape}")
     return array
+
+
+def holds_words(array: NDArray[Any]) -> bool:
+    """Whether an array of Python objects has words among them: "0.25" is no number."""
+    return array.dtype.kind == "O" and any(isinstance(item, str | bytes) for item in array.flat)
 
 
 def require_finite(array: Array, name: str) -> None:
@@ -110,10 +115,10 @@ def number_in(
 ) -> float:
     """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
-        if isinstance(value, str | bytes):
+        if np.asarray(value).dtype.kind not in "biufO" or isinstance(value, str | bytes):
             raise TypeError
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be a number; got {value!r}") from None
     inside = low < number < high if open_ends else low <= number <= high
     if np.isinf(number) and not infinite:

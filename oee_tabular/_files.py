@@ -1,19 +1,55 @@
-"""Files are written whole or not at all; npz files are never pickles."""
+"""Files are written whole or not at all, and read from this machine only; npz files are never pickles."""
 
 from __future__ import annotations
 
+import errno
+import math
 import os
+import re
 import uuid
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oee_tabular import _memory
+
 KIND = "oee_tabular_kind"
+KINDS = {
+    "finite_mdp": "FiniteMDP",
+    "transitions": "log of numbered states (Transitions)",
+    "continuous_transitions": "log of continuous states (ContinuousTransitions)",
+}
+FORMULA = re.compile(
+    r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
+)  # what a spreadsheet takes a cell for that begins with it
+_ZIP = (b"PK\x03\x04", b"PK\x05\x06")
+_PACKED = 1040  # bytes that deflate can make of one; it cannot make more than 1032
+
+
+def local(path: str | os.PathLike[str]) -> str:
+    """``path`` as text; ValueError for an address of another machine, which is never opened."""
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError(f"path must be a path of a file; got {type(path).__name__}")
+    name = os.fspath(path)
+    if not isinstance(name, str) or "\0" in name:
+        raise ValueError(f"path must be text without a null character; got {name!r}")
+    if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
+        name
+    ):  # pathlib makes one slash of two
+        raise ValueError(f"path must be a file of this machine; {name!r} is an address, and nothing is fetched")
+    return name
+
+
+def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
+    """ValueError where something stands at ``path`` that may not be lost."""
+    if not overwrite and os.path.lexists(path):
+        raise ValueError(f"{name} must be a new file, or be given with --overwrite; {os.fspath(path)!r} exists already")
 
 
 @contextmanager
@@ -21,47 +57,81 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     """A binary file to write, which appears under its name only once it is complete.
 
     The bytes go to a temporary file in the same folder, are flushed to disk and moved over ``path`` in one step; an
-    error on the way leaves what stood there before.
+    error on the way leaves what stood there before, and names ``path``. A link stays one: the file that it leads to is
+    replaced.
     """
-    target = Path(path)
-    if suffixes and target.suffix.lower() not in suffixes:
-        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {str(target)!r}")
+    if suffixes and Path(local(path)).suffix.lower() not in suffixes:
+        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}")
+    target = _place(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(2, "no such folder", str(target.parent))
-    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
-    try:
-        try:
-            temporary.touch(exist_ok=False)
-        except OSError as error:
-            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(target)) from None
-        with open(temporary, "wb") as handle:
-            yield handle
-            handle.flush()
-            os.fsync(handle.fileno())
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with _staged(target, path) as temporary, open(temporary, "xb") as handle:
+        yield handle
+        handle.flush()
+        os.fsync(handle.fileno())
 
 
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write every file of ``contents`` into ``folder``, or none of them; what they replace stays until all are ready."""
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    staged: list[tuple[Path, Path]] = []
     try:
-        for name, data in contents.items():
-            temporary = folder / f".{name}.{uuid.uuid4().hex}.part"
-            staged.append((temporary, folder / name))
-            temporary.write_bytes(data)
-        for temporary, target in staged:
-            os.replace(temporary, target)
+        with ExitStack() as stack:
+            for name, data in contents.items():
+                temporary = stack.enter_context(_staged(_place(folder / name), folder / name))
+                temporary.write_bytes(data)
     except BaseException:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
         if made:
             folder.rmdir()
         raise
+
+
+@contextmanager
+def _staged(target: Path, path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside ``target``, moved over it at the end; an error of the disk names ``path``."""
+    temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+            raise
+        raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _place(path: str | os.PathLike[str]) -> Path:
+    """Where a file is to be written: what a link leads to; an OSError for what is there and is no file."""
+    target = Path(os.path.realpath(local(path)))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", os.fspath(path))
+    if target.is_symlink() or (target.exists() and not target.is_file()):
+        raise OSError(errno.EINVAL, "must be a file; it is something else (a loop of links, a device)", os.fspath(path))
+    return target
+
+
+def csv_bytes(frame: Any, **options: Any) -> bytes:
+    """A DataFrame as CSV, in which a text that a spreadsheet would take for a formula begins with an apostrophe [1].
+
+    [1] OWASP, CSV Injection.
+    """
+    defused = frame.copy()
+    for k, kind in enumerate(frame.dtypes):
+        if kind.kind not in "biufc":
+            defused.isetitem(k, [_defused(value) for value in frame.iloc[:, k]])
+    defused.columns = [_defused(label) for label in frame.columns]
+    text: str = defused.to_csv(index=False, **options)
+    return text.encode()
+
+
+def _defused(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = "\n".join(value.splitlines()) if "\r" in value else value  # a bare one ends the line, and is not quoted
+    return f"'{text}" if FORMULA.match(text) else text
 
 
 def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -75,24 +145,84 @@ def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict
     arrays = read_npz(path)
     found = npz_kind(arrays)
     if found != kind:
+        holds = f"a {KINDS.get(found, found)}" if found else f"the arrays {', '.join(arrays):.200}"
         raise ValueError(
-            f"{str(path)!r} must hold a {kind}; it holds {found or 'the arrays ' + ', '.join(arrays)}"
-            f"{f' ({hint})' if hint else ''}"
+            f"{os.fspath(path)!r} must hold a {KINDS[kind]}; it holds {holds}{f' ({hint})' if hint else ''}"
         )
     return arrays
 
 
-def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Every array of an npz or npy file (the npy's under the name "array"); pickles are refused."""
+@contextmanager
+def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Errors in what is made of the arrays of a file name the file."""
     try:
-        with open(path, "rb") as handle:
-            loaded = np.load(handle, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return {"array": loaded}
-            with loaded:
-                return {name: loaded[name] for name in loaded.files}
-    except (zipfile.BadZipFile, ValueError, EOFError) as error:
-        raise ValueError(f"{str(path)!r} must be an npz or npy file of plain arrays; {error}") from None
+        yield
+    except KeyError as error:
+        raise ValueError(f"{os.fspath(path)!r} must hold every part of {what}; {error} is missing") from None
+    except (IndexError, OverflowError, TypeError, ValueError) as error:
+        raise ValueError(f"{os.fspath(path)!r}: {error}") from None
+
+
+def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Every array of an npz or npy file (the npy's under the name "array"); pickles are refused.
+
+    Sizes that a file declares are compared with those that it has before memory is taken. Raises ValueError for what is
+    no such file, FileNotFoundError, and MemoryError ("needs 14.9 GiB") where its arrays do not fit.
+    """
+    name = local(path)
+    with open(name, "rb") as handle, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a broken header may be strange Python
+        size = os.fstat(handle.fileno()).st_size
+        try:
+            zipped = handle.read(4) in _ZIP
+            handle.seek(0)
+            return _members(handle, size, name) if zipped else {"array": _array(handle, size, name)}
+        except Exception as error:  # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
+            if isinstance(error, MemoryError) and str(error):  # with a size; ast has none for a header that is too deep
+                raise
+            words = str(error) or type(error).__name__
+            raise ValueError(f"{name!r} must be an npz or npy file of plain arrays; {words:.300}") from None
+
+
+def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]:
+    """The arrays of a zip file of ``size`` bytes."""
+    with zipfile.ZipFile(handle) as archive:
+        members = archive.infolist()
+        for member in members:
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"{member.filename} must be stored or deflated; its method is {member.compress_type}")
+            if member.compress_size > size or member.file_size > _PACKED * (member.compress_size + 1):
+                raise ValueError(
+                    f"{member.filename} must be as long as it says, {_memory.words(member.file_size)}; it is not"
+                )
+        _memory.require(sum(member.file_size for member in members), repr(name))
+        arrays = {}
+        for member in members:
+            with archive.open(member) as stream:
+                arrays[member.filename.removesuffix(".npy")] = _array(stream, member.file_size, name)
+                while stream.read(1 << 20):  # to the end, where the checksum is compared
+                    pass
+        return arrays
+
+
+def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
+    """The array of an npy stream of ``size`` bytes."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    version = np.lib.format.read_magic(stream)
+    if version not in headers:
+        raise ValueError(f"the version of the format must be 1.0 or 2.0; it is {'.'.join(map(str, version))}")
+    shape, _, dtype = headers[version](stream)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are never unpickled")
+    declared, stored = dtype.itemsize * math.prod(shape), size - stream.tell()
+    if min(shape, default=1) < 0 or declared > stored:
+        raise ValueError(
+            f"an array of {dtype} of shape {shape} needs {_memory.words(declared)}; the file has {_memory.words(stored)}"
+        )
+    _memory.require(declared, repr(name))
+    stream.seek(0)
+    found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    return found
 
 
 def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:

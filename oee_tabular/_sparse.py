@@ -23,6 +23,99 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
     return frozen(csr)
 
 
+def checked(matrix: Any, name: str) -> sparse.csr_array:
+    """A sparse matrix that was given, in any of scipy's formats, as CSR of float64 (its arrays may be the given ones).
+
+    Native code follows row pointers and indices wherever they lead, and scipy's own formats may be edited after they were
+    made: everything is looked at here first. Costs O(entries). Raises ValueError, with the part and the place, for what
+    is no real matrix.
+    """
+    if matrix.ndim != 2:
+        raise ValueError(f"{name} must have 2 dimensions when sparse; it has shape {matrix.shape}")
+    if matrix.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
+    if matrix.format == "csr":
+        return checked_rows(matrix.data, matrix.indices, matrix.indptr, matrix.shape, name)
+    _check_form(matrix, name)
+    try:
+        csr = sparse.csr_array(matrix, dtype=np.float64)
+    except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a sound sparse matrix; its {matrix.format} form is not ({error})") from None
+    return checked_rows(csr.data, csr.indices, csr.indptr, csr.shape, name)
+
+
+def checked_rows(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> sparse.csr_array:
+    """The CSR of these parts; a ValueError, with the part and the place, where they are not those of a matrix."""
+    values = np.asarray(data)
+    if values.dtype.kind not in "biuf" or values.ndim != 1:
+        raise ValueError(
+            f"{name}.data must be real numbers of shape (entries,); it is {values.dtype} of {values.shape}"
+        )
+    used = _check_compressed(values, indices, indptr, shape, name)
+    parts = values[:used].astype(np.float64, copy=False), np.asarray(indices)[:used], np.asarray(indptr)
+    return sparse.csr_array(parts, shape=shape)
+
+
+def _check_compressed(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> int:
+    """How many entries the pointers use, of parts compressed along the first axis of ``shape``."""
+    for part, array in (("indices", indices), ("indptr", indptr)):
+        kind, ndim = np.asarray(array).dtype, np.ndim(array)
+        if kind.kind not in "iu" or ndim != 1:
+            raise ValueError(f"{name}.{part} must be integers of one dimension; they are {kind} of {ndim}")
+    pointers, columns = np.asarray(indptr), np.asarray(indices)
+    if len(pointers) != shape[0] + 1:
+        raise ValueError(f"{name}.indptr must have {shape[0] + 1} entries, one more than rows; it has {len(pointers)}")
+    if pointers[0] != 0:
+        raise ValueError(f"{name}.indptr[0] must be 0; it is {pointers[0]}")
+    if (bad := np.flatnonzero(pointers[1:] < pointers[:-1])).size:
+        k = int(bad[0])
+        raise ValueError(
+            f"{name}.indptr[{k + 1}] must be at least indptr[{k}] = {pointers[k]}; it is {pointers[k + 1]}"
+        )
+    if len(data) != len(columns):
+        raise ValueError(f"{name}.data must have a value for each of the {len(columns)} indices; it has {len(data)}")
+    if pointers[-1] > len(columns):
+        k = int(np.argmax(pointers > len(columns)))
+        raise ValueError(f"{name}.indptr[{k}] must be at most {len(columns)}, the entries; it is {pointers[k]}")
+    used = int(pointers[-1])
+    _check_within(columns[:used], shape[1], f"{name}.indices")
+    return used
+
+
+def _check_within(numbers: Any, size: int, name: str) -> None:
+    if len(numbers) and not 0 <= numbers.min() <= numbers.max() < size:
+        k = int(np.argmax((numbers < 0) | (numbers >= size)))
+        raise ValueError(f"{name}[{k}] must be in 0..{size - 1}; it is {numbers[k]}")
+
+
+def _check_form(matrix: Any, name: str) -> None:
+    """What conversion to CSR takes for granted; the other formats convert by Python's own indexing."""
+    rows, columns = matrix.shape
+    if matrix.format == "csc":
+        _check_compressed(matrix.data, matrix.indices, matrix.indptr, (columns, rows), name)
+    elif matrix.format == "bsr":
+        high, wide = matrix.data.shape[1:] if matrix.data.ndim == 3 else (0, 0)
+        if high < 1 or wide < 1 or rows % high or columns % wide:
+            raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has shape {matrix.data.shape}")
+        _check_compressed(matrix.data, matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
+    elif matrix.format == "coo":
+        if not len(matrix.coords[0]) == len(matrix.coords[1]) == len(matrix.data):
+            lengths = [len(part) for part in (*matrix.coords, matrix.data)]
+            raise ValueError(f"{name} must have a row and a column for each value; it has {lengths}")
+        for part, size, axis in zip(matrix.coords, matrix.shape, ("row", "col"), strict=True):
+            _check_within(np.asarray(part), size, f"{name}.{axis}")
+    elif matrix.format == "lil":
+        bad = [k for k, (at, of) in enumerate(zip(matrix.rows, matrix.data, strict=True)) if len(at) != len(of)]
+        if bad or len(matrix.rows) != rows:
+            raise ValueError(
+                f"{name} must have a column for each value; row {bad[0] if bad else len(matrix.rows)} has not"
+            )
+    elif matrix.format == "dia" and (matrix.data.ndim != 2 or matrix.offsets.shape != matrix.data.shape[:1]):
+        raise ValueError(
+            f"{name}.offsets must have one for each of {matrix.data.shape[:1]}; it has {matrix.offsets.shape}"
+        )
+
+
 def frozen(csr: sparse.csr_array) -> sparse.csr_array:
     """The same matrix with read-only arrays."""
     for array in (csr.data, csr.indices, csr.indptr):

@@ -54,7 +54,8 @@ def about_problem(problem: Problem) -> list[tuple[str, bool]]:
 def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float = 1.0) -> list[Finding]:
     """What a reader must know before using this number; ``scale`` multiplies values that are shown."""
     facts = estimate.diagnostics
-    no_interval = estimate.interval is None and estimate.standard_error is not None
+    silent = estimate.standard_error is None and estimate.status == "ok" and bool(facts.get("standard_error_of"))
+    no_interval = estimate.interval is None and (estimate.standard_error is not None or silent)
     bare = estimate.standard_error is not None and "one_step_distance" not in facts  # unseen rows are not in it
     found: list[Finding] = []
 
@@ -79,15 +80,14 @@ def about_estimate(policy: str, estimator: str, estimate: Estimate, scale: float
                 + (": there is no interval." if no_interval else ".")
             ),
         )
-    if no_interval and estimate.standard_error == 0.0:
+    single = facts.get("single_share", 0.0)
+    if no_interval and silent and single <= 0.02:
         add(
             "constant",
             1.0,
-            "0",
-            "the standard error is {} because what was seen never varied, which does not make the value certain: there is no "
-            "interval.",
+            "no standard error",
+            "there is {} and no interval: what was seen never varied, which does not make the value certain.",
         )
-    single = facts.get("single_share", 0.0)
     if no_interval and single > 0.02:
         add(
             "single",

@@ -48,6 +48,7 @@ app = typer.Typer(
 
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
 Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists (a Minari folder: never).")]
 Seed = Annotated[int, typer.Option(help="The same seed gives the same bits.")]
 
 
@@ -125,12 +126,16 @@ def evaluate(
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     typer.echo(report.to_json() if json else str(report))
+    before = {
+        *(() if output is None or not output.exists() else output.iterdir()),
+        *([page] if page and page.exists() else ()),
+    }
     written = [] if output is None else report.save(output)
     if page is not None:
         report.to_html(page)
         written.append(page)
     if written and not json:
-        typer.echo(f"\nWritten: {', '.join(str(path) for path in written)}")
+        typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
 
 
 @app.command()
@@ -144,11 +149,15 @@ def sample(
         int | None, typer.Option(help="Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.")
     ] = None,
     discount: Discount = None,
+    overwrite: Overwrite = False,
     seed: Seed = 0,
 ) -> None:
     """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
     if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
+    from oee_tabular import _files
+
+    _files.new_file(output, "--output", overwrite=overwrite)
     if is_continuous(environment):
         states = recorded_states(environment, policy, transitions, episodes, horizon, seed)
         states.save(output)
@@ -169,13 +178,14 @@ def policy(
     """Write a policy of a simulator to a file."""
     import numpy as np
 
-    from oee_tabular._files import whole_file
+    from oee_tabular import _files
 
     task = task_of(simulator, discount)
     pi = policy_of(spec, task, "policy")
-    with whole_file(output, (".npy",)) as handle:
+    there = output.exists()
+    with _files.whole_file(output, (".npy",)) as handle:
         np.save(handle, pi, allow_pickle=False)
-    typer.echo(f"{output}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
+    typer.echo(f"{output}{' (replaced)' * there}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
 
 
 @app.command()
@@ -189,8 +199,9 @@ def export(
     task = task_of(simulator, discount)
     mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
     saved = task.discretization if task.discretization is not None and not action_noise else mdp
+    there = output.exists()
     saved.save(output)
-    typer.echo(f"{output}: {saved!r}")
+    typer.echo(f"{output}{' (replaced)' * there}: {saved!r}")
 
 
 @app.command()
@@ -216,13 +227,16 @@ def plan(
     horizon: Annotated[int | None, typer.Option(help="As in evaluate.")] = None,
     discount: Discount = None,
     confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+    overwrite: Overwrite = False,
 ) -> None:
     """What to record next: a behaviour policy, and the width of each value's interval before and after."""
     import numpy as np
 
-    from oee_tabular._files import whole_file
+    from oee_tabular import _files
     from oee_tabular.inference import plan_data_collection
 
+    if output is not None:
+        _files.new_file(output, "--output", overwrite=overwrite)
     task = task_of(simulator, discount)
     problem = problem_of(task, log, horizon=horizon, behavior=None, rewards="simulator")
     found = plan_data_collection(
@@ -234,7 +248,7 @@ def plan(
     )
     typer.echo(str(found))
     if output is not None:
-        with whole_file(output, (".npy",)) as handle:
+        with _files.whole_file(output, (".npy",)) as handle:
             np.save(handle, found.distribution if free else found.behavior_policy, allow_pickle=False)
         typer.echo(f"{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}")
 
@@ -336,12 +350,15 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _tell
     try:
         app(arguments, standalone_mode=True)
-    except (ValueError, OSError, ImportError, RuntimeError) as error:
+    except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         typer.echo(f"oee: {_sentence(error)}", err=True)
         sys.exit(2)
 
 
 def _sentence(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        words = str(error).replace("Unable to allocate", "this needs", 1)
+        return f"not enough memory; {words or 'this needs more than there is'}"
     if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError) and error.filename:

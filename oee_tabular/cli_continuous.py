@@ -125,7 +125,7 @@ def described(file: str) -> str:
     from oee_tabular.data import ContinuousTransitions, Transitions
     from oee_tabular.data.continuous_files import holds_states
 
-    path = Path(file)
+    path = Path(_files.local(file))
     if path.is_dir() and (path / "report.json").is_file():
         path = path / "report.json"
     if path.suffix.lower() == ".json":
@@ -157,6 +157,7 @@ def _states(log: ContinuousTransitions) -> str:
 def _mdp(file: str, arrays: dict[str, Any]) -> str:
     import json
 
+    from oee_tabular import _files
     from oee_tabular.mdp import FiniteMDP
 
     mdp = FiniteMDP.load(file)
@@ -164,7 +165,8 @@ def _mdp(file: str, arrays: dict[str, Any]) -> str:
     text = f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to {mdp.rewards.max():g}, "
     text += f"{over} state{'s' * (over != 1)} in which an episode is over"
     if "metadata" in arrays:
-        facts = json.loads(str(arrays["metadata"]))
+        with _files.parts_of(file, "a Discretization"):
+            facts = dict(json.loads(str(arrays["metadata"])))
         text += "\nmade from a continuous task: " + ", ".join(f"{name} {value}" for name, value in facts.items())
     return text
 

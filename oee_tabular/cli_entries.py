@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from oee_tabular import _files
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import find, row_of_entry
-from oee_tabular.data.files import csv_frame
+from oee_tabular.data.tables import csv_frame, require_columns
 from oee_tabular.estimators import Estimator, OffEnvironment
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
@@ -114,8 +114,7 @@ def _entries(path: Path, simulator: FiniteMDP, *, columns: bool) -> NDArray[Any]
 def _table(path: Path, simulator: FiniteMDP) -> tuple[list[str], list[Any], IntArray]:
     """Names and columns of a .csv beside its moves, and the entry of the simulator's transitions that each row is about."""
     frame = csv_frame(str(path))
-    if not set(MOVE) <= set(frame.columns):
-        raise ValueError(f"{str(path)!r} must have the columns {_words(MOVE)}; it has {_words(frame.columns)}")
+    require_columns(str(path), MOVE, frame.columns)
     names = [str(label) for label in frame.columns if label not in MOVE]
     if any(name.startswith(NAMELESS) for name in names):
         raise ValueError(

@@ -527,9 +527,9 @@ def test_files_that_hold_something_else(tmp_path):
     (tmp_path / "surplus.csv").write_text("state,action,next_state\n0,0,1,9\n")
     np.savez(tmp_path / "parts.npz", oee_tabular_kind=np.array("finite_mdp"), shape=np.array([2, 1]))
     table = [
-        (FiniteMDP.load, "log.npz", r"must hold a finite_mdp; it holds transitions"),
-        (Transitions.load, "mdp.npz", r"must hold a transitions; it holds finite_mdp"),
-        (FiniteMDP.load, "other.npz", r"must hold a finite_mdp; it holds the arrays "),
+        (FiniteMDP.load, "log.npz", r"must hold a FiniteMDP; it holds a log of numbered states"),
+        (Transitions.load, "mdp.npz", r"must hold a log of numbered states \(Transitions\); it holds a FiniteMDP"),
+        (FiniteMDP.load, "other.npz", r"must hold a FiniteMDP; it holds the arrays "),
         (FiniteMDP.load, "broken.npz", r"must be an npz or npy file of plain arrays"),
         (Transitions.load, "broken.parquet", r"must be a parquet table"),
         (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),

@@ -226,8 +226,9 @@ def test_a_standard_error_of_zero_makes_no_interval():
         return Estimate(1.0, 0.0)
 
     report = oee.evaluate(even(100), {"mine": MINE}, estimators={"still": still})
-    assert row_of(report, "still")["lower"] is None
-    assert "the standard error is 0 because what was seen never varied" in report.warnings[0]
+    row = row_of(report, "still")
+    assert (row["lower"], row["standard_error"]) == (None, None)
+    assert "there is no standard error and no interval: what was seen never varied" in report.warnings[0]
 
 
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():

@@ -11,7 +11,7 @@ from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.run import SEEDS, SIZES, Plan, carry_out, plan
 from oee_tabular.bench.statement import printed, save
 from oee_tabular.experiments.output import describe
-from oee_tabular.experiments.store import Store
+from oee_tabular.experiments.store import Store, alone
 
 
 def bench(
@@ -38,9 +38,10 @@ def bench(
     if not fresh:
         Store(output, planned.settings)
     start = time.perf_counter()
-    found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
-    about = {name: planned.source.family(name, seed).about for name in planned.source.names}
-    save(found, output, about=about, command=_command(planned, estimators, sizes, families))
+    with alone(output):
+        found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
+        about = {name: planned.source.family(name, seed).about for name in planned.source.names}
+        save(found, output, about=about, command=_command(planned, estimators, sizes, families))
     say(printed(found))
     say(f"\n{describe(sweep)} ({time.perf_counter() - start:.0f} s)")
     if families is None:

@@ -21,7 +21,7 @@ from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.experiments.output import table_of
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.run import Sweep, run_experiment
-from oee_tabular.experiments.store import Store
+from oee_tabular.experiments.store import Store, alone
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
@@ -158,7 +158,8 @@ def run(
     planned = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
     options: dict[str, Any] = {"jobs": jobs, "dask": dask, "fresh": fresh, "progress": progress}
     if output is not None:
-        return carry_out(planned, Path(output), **options)[0]
+        with alone(Path(output)):
+            return carry_out(planned, Path(output), **options)[0]
     with tempfile.TemporaryDirectory() as folder:
         return carry_out(planned, Path(folder), **options)[0]
 

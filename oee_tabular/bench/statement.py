@@ -123,9 +123,9 @@ def markdown(found: League, about: Mapping[str, str], command: str) -> str:
 def save(found: League, folder: Path, *, about: Mapping[str, str] | None = None, command: str = "") -> list[Path]:
     """The files of a league, all or none."""
     contents = {
-        "table.csv": found.table.to_csv(index=False).encode(),
-        "cells.csv": found.cells.to_csv(index=False, float_format="%.6g").encode(),
-        "league.csv": found.league.to_csv(index=False, float_format="%.6g").encode(),
+        "table.csv": _files.csv_bytes(found.table),
+        "cells.csv": _files.csv_bytes(found.cells, float_format="%.6g"),
+        "league.csv": _files.csv_bytes(found.league, float_format="%.6g"),
         "league.md": markdown(found, about or {}, command).encode(),
         "shown.json": (json.dumps(_plain(statement_of(found)), indent=1) + "\n").encode(),
         "profile.png": drawn(found.profile, salt="bench", kinds=("png",))["png"],

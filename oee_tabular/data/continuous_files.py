@@ -5,9 +5,10 @@ In a table a vector is spread over numbered columns: state_0, state_1, ..., next
 
 from __future__ import annotations
 
+import csv
 import os
 import re
-import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
-from oee_tabular.data.files import _require, is_minari, minari_columns, minari_episodes
+from oee_tabular.data.files import is_minari, minari_columns, minari_episodes
+from oee_tabular.data.tables import (
+    csv_frame,
+    csv_header,
+    meant,
+    parquet_frame,
+    parquet_header,
+    require_module,
+    warn_left_out,
+)
 from oee_tabular.data.transitions import COLUMNS
 
 KIND = "continuous_transitions"
 VECTORS = ("state", "action", "next_state")
 SUFFIXES = (".npz", ".csv", ".parquet")
+NUMBERED = re.compile(rf"({'|'.join(VECTORS)})_(0|[1-9][0-9]{{0,8}})")
 Columns = dict[str, NDArray[Any]]
 
 
@@ -34,7 +45,7 @@ def write(columns: Columns, path: str | os.PathLike[str]) -> None:
 
     frame = pd.DataFrame(_spread(columns))
     if suffix == ".parquet":
-        _require("pyarrow", "parquet")
+        require_module("pyarrow", "parquet")
     with _files.whole_file(path) as handle:
         if suffix == ".csv":
             frame.to_csv(handle, index=False)
@@ -44,23 +55,25 @@ def write(columns: Columns, path: str | os.PathLike[str]) -> None:
 
 def read(path: str | os.PathLike[str]) -> Columns:
     """The columns that ``write`` wrote, or a table of the same names; unknown ones are left out with a warning."""
-    name = os.fspath(path)
-    if Path(name).suffix.lower() not in SUFFIXES and is_minari(name):
+    name = _files.local(path)
+    suffix = Path(name).suffix.lower()
+    if suffix not in SUFFIXES and is_minari(name):
         columns = minari_columns(name, _vectors_only)
     elif _suffix(name) == ".npz":
         columns = _files.load_npz(name, KIND)
         columns.pop(_files.KIND)
     else:
-        columns = _gathered(_table(name), name)
-    unknown = [column for column in columns if column not in COLUMNS]
-    if unknown:
-        warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(unknown)}", stacklevel=4)
+        frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, _known)
+        columns = _gathered({str(label): frame[label].to_numpy() for label in frame.columns}, name)
+        columns |= {label: np.empty(0) for label in frame.attrs["labels"] if not _known(label)}
     absent = [column for column in VECTORS if column not in columns]
     if absent:
         raise ValueError(
             f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
-            f"{', no '.join(absent)}, only {', '.join(columns) or 'nothing'}"
+            f"{', no '.join(absent)}, only {', '.join(columns) or 'nothing':.300}"
+            + meant(("state_0", "next_state_0", *VECTORS), list(columns))
         )
+    warn_left_out(name, [column for column in columns if column not in COLUMNS], COLUMNS, level=4)
     if columns["state"].ndim == 1 and columns["next_state"].ndim == 1:
         raise ValueError(
             f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered states"
@@ -70,21 +83,14 @@ def read(path: str | os.PathLike[str]) -> Columns:
 
 def holds_states(path: str | os.PathLike[str]) -> bool:
     """Whether a file or Minari data set is a log of continuous states; of tables only the header is read."""
-    name = os.fspath(path)
+    name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
         return _files.npz_kind(_files.read_npz(name)) == KIND
     if suffix == ".csv":
-        with open(name, encoding="utf-8", errors="replace") as handle:
-            return "state_0" in [label.strip().strip('"') for label in handle.readline().split(",")]
+        return "state_0" in _header(csv_header, name)
     if suffix == ".parquet":
-        _require("pyarrow", "parquet")
-        from pyarrow import ArrowInvalid, parquet
-
-        try:
-            return "state_0" in parquet.read_schema(name).names
-        except ArrowInvalid:
-            return False  # whoever reads it says what is wrong
+        return "state_0" in _header(parquet_header, name)
     if not is_minari(name):
         return False
     first = next(iter(minari_episodes(name)), None)
@@ -106,28 +112,15 @@ def _suffix(path: str | os.PathLike[str]) -> str:
     return suffix
 
 
-def _table(name: str) -> Columns:
-    import pandas as pd
+def _known(label: str) -> bool:
+    return label in COLUMNS or NUMBERED.fullmatch(label) is not None
 
+
+def _header(labels: Callable[[str], list[str]], name: str) -> list[str]:
     try:
-        if _suffix(name) == ".csv":
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
-                frame = pd.read_csv(name, index_col=False, **_exact_floats(pd.__version__))
-        else:
-            _require("pyarrow", "parquet")
-            frame = pd.read_parquet(name)
-    except FileNotFoundError:
-        raise
-    except (pd.errors.ParserWarning, pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError) as error:
-        raise ValueError(f"{name!r} must be a table with a header; {error}") from None
-    return {str(label): frame[label].to_numpy() for label in frame.columns}
-
-
-def _exact_floats(version: str) -> dict[str, Any]:
-    """The option with which pandas reads back every bit; it is deprecated from 3.1 on, where that is the default."""
-    major, minor = (int(part) for part in version.split(".")[:2])
-    return {} if (major, minor) >= (3, 1) else {"float_precision": "round_trip"}
+        return labels(name)
+    except (ValueError, csv.Error):
+        return []  # whoever reads it says what is wrong
 
 
 def _spread(columns: Columns) -> Columns:
@@ -145,7 +138,7 @@ def _gathered(flat: Columns, name: str) -> Columns:
     columns: Columns = {}
     parts: dict[str, dict[int, NDArray[Any]]] = {}
     for label, column in flat.items():
-        match = re.fullmatch(rf"({'|'.join(VECTORS)})_(\d+)", label)
+        match = NUMBERED.fullmatch(label)
         if match:
             parts.setdefault(match[1], {})[int(match[2])] = column
         else:
@@ -153,11 +146,12 @@ def _gathered(flat: Columns, name: str) -> Columns:
     for vector, found in parts.items():
         if vector in columns:
             raise ValueError(f"{name!r} must have either {vector} or {vector}_0, ...; it has both")
-        missing = [k for k in range(max(found) + 1) if k not in found]
-        if missing:
+        if max(found) >= len(found):
+            missing = next(k for k in range(len(found)) if k not in found)
             last = f"{vector}_{max(found)}"
             raise ValueError(
-                f"{name!r} must have every column from {vector}_0 to {last}; {vector}_{missing[0]} is missing"
+                f"{name!r} must have every column from {vector}_0 to {last}; {vector}_{missing} is missing"
             )
-        columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
+        with _files.parts_of(name, f"{vector}_0, ..."):  # columns of kinds that have nothing in common
+            columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
     return columns

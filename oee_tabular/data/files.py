@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
+from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
 from oee_tabular.data.transitions import COLUMNS, Transitions
 
 KIND = "transitions"
@@ -25,7 +25,7 @@ Log = TypeVar("Log", bound=Transitions)
 
 def save(log: Transitions, path: str | os.PathLike[str]) -> None:
     """Write ``log`` in the format that the path's ending names."""
-    name = os.fspath(path)
+    name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if name.startswith("minari:") or suffix == "":
         _save_minari(log, name)
@@ -39,7 +39,7 @@ def save(log: Transitions, path: str | os.PathLike[str]) -> None:
     elif suffix == ".parquet":
         import pandas as pd
 
-        _require("pyarrow", "parquet")
+        require_module("pyarrow", "parquet")
         with _files.whole_file(name) as handle:
             pd.DataFrame(log.columns()).to_parquet(handle, index=False)
     else:
@@ -48,40 +48,18 @@ def save(log: Transitions, path: str | os.PathLike[str]) -> None:
 
 def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
     """Read a log in the format that the path's ending names."""
-    name = os.fspath(path)
+    name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
         arrays = _files.load_npz(name, KIND)
         arrays.pop(_files.KIND)
-        return _from_columns(kind, arrays, name)
-    if suffix == ".csv":
-        return _from_columns(kind, _frame_columns(csv_frame(name), name), name)
-    if suffix == ".parquet":
-        import pandas as pd
-
-        _require("pyarrow", "parquet")
-        try:
-            frame = pd.read_parquet(name)
-        except (ValueError, OSError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise
-            raise ValueError(f"{name!r} must be a parquet table; {error}") from None
-        return _from_columns(kind, _frame_columns(frame, name), name)
+        return _log(kind, arrays, list(arrays), name)
+    if suffix in (".csv", ".parquet"):
+        frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, COLUMNS.__contains__)
+        return _log(kind, _columns(frame, name), frame.attrs["labels"], name)
     if is_minari(name):
         return _load_minari(kind, name)
     raise ValueError(_unknown(name))
-
-
-def csv_frame(name: str) -> Any:
-    """A CSV file as a DataFrame; a ValueError for what is no table with a header."""
-    import pandas as pd
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
-            return pd.read_csv(name, index_col=False)
-    except (pd.errors.ParserWarning, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
 
 
 def is_minari(name: str) -> bool:
@@ -96,47 +74,30 @@ def _unknown(name: str) -> str:
     return f"path must end in {', '.join(_SUFFIXES)}, or be a Minari folder or id; it is {name!r}"
 
 
-def _require(module: str, extra: str) -> None:
-    import importlib.util
-
-    if importlib.util.find_spec(module) is None:
-        raise ImportError(f"{module} is not installed: pip install 'oee-tabular[{extra}]'")
-
-
-def _frame_columns(frame: Any, name: str) -> dict[str, NDArray[Any]]:
+def _columns(frame: Any, name: str) -> dict[str, NDArray[Any]]:
+    """The columns that a log knows, each with a value in every row."""
     columns: dict[str, NDArray[Any]] = {}
-    for label in frame.columns:
+    for label in frame.columns.intersection(list(COLUMNS)):
         missing = np.flatnonzero(frame[label].isna().to_numpy())
-        if label in COLUMNS and missing.size:
+        if missing.size:
             raise ValueError(f"column {label!r} of {name!r} must have a value in every row; row {missing[0]} has none")
         columns[str(label)] = frame[label].to_numpy()
     return columns
 
 
-def _from_columns(kind: type[Log], columns: dict[str, NDArray[Any]], name: str) -> Log:
-    absent = [column for column in _REQUIRED if column not in columns]
-    if absent:
-        raise ValueError(
-            f"{name!r} must have the columns {', '.join(_REQUIRED)}; it has {', '.join(columns) or 'none'}"
-        )
-    extra = [column for column in columns if column not in COLUMNS]
-    if extra:
-        named = [_with_nearest(column) for column in extra]
-        warnings.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(named)}", stacklevel=4)
+def _log(kind: type[Log], columns: dict[str, NDArray[Any]], labels: Sequence[str], name: str) -> Log:
+    """A log of columns, of a file that has ``labels``."""
+    require_columns(name, _REQUIRED, labels)
+    warn_left_out(name, [label for label in labels if label not in COLUMNS], COLUMNS, level=4)
     try:
         return kind(**{column: columns[column] for column in COLUMNS if column in columns})
     except ValueError as error:
         raise ValueError(f"{name!r}: {error}") from None
 
 
-def _with_nearest(column: str) -> str:
-    near = difflib.get_close_matches(column, COLUMNS, n=1, cutoff=0.8)
-    return f"{column} (did you mean {near[0]}?)" if near else column
-
-
 def _save_minari(log: Transitions, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
-    _require("minari", "minari")
+    require_module("minari", "minari")
     starts = log.episode_starts
     if starts is None or log.reward is None:
         lacking = "episodes" if starts is None else "rewards"
@@ -144,9 +105,7 @@ def _save_minari(log: Transitions, name: str) -> None:
     by_id = name.startswith("minari:")
     identifier = name.removeprefix("minari:") if by_id else "oee/log-v0"
     if by_id:
-        from minari.storage.datasets_root_dir import get_dataset_path
-
-        target = Path(get_dataset_path(identifier))
+        target = _minari_place(identifier)
     else:
         target = Path(name)
     if target.exists():
@@ -164,6 +123,20 @@ def _save_minari(log: Transitions, name: str) -> None:
         else:
             os.environ["MINARI_DATASETS_PATH"] = before
         shutil.rmtree(root, ignore_errors=True)
+
+
+def _minari_place(identifier: str) -> Path:
+    """The folder of a Minari id; a ValueError, before any folder is made, for what is none."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.storage.datasets_root_dir import get_dataset_path
+
+    try:
+        parse_dataset_id(identifier)
+    except (TypeError, ValueError):  # TypeError: no version
+        raise ValueError(
+            f"path must be a Minari id, minari:namespace/name-v0, of letters, digits, - and _; it is {identifier!r}"
+        ) from None
+    return Path(get_dataset_path(identifier))
 
 
 def _write_minari(log: Transitions, starts: NDArray[np.int64], identifier: str) -> None:
@@ -202,28 +175,33 @@ def _write_minari(log: Transitions, starts: NDArray[np.int64], identifier: str) 
 
 def minari_episodes(name: str) -> list[Any]:
     """The episodes of a Minari folder or id, as Minari gives them."""
-    _require("minari", "minari")
-    import minari
+    require_module("minari", "minari")
+    folder = Path(_files.local(name))
+    if not folder.is_dir():
+        try:
+            folder = _minari_place(name.removeprefix("minari:"))
+        except ValueError as error:
+            raise FileNotFoundError(f"{name!r} is neither a file nor a Minari folder: {error}") from None
+        if not folder.is_dir():
+            raise FileNotFoundError(
+                f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: no folder {str(folder)!r}"
+            )
     from minari.dataset.minari_dataset import MinariDataset
 
-    folder = Path(name)
-    identifier = name.removeprefix("minari:")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if folder.is_dir():
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             data = MinariDataset(folder / "data" if (folder / "data").is_dir() else folder)
-        else:
-            try:
-                data = minari.load_dataset(identifier)
-            except (FileNotFoundError, ValueError) as error:
-                raise FileNotFoundError(
-                    f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: {error}"
-                ) from None
-        return list(data.iterate_episodes())
+            return list(data.iterate_episodes())
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever Minari makes of files that are not its own
+        raise ValueError(f"{name!r} must be a Minari data set; {str(error) or type(error).__name__:.300}") from None
 
 
 def _load_minari(kind: type[Log], name: str) -> Log:
-    return _from_columns(kind, minari_columns(name, _discrete), name)
+    columns = minari_columns(name, _discrete)
+    return _log(kind, columns, list(columns), name)
 
 
 def _discrete(observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from oee_tabular import _printing
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError
 
@@ -22,6 +22,7 @@ class Estimate:
     ----------
     value : float (nan where status says why there is none)
     standard_error : float or None
+        None also where the data do not vary (one transition, equal returns): they do not say how much they might have.
         What it covers is said by ``diagnostics["standard_error_of"]``: the log, the rollouts, or both.
     interval : (lower, upper) or None: the estimator's own, at 95%; ``oee.evaluate`` puts the one to quote there, and its method
         into ``diagnostics["interval_method"]``
@@ -95,10 +96,29 @@ def effective_sample_size(weights: Array) -> float:
     return float(weights.sum()) ** 2 / square if square > 0 else 0.0
 
 
-def mean_and_error(values: Array) -> tuple[float, float | None]:
-    """Mean and standard error of independent values; no error from a single one."""
+ROUNDING = 1e-12
+
+
+def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | None]:
+    """Mean and standard error of independent values; no error from a single one, or from values that do not vary.
+
+    ``size``: of the numbers that the values are differences of, where they are.
+    """
     n = len(values)
-    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if n > 1 else None
+    with np.errstate(invalid="ignore"):  # infinite values
+        varied = n > 1 and not np.ptp(values) <= ROUNDING * max(float(np.abs(values).max()), size)
+        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if varied else None
+
+
+def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:
+    """A delta-method error, or None where it is 0 though a row's next state matters: the log's moves do not vary.
+
+    ``gradient`` of the value, on the entries of the simulator's rows.
+    """
+    starts = indptr[:-1]
+    reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
+    possible = float(reach.max())
+    return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
 
 
 def without_divergence(make: Callable[[], Estimate]) -> Estimate:

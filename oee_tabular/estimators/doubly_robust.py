@@ -12,7 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, find, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
-from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error, without_divergence
+from oee_tabular.estimators.base import Estimate, effective_sample_size, identified, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
 from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
@@ -129,7 +129,8 @@ class DoublyRobust(ExactLimit):
         spread = row_sums(model.transitions, frequency * (gradient - mean[rows]) ** 2)
         error = float(np.sqrt(np.sum(spread[total > 0] / total[total > 0])))
         diagnostics |= coverage(problem, where, policy, total.reshape(model.n_states, -1))
-        return Estimate(base.value + change, error, diagnostics=diagnostics)
+        error_or_none = identified(error, gradient, model.transitions.indptr)
+        return Estimate(base.value + change, error_or_none, diagnostics=diagnostics)
 
     def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
         model = problem.model

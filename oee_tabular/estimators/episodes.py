@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.estimators.base import mean_and_error
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products
@@ -20,7 +21,8 @@ class EpisodeTerms:
     """The doubly robust estimator on episodes: each episode's value, the total, its error, and the last weights.
 
     ``partial`` (episodes, T + 2) are its parts by the number of steps j = 0..T + 1 that the log is used for, the model's value
-    after them (weighted doubly robust only).
+    after them (weighted doubly robust only). The total is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti (both
+    (T + 2, episodes)) over their number, or over their sum at t.
     """
 
     values: Array
@@ -28,6 +30,21 @@ class EpisodeTerms:
     error: float | None
     last: Array
     partial: Array
+    weights: Array
+    gains: Array
+
+    def resampled(self, draws: IntArray) -> Array:
+        """(b,) weighted totals of the resamples ``draws`` (b, episodes) of the episodes, weights normalised on each.
+
+        nan where at some step all weights of a resample are 0.
+        """
+        n, products = len(self.values), self.weights * self.gains
+        totals = np.empty(len(draws))
+        for b, draw in enumerate(draws):
+            number = np.bincount(draw, minlength=n)
+            with np.errstate(invalid="ignore"):
+                totals[b] = float(((products @ number) / (self.weights @ number)).sum())
+        return totals
 
 
 def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
@@ -48,13 +65,16 @@ def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normali
     products = segment_products(ratio, starts)
     shares = np.zeros((steps + 1, n))  # rho_0..t-1 / n, or over its sum: an episode that is over keeps its weight
     shares[0] = 1.0 / n
+    weights, gains = np.ones((steps + 1, n)), np.zeros((steps + 1, n))
     for t in range(steps):
         row = starts[:-1] + np.minimum(t, lengths - 1)
-        weight = products[row]
+        weight = weights[t + 1] = products[row]
         mass = float(weight.sum())
         if self_normalized and mass == 0.0:
             nothing = np.full(n, np.nan)
-            return EpisodeTerms(nothing, float("nan"), None, products[final], np.full((n, steps + 1), np.nan))
+            return EpisodeTerms(
+                nothing, float("nan"), None, products[final], np.full((n, steps + 1), np.nan), weights, gains
+            )
         shares[t + 1] = weight / (mass if self_normalized else n)
     rewards = problem.rewards_of(log)
     begun = np.zeros((n, steps + 1))  # what the log's first j steps give, in shares
@@ -65,8 +85,10 @@ def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normali
         alive = lengths > t
         row = (starts[:-1] + t)[alive]
         s, a = log.state[row], log.action[row]
-        gain = shares[t + 1][alive] * (rewards[row] - q[t][s, a]) + shares[t][alive] * v[t][s]
-        running[alive] += gamma**t * gain
+        paid = rewards[row] - q[t][s, a]
+        running[alive] += gamma**t * (shares[t + 1][alive] * paid + shares[t][alive] * v[t][s])
+        gains[t + 1, alive] += gamma**t * paid
+        gains[t, alive] += gamma**t * v[t][s]
         begun[:, t + 1] = running
         ended = np.where(alive, lengths == t + 1, True)
         gone = ended & over
@@ -79,13 +101,14 @@ def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normali
             rest = np.where(stop >= horizon, 0.0, rest)
         own = np.where(cut, shares[np.minimum(stop, steps), np.arange(n)], shares[t + 1])
         closing[:, t + 1] = np.where(gone, 0.0, own * rest)
+    gains[at, np.arange(n)] += np.where(gone, 0.0, rest)  # at the last step every episode is gone or cut
     partial = begun + closing
     values = partial[:, -1] * n
     total = float(partial[:, -1].sum())
-    error = None
-    if n > 1:
+    error = mean_and_error(values)[1]
+    if error is not None:
         error = float(np.sqrt(n / (n - 1.0) * np.sum((partial[:, -1] - total / n) ** 2)))
-    return EpisodeTerms(values, total, error, products[final], partial)
+    return EpisodeTerms(values, total, error, products[final], partial, weights, gains)
 
 
 def model_values(model: Model, policy: Array, horizon: int | None, steps: int) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate, effective_sample_size, without_divergence
+from oee_tabular.estimators.base import ROUNDING, Estimate, effective_sample_size, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
 from oee_tabular.estimators.limits import ExactLimit
@@ -29,7 +29,8 @@ class Magic(ExactLimit):
 
     g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model alone, j = T:
     the whole of it). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
-    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T.
+    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T, the weights normalised again on
+    each resample (one without any weight at some step is left out).
 
     Parameters
     ----------
@@ -80,13 +81,13 @@ class Magic(ExactLimit):
         totals = parts.sum(axis=0)
         covariance = n / (n - 1.0) * (parts - totals / n).T @ (parts - totals / n)
         draws = generator.integers(0, n, size=(self.n_bootstrap, n))
-        low, high = np.quantile(parts[:, -1][draws].sum(axis=1), [0.25, 0.75])
+        low, high = np.nanquantile(found.resampled(draws), [0.25, 0.75])
         bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
         weights = simplex_minimum(covariance + np.outer(bias, bias))
         error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
         return Estimate(
             float(weights @ totals),
-            error,
+            error if error > ROUNDING * float(np.abs(n * parts).max()) else None,
             diagnostics={
                 "standard_error_of": "log",
                 "n_episodes": n,

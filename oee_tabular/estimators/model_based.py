@@ -12,7 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.base import ROUNDING, Estimate
 from oee_tabular.estimators.limits import ExactLimit, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem
@@ -76,6 +76,9 @@ class ModelBased(ExactLimit):
         if model.discount < 1.0 or problem.horizon is not None:
             error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))
             diagnostics["standard_error_of"] = "log"
+            certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
+            if not certain and error <= ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max())):
+                error = None
         return Estimate(found.value, error, diagnostics=diagnostics)
 
     def limit_of(self, people: Population) -> float:

@@ -13,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate
+from oee_tabular.estimators.base import Estimate, identified
 from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
@@ -220,8 +220,9 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
             f"the log speaks against the centre along this policy (by {apart:.1f} standard errors): "
             f"the value is moved from it by {share:.0%}"
         )
-    interval = (value - NORMAL * error, value + NORMAL * error) if np.isfinite(error) else None
-    return replace(exact, value=value, standard_error=error, interval=interval, diagnostics=diagnostics)
+    told = identified(error, gradient, problem.model.transitions.indptr)
+    interval = (value - NORMAL * error, value + NORMAL * error) if told is not None and np.isfinite(error) else None
+    return replace(exact, value=value, standard_error=told, interval=interval, diagnostics=diagnostics)
 
 
 def nearer(first: float, second: float) -> float:

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, find
+from oee_tabular._sparse import align, canonical, checked, find
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import canonical_table, name_move
@@ -197,9 +197,7 @@ def _checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
         raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
     if counts.shape != shape:
         raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
-    if counts.dtype.kind not in "fiub":
-        raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
-    matrix = canonical(sparse.csr_array(counts, dtype=np.float64), drop_zeros=True)
+    matrix = canonical(checked(counts, "counts"), drop_zeros=True)
     bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
     if bad.size:
         where = name_move(matrix, int(bad[0]), simulator.n_actions)

@@ -143,7 +143,7 @@ def combine(
             return float("nan"), None
         value = float(totals.sum()) / mass
         influence = (totals - value * kept) * (n / mass)
-        return value, mean_and_error(influence)[1]
+        return value, mean_and_error(influence, abs(value))[1]
     lengths = np.diff(starts)
     horizon = int(lengths.max())
     step_mass = np.bincount(weighted.timestep, weights=weighted.weight, minlength=horizon)
@@ -162,7 +162,7 @@ def combine(
     if keep_last:
         tail = np.concatenate([np.cumsum((step_value * n / step_mass)[::-1])[::-1], [0.0]])
         influence = influence - kept * tail[lengths]
-    return value, mean_and_error(influence)[1]
+    return value, mean_and_error(influence, float(np.abs(step_value).sum()))[1]
 
 
 def check_rollout_options(weighting: str, n_rollouts: int) -> None:

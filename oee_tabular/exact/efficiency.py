@@ -107,9 +107,9 @@ def ratio_of_ratios_variance(
     """lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
 
     From n target transitions and n of the simulator's. The bound of ``efficiency_bound`` plus, q = simulator_distribution,
-    as they are: sum_x Var_P[zeta G] / q(x); rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2] / q(x); with separate
-    samples for the (s, a) and the (s, a, s') ratio (Algorithm 1, lines 1 and 3), moreover 2 Var_D[E_P' G / d_D]
-    + 2 Var_q[E_P' G / q].
+    as they are: sum_x Var_P[zeta G] / q(x), and with separate samples for the (s, a) and the (s, a, s') ratio (Algorithm 1,
+    lines 1 and 3) moreover 2 Var_D[E_P' G / d_D] + 2 Var_q[E_P' G / q]; rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2]
+    / q(x), whatever the samples of the (s, a) ratio, which a row's sum cancels.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def ratio_of_ratios_variance(
     else:
         added = row_sums(matrix, probability * (zeta * gradient) ** 2) - mean**2
     total += _weighted_sum(np.maximum(added, 0.0), other)
-    if independent_samples:
+    if independent_samples and rows == "as_they_are":
         for weights in (share, other):
             level = float(mean.sum())
             total += 2.0 * (_weighted_sum(mean**2, weights) - level**2)
@@ -162,20 +162,36 @@ def ratio_of_ratios_variance(
 
 
 def trajectory_efficiency_bound(
-    mdp: FiniteMDP, behavior_policy: Any, policy: Any, *, horizon: int, model: Literal["mdp", "tree"] = "mdp"
+    mdp: FiniteMDP,
+    behavior_policy: Any,
+    policy: Any,
+    *,
+    horizon: int,
+    model: Literal["mdp", "tree", "stationary"] = "mdp",
 ) -> float:
-    """n * variance of the best estimator from n episodes of a known behaviour policy [1].
+    """lim n * variance of the best estimator from n episodes of ``horizon`` moves, by what is known of the environment.
 
-    Var V_0(s_0) + sum_t gamma^2t sum_x weight_t(x) Var[r + gamma V_{t+1}(s') | x], with weight_t(x) = alpha_t(x)^2 / beta_t(x)
-    where the process is known to be Markov ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
-    behaviour policy) and E[rho_0..t^2 1{x_t = x}] where it may depend on its whole history ("tree").
+    "mdp", Kallus and Uehara's [1]: the kernel may differ from step to step, the law of the first state is not known.
+    "tree", theirs too: what follows may depend on the whole history. For both
+
+        Var V_0(s_0) + sum_t gamma^2t sum_x weight_t(x) Var[r + gamma V_{t+1}(s') | x],
+
+    weight_t(x) = alpha_t(x)^2 / beta_t(x) ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
+    behaviour policy) and E[rho_0..t^2 1{x_t = x}] ("tree"). They bind estimators that assume no more, importance sampling
+    and doubly robust ones among them. A FiniteMDP has one kernel; who pools the moves of all steps may be below.
+    "stationary": one kernel, the first state's law and the rewards known, the Cramer-Rao bound
+
+        sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / sum_t beta_t(x),    G_x(s') = sum_t gamma^t alpha_t(x) (r + gamma V_{t+1}(s')),
+
+    since the log-likelihood of an episode is a sum over its moves, so that a row's information is that of one move times
+    the row's expected visits. ``estimators.ModelBased`` (maximum likelihood) attains it. Never above "mdp".
 
     Parameters
     ----------
     mdp : FiniteMDP, the target
     behavior_policy, policy : (S, A)
     horizon : positive int
-    model : "mdp" | "tree"
+    model : "mdp" | "tree" | "stationary"
 
     Returns
     -------
@@ -192,23 +208,26 @@ def trajectory_efficiency_bound(
     >>> import oee_tabular as oee
     >>> steer = oee.FiniteMDP([[[0.9, 0.1], [0.1, 0.9]]] * 2, [0.0, 1.0], [1.0, 0.0], 1.0)
     >>> even, right = [[0.5, 0.5]] * 2, [[0.0, 1.0]] * 2
-    >>> [round(trajectory_efficiency_bound(steer, even, right, horizon=3, model=m), 4) for m in ("mdp", "tree")]
-    [0.4752, 0.54]
+    >>> [round(trajectory_efficiency_bound(steer, even, right, horizon=3, model=m), 4) for m in ("stationary", "mdp", "tree")]
+    [0.2547, 0.4752, 0.54]
     >>> round(oee.policy_is_moments(steer, even, right, horizon=3).variance, 4)  # importance sampling's
     14.04
     """
     require_mdp(mdp)
     steps = _checks.positive_integer(horizon, "horizon")
-    _checks.one_of(model, "model", ("mdp", "tree"))
+    _checks.one_of(model, "model", ("mdp", "tree", "stationary"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)
     require_action_support(mdp, behavior, pi, steps)
     plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
+    under_behavior = forward_measure(walk_of(mdp, behavior), steps, power=1)[:, 0]
+    if model == "stationary":
+        visits = (under_behavior[:steps].sum(axis=0)[:, None] * behavior).reshape(-1)
+        return _weighted_sum(_row_variance(mdp, transition_gradient(mdp, pi, horizon=steps)), visits)
     values = values_to_go(plain, steps)
     value = dot(mdp.initial, values[0])
     total = dot(mdp.initial, (values[0] - value) ** 2)
     under_policy = forward_measure(plain, steps, power=1)[:, 0]
-    under_behavior = forward_measure(walk_of(mdp, behavior), steps, power=1)[:, 0]
     squared = forward_measure(weighted, steps, power=2)[:, 0]
     matrix, n_actions = mdp.transitions, mdp.n_actions
     entry: IntArray = row_of_entry(matrix)

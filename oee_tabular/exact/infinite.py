@@ -28,16 +28,16 @@ def infinite_values(model: Model, policy: Array, certify: bool) -> Found:
     """
     shift = exponent(model.rewards)
     if shift == 0:
-        return _values(model, model.rewards, policy, certify)
-    values, value, bound, method, certified = _values(model, np.ldexp(model.rewards, -shift), policy, certify)
+        return _values(model, 0, policy, certify)
+    values, value, bound, method, certified = _values(model, shift, policy, certify)
     values, bound, certified = scaled_back(values, bound, certified, shift)
     with np.errstate(over="ignore", under="ignore"):
         return values, float(np.ldexp(value, shift)), bound, method, certified
 
 
-def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
-    """The same for rewards ``paid`` (S, A) of ordinary size."""
-    policy, paid = readable(np.ascontiguousarray(policy)), readable(np.ascontiguousarray(paid))
+def _values(model: Model, shift: int, policy: Array, certify: bool) -> Found:
+    """The same for the rewards over 2^shift, which are of ordinary size."""
+    policy, paid = readable(np.ascontiguousarray(policy)), _scaled(model.rewards, shift)
     if model.n_states <= TINY and model.discount < 1.0 and not certify:
         values, bound = _tiny(model, paid, policy)
         if np.isfinite(bound):
@@ -58,13 +58,22 @@ def _values(model: Model, paid: Array, policy: Array, certify: bool) -> Found:
         return solution.x, expected(model, policy, solution.x), solution.error_bound, solution.method, None
     rows = model.transitions
     given = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
-    low, high_pay, low_pay = twofold.average_rest(*given, paid, indptr, columns, data)
+    lost, widest = np.zeros_like(paid), 0
+    if model.reward_data is not None:  # r(s, a) = sum P r(s, a, s') was rounded
+        lost, size = twofold.expected_rest(given[0], given[2], _scaled(model.reward_data, shift), paid)
+        widest, largest = int(np.diff(rows.indptr).max()), max(largest, size)
+    low, high_pay, low_pay = twofold.average_rest(*given, paid, lost, indptr, columns, data)
     if recurrent is not None:
         low[np.repeat(recurrent, np.diff(indptr.astype(np.int64)))] = 0.0
-    slack = (0.5 * np.finfo(float).eps * (model.n_actions + 4)) ** 2 * largest
+    slack = (0.5 * np.finfo(float).eps * (model.n_actions + widest + 8)) ** 2 * largest
     found = solve_certified(system, low, readable(high_pay), low_pay, inverse_norm(system), slack)
     value = twofold.dot(model.initial, found.high, found.low)
     return found.high, float(value), found.error_bound, found.method, found.certified
+
+
+def _scaled(numbers: Array, shift: int) -> Array:
+    scaled: Array = readable(np.ascontiguousarray(np.ldexp(numbers, -shift) if shift else numbers))
+    return scaled
 
 
 def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:

@@ -78,6 +78,8 @@ def weighted_return_moments(
 ) -> Moments:
     """Of the paper's product of ratios on one rollout of the simulator, W_t = zeta_1 ... zeta_t.
 
+    In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
+
     per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G (W_T where rewards depend on s').
 
     Parameters
@@ -125,7 +127,8 @@ def policy_is_moments(
 ) -> Moments:
     """Of policy importance sampling on one episode of ``behavior_policy``, rho_t = prod_{k <= t} policy / behavior.
 
-    per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G.
+    per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. In absorbing states that pay nothing, where an
+    episode is over, rho_t stands still whatever the two policies do there.
 
     Parameters
     ----------
@@ -312,6 +315,8 @@ def values_to_go(walk: Walk, steps: int) -> Array:
 
 def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int) -> tuple[Array, Array]:
     """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
+
+    In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
 
     E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t -> ``weight_growth``.
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, on_pattern, row_sums
+from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 
@@ -129,7 +129,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     if not sparse.issparse(values) or values.shape != mdp.transitions.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ValueError(f"ratio must be sparse of shape {mdp.transitions.shape}, row s*A + a; got {found}")
-    zeta, _ = align(canonical(values, drop_zeros=False), mdp.transitions)
+    zeta, _ = align(canonical(checked(values, "ratio"), drop_zeros=False), mdp.transitions)
     bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
     if bad.size:
         where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions)

@@ -65,7 +65,8 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     -------
     PolicyValues
         ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf, ``method`` and ``certified``. V* is the exact
-        solution for the numbers as they are stored.
+        solution for the numbers as they are stored: with ``certify`` for r(s, a, s') where rewards depend on the next
+        state, else for ``rewards`` (S, A), the rounded expectation.
 
     Raises
     ------

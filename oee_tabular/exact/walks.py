@@ -10,7 +10,7 @@ from scipy import sparse
 
 from oee_tabular import _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical
+from oee_tabular._sparse import align, canonical, checked
 from oee_tabular._threads import dot
 from oee_tabular.exact.finite import CACHED, locked, rows_of
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
@@ -118,7 +118,7 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
             raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
         if np.iscomplexobj(values):
             raise ValueError("zeta must hold real numbers; it is complex")
-        w, _ = align(canonical(values, drop_zeros=False), matrix)
+        w, _ = align(canonical(checked(values, "zeta"), drop_zeros=False), matrix)
         if not 0.0 <= w.min() <= w.max() < np.inf:
             bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
             raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")

@@ -11,7 +11,7 @@ from oee_tabular.experiments import output as out
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.registry import Experiment
 from oee_tabular.experiments.run import require_modules, run_experiment
-from oee_tabular.experiments.store import Store
+from oee_tabular.experiments.store import Store, alone
 
 
 def listing() -> str:
@@ -66,11 +66,12 @@ def reproduce(
             Store(folder / experiment.id, settings[experiment.id])
     for experiment in chosen:
         start = time.perf_counter()
-        sweep = run_experiment(
-            experiment, folder / experiment.id, settings[experiment.id], jobs=jobs, dask=dask, fresh=fresh,
-            progress=sys.stderr.isatty(),
-        )  # fmt: skip
-        out.write(experiment, Store(folder / experiment.id, settings[experiment.id]))
+        own, asked = folder / experiment.id, settings[experiment.id]
+        with alone(own):
+            sweep = run_experiment(
+                experiment, own, asked, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty()
+            )
+            out.write(experiment, Store(own, asked))
         say(f"{out.describe(sweep)} ({time.perf_counter() - start:.0f} s)")
     say(f"Index: {out.index(folder, EXPERIMENTS)}")
     for sentence in left_out:

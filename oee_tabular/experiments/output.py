@@ -49,8 +49,8 @@ def write(experiment: Experiment, store: Store) -> list[Path]:
     table = table_of(store)
     summary = summary_of(experiment, table)
     contents = {
-        "table.csv": table.to_csv(index=False).encode(),
-        "summary.csv": summary.to_csv(index=False, float_format="%.6g").encode(),
+        "table.csv": _files.csv_bytes(table),
+        "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
         "summary.md": markdown(experiment, store, summary).encode(),
         **figures(experiment, table, summary),
     }

@@ -8,6 +8,7 @@ sweep goes on from there.
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ def run_experiment(
 
     Parameters
     ----------
-    jobs : processes on this machine; -1: one a core
+    jobs : processes on this machine, no more than cells are left; -1: one a core
     dask : address of a dask scheduler; the cells go there instead
     fresh : empty the folder first
 
@@ -104,8 +105,8 @@ def run_experiment(
     RuntimeError
         A worker with another version of the package, or with several threads; workers that died three times in a row.
     """
-    if jobs == 0 or jobs < -1:
-        raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs}")
+    if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
+        raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
     require_modules(experiment)
     with _backend(jobs, dask) as parallel:
         store = Store(folder, settings, fresh=fresh)
@@ -121,14 +122,16 @@ def run_experiment(
 
 
 def _compute(
-    experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], parallel: Callable[[], Any], bar: Any
+    experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], parallel: Callable[[int], Any], bar: Any
 ) -> None:
     left, attempt = dict(enumerate(todo)), 0
     while True:
         before = len(left)
         tasks = (joblib.delayed(_task)((k, experiment.run, settings, cell, store.code)) for k, cell in left.items())
         try:
-            for number, rows in parallel()(list(tasks)):
+            with _deaf():
+                results = parallel(len(left))(list(tasks))
+            for number, rows in results:
                 store.add(left.pop(number), rows)
                 bar.update()
             return
@@ -143,6 +146,19 @@ def _compute(
                 ) from error
 
 
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes that are started here are not interrupted by Ctrl-C: this one is, and ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _died(error: Exception) -> bool:
     """Whether a worker was killed, rather than the cell's own code failing."""
     from concurrent.futures.process import BrokenProcessPool
@@ -151,11 +167,14 @@ def _died(error: Exception) -> bool:
 
 
 @contextlib.contextmanager
-def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[], Any]]:
-    """What makes a ``joblib.Parallel`` that yields results as they come."""
+def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[int], Any]]:
+    """What makes a ``joblib.Parallel`` for a number of cells, which yields results as they come."""
 
-    def parallel() -> Any:
-        return joblib.Parallel(n_jobs=-1 if dask else jobs, return_as="generator_unordered", batch_size=1)
+    def parallel(cells: int) -> Any:
+        most = joblib.cpu_count() if jobs == -1 else jobs
+        return joblib.Parallel(
+            n_jobs=-1 if dask else max(1, min(most, cells)), return_as="generator_unordered", batch_size=1
+        )
 
     if dask is None:
         with joblib.parallel_config("loky", inner_max_num_threads=1) if jobs != 1 else contextlib.nullcontext():

@@ -12,10 +12,11 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from oee_tabular import _files
+from oee_tabular import _files, _lock
 from oee_tabular.experiments.registry import Cell, Row, Settings
 from oee_tabular.testing.command import own_modules
 
@@ -62,6 +63,17 @@ def _settings_in(path: Path) -> dict[str, Any]:
     return found
 
 
+def alone(folder: Path) -> AbstractContextManager[None]:
+    """The results folder for one command at a time: the second is refused with a ValueError."""
+    _require_folder(folder)
+    return _lock.only_one(folder)
+
+
+def _require_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} must be a folder; it is a file")
+
+
 class Store:
     """The results folder of one experiment.
 
@@ -76,15 +88,15 @@ class Store:
         self.code = code_version(*settings.modules) if code is None else code
         self._file = folder / "settings.json"
         self._cells = folder / "cells.jsonl"
-        if folder.exists() and not folder.is_dir():
-            raise ValueError(f"{folder} must be a folder; it is a file")
+        _require_folder(folder)
         if fresh and folder.exists():
-            if any(folder.iterdir()) and not self._file.is_file():
+            present = [path for path in folder.iterdir() if path.name != _lock.NAME]
+            if present and not self._file.is_file():
                 raise ValueError(f"{folder} must be a results folder to be emptied; it has no settings.json")
-            others = sorted(path.name for path in folder.iterdir() if path.name not in FILES and path.suffix != ".part")
+            others = sorted(path.name for path in present if path.name not in FILES and path.suffix != ".part")
             if others:
                 raise ValueError(f"{folder} must hold results only to be emptied; it holds {', '.join(others[:3])}")
-            for path in folder.iterdir():
+            for path in present:
                 path.unlink()
         if self._file.is_file():
             self._compare(_settings_in(self._file))
@@ -148,9 +160,12 @@ class Store:
         """Keep a finished cell, written before this returns."""
         key = cell_key(self.settings, cell, self.code)
         line = self._line(key, rows)
-        with self._cells.open("a") as handle:
-            handle.write(line)
-            handle.flush()
+        try:
+            with self._cells.open("a") as handle:
+                handle.write(line)
+                handle.flush()
+        except OSError as error:
+            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(self._cells)) from None
         self._done[key] = json.loads(line)["rows"]
 
     def rows(self) -> list[Row]:

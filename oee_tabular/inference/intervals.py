@@ -151,7 +151,7 @@ def interval(
             return Interval(np.nan, np.nan, level, method, diagnostics | {"contradicted_rows": wrong}, status)
     if method == "delta":
         lower, upper, error = delta_ends(evidence, level)
-        return Interval(lower, upper, level, method, diagnostics | {"standard_error": error})
+        return _sampled(lower, upper, error, evidence, level, method, diagnostics)
     if method == "bootstrap":
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         value, values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
@@ -159,7 +159,7 @@ def interval(
         low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
         if bootstrap == "basic":
             low, high = 2.0 * value - high, 2.0 * value - low
-        return Interval(low, high, level, method, diagnostics | {"standard_error": float(values.std(ddof=1))})
+        return _sampled(low, high, float(values.std(ddof=1)), evidence, level, method, diagnostics)
     if method == "likelihood":
         ends = [profile_end(evidence, level, sign) for sign in (-1.0, 1.0)]
         added = {
@@ -179,6 +179,18 @@ def interval(
         "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
     }
     return Interval(low_end.bound, high_end.bound, level, method, diagnostics | certified)
+
+
+def _sampled(
+    lower: float, upper: float, error: float, evidence: Evidence, level: float, method: str, diagnostics: dict[str, Any]
+) -> Interval:
+    """An interval from the log's own variation; without any there is none, and neither error nor interval."""
+    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reached_rows(evidence)).any():
+        return Interval(lower, upper, level, method, diagnostics | {"standard_error": error})
+    status = (
+        "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
+    )
+    return Interval(np.nan, np.nan, level, method, diagnostics | {"standard_error": np.nan}, status)
 
 
 def _coverage(evidence: Evidence) -> dict[str, Any]:

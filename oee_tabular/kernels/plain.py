@@ -71,35 +71,21 @@ clipped = njit(cache=True, error_model="numpy")(clipped)
 def between(
     left: Any, right: Any, share: Any, p: Any, q: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any
 ) -> Any:
-    """Write g = share g(left) + (1 - share) g(right); returns sum q (g - 1)."""
+    """Write g = share g(left) + (1 - share) g(right)."""
     high_end, low_end = 1.0 / left, 1.0 / right
-    excess = 0.0
-    block = low
-    while block < high:
-        end = min(block + BLOCK, high)
-        part = 0.0
-        for x in range(block, end):
-            above = clipped(p[x], q[x], high_end, lower, upper)
-            below = clipped(p[x], q[x], low_end, lower, upper)
-            value = below + share * (above - below)
-            g[x] = value
-            part += q[x] * (value - 1.0)
-        excess += part
-        block = end
-    return excess
+    for x in range(low, high):
+        above = clipped(p[x], q[x], high_end, lower, upper)
+        below = clipped(p[x], q[x], low_end, lower, upper)
+        g[x] = below + share * (above - below)
 
 
 between = njit(cache=True, error_model="numpy")(between)
 
 
-def solve_plain_rows(
-    p: Any, q: Any, lower: Any, upper: Any, indptr: Any, g: Any, left: Any, right: Any, m: Any, gap: Any
-) -> Any:
-    """Fill g, the bracket of m, m and the gap of every row that this method solves; the others get gap nan, and are counted.
+def solve_plain_rows(p: Any, q: Any, lower: Any, upper: Any, indptr: Any, g: Any, left: Any, right: Any, m: Any) -> Any:
+    """Fill g, the bracket of m and m of every row that this method solves; the others get m nan, and are counted.
 
-    With phi(left) >= sum q >= phi(right) the gap is at most (right - left)(phi(left) - phi(right)) + |m - 1| |sum q (g - 1)|:
-    for a minimiser y at one end and g at the other, h(g) - h(y) <= h'(g)(g - y) <= (right - left) q |g - y|, and the
-    combinations of the two follow by convexity. m = 1 where it solves the row exactly, so that p = q gives g = 1.
+    phi(left) >= sum q >= phi(right). m = 1 where it solves the row exactly, so that p = q gives g = 1.
     """
     unsolved = 0
     for k in range(len(indptr) - 1):
@@ -124,14 +110,13 @@ def solve_plain_rows(
                     width *= 4.0
                 middle = trial
         if not settled:
-            gap[k] = np.nan
+            m[k] = np.nan
             unsolved += 1
             continue
         share = (target - least) / (most - least) if most > least else 1.0
-        excess = between(start, stop, share, p, q, lower, upper, low, high, g)
+        between(start, stop, share, p, q, lower, upper, low, high, g)
         left[k], right[k] = start, stop
         m[k] = start if share >= 0.5 else stop
-        gap[k] = (stop - start) * (most - least) + abs((m[k] - 1.0) * excess)
     return unsolved
 
 

@@ -34,7 +34,7 @@ def inner(b: Any, p: Any, q: Any, a: Any, box: Any, low: Any, high: Any, scratch
         mass += q[x]
     theta = 0.0
     if mass > 0.0:
-        m, _, _, _ = solve_row(p, scaled, bent, zero, least, most, low, high, out)
+        m, _, _ = solve_row(p, scaled, bent, zero, least, most, low, high, out)
         theta = m - 1.0
     else:
         for x in range(low, high):
@@ -151,12 +151,15 @@ def solve_box(
             break
         b = trial
     gap, slope, turn = certify(b, theta, p, q, a, pair, box, low, high, out, push, press)
-    if slope != 0.0 and turn != 0.0:  # where B cannot move theta is free in an interval: take the one that suits b
-        better = theta - slope / turn
-        other, _, _ = certify(b, better, p, q, a, pair, box, low, high, out, push, press)
+    trial = theta
+    for _ in range(8):  # where B cannot move theta is free in an interval: take the one that suits b
+        if slope == 0.0 or turn == 0.0:
+            break
+        trial -= slope / turn
+        other, slope, turn = certify(b, trial, p, q, a, pair, box, low, high, out, push, press)
         if other < gap:
-            return b, better, other
-        gap, _, _ = certify(b, theta, p, q, a, pair, box, low, high, out, push, press)
+            gap, theta = other, trial
+    certify(b, theta, p, q, a, pair, box, low, high, out, push, press)
     return b, theta, gap
 
 

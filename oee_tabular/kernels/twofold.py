@@ -48,10 +48,41 @@ def two_product(a: Any, b: Any) -> Any:
 two_product = njit(cache=True)(two_product)
 
 
+def expected_rest(indptr: Any, data: Any, pay: Any, rewards: Any) -> Any:
+    """What ``rewards`` (S, A), the rounded sums of data * pay over the rows, have lost; the largest sum of |data * pay|."""
+    n_actions = rewards.shape[1]
+    low, largest = np.empty_like(rewards), 0.0
+    for row in range(rewards.size):
+        total, rest, size = 0.0, 0.0, 0.0
+        for k in range(indptr[row], indptr[row + 1]):
+            product, error = two_product(data[k], pay[k])
+            total, carry = two_sum(total, product)
+            rest += carry + error
+            size += abs(product)
+        state, action = row // n_actions, row % n_actions
+        low[state, action] = (total - rewards[state, action]) + rest
+        largest = max(largest, size)
+    return low, largest
+
+
+expected_rest = njit(cache=True)(expected_rest)
+
+
 def average_rest(
-    indptr: Any, indices: Any, data: Any, policy: Any, rewards: Any, starts: Any, columns: Any, values: Any
+    indptr: Any,
+    indices: Any,
+    data: Any,
+    policy: Any,
+    rewards: Any,
+    rest_of: Any,
+    starts: Any,
+    columns: Any,
+    values: Any,
 ) -> Any:
-    """What ``policy_rows.average_rows`` and ``average_rewards`` rounded away: low parts of the kernel, rewards and theirs."""
+    """What ``policy_rows.average_rows`` and ``average_rewards`` rounded away: low parts of the kernel, rewards and theirs.
+
+    ``rest_of`` (S, A): low parts of ``rewards``.
+    """
     n_states, n_actions = policy.shape
     low = np.empty(len(columns))
     high_sums, low_sums = np.zeros(n_states), np.zeros(n_states)
@@ -68,7 +99,7 @@ def average_rest(
                 continue
             product, error = two_product(weight, rewards[state, action])
             total, carry = two_sum(total, product)
-            rest += carry + error
+            rest += carry + error + weight * rest_of[state, action]
             for k in range(indptr[state * n_actions + action], indptr[state * n_actions + action + 1]):
                 j = indices[k]
                 product, error = two_product(weight, data[k])

@@ -16,7 +16,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, find, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, checked, checked_rows, find, row_of_entry, row_sums
 from oee_tabular.mdp.layout import check_layout
 
 KIND = "finite_mdp"
@@ -255,26 +255,22 @@ class FiniteMDP:
         arrays = _files.load_npz(
             path, KIND, hint="make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
         )
-        try:
-            n_states, n_actions = (int(n) for n in arrays["shape"])
-            shape = (n_states * n_actions, n_states)
+        with _files.parts_of(path, "a FiniteMDP"):
+            shape = _stored_shape(arrays["shape"])
 
             def matrix(name: str) -> sparse.csr_array:
-                parts = tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-                return sparse.csr_array(parts, shape=shape)
+                data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+                return checked_rows(data, indices, indptr, shape, name)
 
             rewards = arrays["rewards"] if "rewards" in arrays else matrix("rewards")
-            transitions = matrix("transitions")
-            rest = (arrays["initial"], float(arrays["discount"]))
-            terminal = arrays["terminal_state"]
-        except KeyError as error:
-            raise ValueError(f"{str(path)!r} must hold every part of a FiniteMDP; {error} is missing") from None
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{str(path)!r} must hold the parts of a FiniteMDP; {error}") from None
-        try:
-            return cls(transitions, rewards, *rest, terminal_state=terminal, layout=arrays.get("layout"))
-        except ValueError as error:
-            raise ValueError(f"{str(path)!r}: {error}") from None
+            return cls(
+                matrix("transitions"),
+                rewards,
+                arrays["initial"],
+                float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
+                terminal_state=arrays["terminal_state"],
+                layout=arrays.get("layout"),
+            )
 
     @classmethod
     def from_gymnasium(cls, env: Any, discount: float = 0.99) -> Self:
@@ -318,7 +314,7 @@ def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
         if transitions.ndim != 2 or transitions.shape[1] == 0 or transitions.shape[0] % transitions.shape[1]:
             raise ValueError(f"transitions must have shape (S*A, S) when sparse; it has shape {transitions.shape}")
         n_states = int(transitions.shape[1])
-        rows = transitions
+        rows = checked(transitions, "transitions")
     else:
         dense = _checks.float_array(transitions, "transitions", ndim=3)
         if dense.shape[0] != dense.shape[2]:
@@ -330,8 +326,6 @@ def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
     if n_states == 0 or rows.shape[0] == 0:
         raise ValueError(f"transitions must have at least one state and one action; it has shape {transitions.shape}")
     n_actions = rows.shape[0] // n_states
-    if np.iscomplexobj(rows):
-        raise ValueError("transitions must be real numbers; they are complex")
     raw = sparse.csr_array(rows, dtype=np.float64)
     bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
     if bad.size:
@@ -371,7 +365,7 @@ def _reward_table(
         raise ValueError(
             f"rewards must have shape {(n_states * n_actions, n_states)} when sparse; it has shape {rewards.shape}"
         )
-    given = canonical(rewards, drop_zeros=False)
+    given = canonical(checked(rewards, "rewards"), drop_zeros=False)
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_move(given, int(bad[0]), n_actions)
@@ -383,6 +377,14 @@ def _reward_table(
     columns = np.concatenate([given.indices, matrix.indices[~stored]])
     data = np.concatenate([given.data, np.zeros(int((~stored).sum()))])
     return canonical_table(rows, columns, data, given.shape), np.empty(0)
+
+
+def _stored_shape(stored: Any) -> tuple[int, int]:
+    """(S*A, S) from the (S, A) of a file."""
+    if stored.shape != (2,) or stored.dtype.kind not in "iu" or stored.min() < 1:
+        raise ValueError(f"shape must be two positive integers, states and actions; it is {stored.tolist()!r:.80}")
+    n_states, n_actions = stored.tolist()
+    return n_states * n_actions, n_states
 
 
 def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]) -> sparse.csr_array:

@@ -47,13 +47,15 @@ class Conditional(Method):
     ----------
     prior : "average" (default) | "tilt" (default where ``features`` or ``smoothness`` is given) | "simulator" | "none"
         The row that every row is shrunk to: the simulator's, that of its conditional exponential tilt zeta proportional to
-        exp(theta . phi), fitted to all rows together (theta varies over the states where the log gives evidence that it
-        does), or the average by evidence of these two and of tilts along directions made from the simulator and the values
-        of the policies that matter (``ratio.centre``).
+        exp(theta . phi), fitted to all rows together under the penalty |theta|^2 / 2 on standardised features, a unit
+        Gaussian prior (theta varies over the states where the log gives evidence that it does), or the average by
+        evidence of these two and of tilts along directions made from the simulator and the values of the policies that
+        matter (``ratio.centre``).
     strength : "evidence" (default) | "loo", or a nonnegative number
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
-        likelihood or by leave-one-out, one for each kind of rows (those in which the simulator has the same
-        probabilities), or given. ``details`` has the choice, its curve and its meaning.
+        likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
+        probabilities; kinds with fewer than 5 visited rows or 100 moves are pooled), or given. ``details`` has the choice,
+        its curve and its meaning.
     features : phi for the tilt: None (log P, and (log P)^2 where the evidence asks for it), an array aligned with
         ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of (s, a, s');
         ``oee.ratio.action_displacement`` makes some
@@ -258,9 +260,5 @@ def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -
         return solution.ratio, float(solution.gap.max()), {"enclosure": solution.enclosure()}
     found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
     zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-    gaps = []
-    for low, high, m in zip(indptr[:-1], indptr[1:], found.multiplier, strict=True):
-        row = slice(low, high)
-        part = dual.Coordinates(program.p[row], program.q[row], program.curvature[row], program.center[row])
-        gaps.append(abs(dual.objective(zeta[row], part) - dual.dual_value(1.0 + m, part, box.lower, box.upper)))
-    return zeta, max(gaps), {}
+    gaps = dual.row_gaps(program, zeta, 1.0 + found.multiplier, box.lower, box.upper, indptr)
+    return zeta, float(gaps.max()), {}

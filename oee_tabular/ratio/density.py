@@ -192,15 +192,16 @@ def density_ratio(
     if sgd is not None:
         _check_sgd(box, normalized, loss)
         g, trace = descend(program, box.lower, box.upper, sgd, seed)
-        m, gap, (below, above) = 1.0, float(trace.excess[-1]), (g, g)
+        m, below, above = 1.0, g, g
     else:
-        g, m, gap, (below, above) = _solve(program, box, normalized, solver)
+        g, m, (below, above) = _solve(program, box, normalized, solver)
+    gap = _gap(program, g, m if normalized else None, box)
     if not (np.all(np.isfinite(g)) and np.isfinite(gap)):
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
             f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
         )
-    value = _value(g, pk, qk, curvature, center, loss)
+    value = dual.objective(g, program)
     default = min(max(1.0 if toward is None else center, box.lower), box.upper)
 
     def full(values: Array) -> Array:
@@ -280,14 +281,6 @@ def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
         )
 
 
-def _value(g: Array, p: Array, q: Array, curvature: Array, center: float, loss: str) -> float:
-    penalty = 0.5 * float(curvature @ (g - center) ** 2)
-    if loss == "chi2":
-        return float(q @ g**2) / 2.0 - float(p @ g) + penalty
-    seen = p > 0
-    return float(q @ g) - float(p[seen] @ np.log(g[seen])) + penalty
-
-
 def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
     """The dual estimate of KL(p || q); the least-squares loss estimates no KL divergence."""
     return float(p @ np.log(g)) - mass + 1.0 if loss == "kl" else float("nan")
@@ -295,18 +288,23 @@ def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
 
 def _solve(
     program: dual.Coordinates, box: Box, normalized: bool, solver: Any
-) -> tuple[Array, float, float, tuple[Array, Array]]:
-    """The minimiser, m = 1 + multiplier, the gap, and the enclosure."""
+) -> tuple[Array, float, tuple[Array, Array]]:
+    """The minimiser, m = 1 + multiplier, and the enclosure."""
     indptr = np.array([0, len(program.p)], dtype=np.int64)
     if solver == "dual":
         if normalized:
             solution = dual.solve_rows(program, box.lower, box.upper, indptr)
-            return solution.ratio, float(solution.m[0]), float(solution.gap[0]), solution.enclosure()
+            return solution.ratio, float(solution.m[0]), solution.enclosure()
         g = dual.solve_free(program, box.lower, box.upper)
-        return g, 1.0, 0.0, (g, g)
+        return g, 1.0, (g, g)
     found = programs.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
     g = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     m = 1.0 + float(found.multiplier[0]) if normalized else 1.0
-    gap = abs(dual.objective(g, program) - dual.dual_value(m, program, box.lower, box.upper))
-    anywhere = np.full(len(g), box.lower), np.full(len(g), box.upper)
-    return g, m, gap, anywhere
+    return g, m, (np.full(len(g), box.lower), np.full(len(g), box.upper))
+
+
+def _gap(program: dual.Coordinates, g: Array, m: float | None, box: Box) -> float:
+    """The duality gap of whatever a solver gave, from the program as stated."""
+    multiplier = None if m is None else np.array([m])
+    indptr = np.array([0, len(g)], dtype=np.int64)
+    return float(dual.row_gaps(program, g, multiplier, box.lower, box.upper, indptr)[0])

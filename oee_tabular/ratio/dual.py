@@ -1,8 +1,11 @@
-"""The structured solver: rows of a separable KL program, each through a one-dimensional dual root, with its gap.
+"""The structured solver: rows of a separable program, each through a one-dimensional dual root, with its gap.
 
-Program of a row (the paper's estimator with the constraint sum beta q = 1):
+Program of a row (the paper's estimator with the constraint sum beta q = 1; with q g^2 / 2 - p g for q g - p log g where it is
+least squares):
 
     minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q.
+
+The kernel solves q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``kernels.certificate``).
 """
 
 from __future__ import annotations
@@ -16,12 +19,20 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class Coordinates:
-    """A separable program in the kernel's form: sum q g - p log g + curvature/2 (g - center)^2, entry by entry."""
+    """A separable program as it is stated, entry by entry; ``squares``: least squares for the KL risk."""
 
     p: Array
     q: Array
     curvature: Array
     center: Array
+    squares: bool = False
+
+    def kernel_form(self) -> tuple[Array, Array, Array, Array]:
+        """(p, q, a, pull) of q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
+        pull = self.curvature * self.center
+        if self.squares:
+            return np.zeros_like(self.p), self.q, self.q + self.curvature, self.p + pull + self.q
+        return self.p, self.q, self.curvature, pull
 
 
 def kl_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
@@ -30,13 +41,8 @@ def kl_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coord
 
 
 def lsif_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
-    """sum q g^2 / 2 - p g + curvature/2 (g - toward)^2: least squares (LSIF), the chi-square divergence's dual.
-
-    Up to a constant, (q + A)/2 (g - c')^2 + q g with (q + A) c' = p + A toward + q.
-    """
-    bend = q + curvature
-    center = np.divide(p + curvature * toward + q, bend, out=np.zeros_like(p), where=bend > 0)
-    return Coordinates(np.zeros_like(p), q, bend, center)
+    """sum q g^2 / 2 - p g + curvature/2 (g - toward)^2: least squares (LSIF), the chi-square divergence's dual."""
+    return Coordinates(p, q, curvature, np.full(len(p), toward), squares=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +70,12 @@ class RowSolution:
         """
         from oee_tabular.kernels import duals, plain
 
-        part, found = self.program, []
+        (p, q, a, pull), found = self.program.kernel_form(), []
         for ends in (self.right, self.left):
             values = self.ratio.copy()
             open_ends = np.where(self.left < self.right, ends, np.nan)
-            plain.plain_minimisers(
-                np.where(self.plain, open_ends, np.nan), part.p, part.q, *self.box, self.indptr, values
-            )
-            duals.minimisers(
-                np.where(self.plain, np.nan, open_ends),
-                part.p, part.q, part.curvature, part.center, *self.box, self.indptr, values,
-            )  # fmt: skip
+            plain.plain_minimisers(np.where(self.plain, open_ends, np.nan), p, q, *self.box, self.indptr, values)
+            duals.minimisers(np.where(self.plain, np.nan, open_ends), p, q, a, pull, *self.box, self.indptr, values)
             found.append(values)
         return found[0], found[1]
 
@@ -89,18 +90,19 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     from oee_tabular.kernels import duals, plain
 
     rows = indptr.astype(np.int64)
-    p, q = program.p, program.q
+    p, q, a, pull = program.kernel_form()
     n_rows = len(rows) - 1
     ratio = np.empty(len(p))
-    left, right, m, gap = (np.empty(n_rows) for _ in range(4))
-    if lower == 1.0 or upper == 1.0 or program.curvature.any():
+    left, right, m = (np.empty(n_rows) for _ in range(3))
+    if lower == 1.0 or upper == 1.0 or a.any() or pull.any():
         quick, todo = np.zeros(n_rows, dtype=bool), np.arange(n_rows)
     else:
-        plain.solve_plain_rows(p, q, lower, upper, rows, ratio, left, right, m, gap)
-        quick = ~np.isnan(gap)
+        plain.solve_plain_rows(p, q, lower, upper, rows, ratio, left, right, m)
+        quick = ~np.isnan(m)
         todo = np.flatnonzero(~quick)
     if todo.size:
-        duals.solve_rows(p, q, program.curvature, program.center, lower, upper, rows, todo, ratio, left, right, m, gap)
+        duals.solve_rows(p, q, a, pull, lower, upper, rows, todo, ratio, left, right, m)
+    gap = row_gaps(program, ratio, m, lower, upper, rows)
     return RowSolution(ratio, m, gap, left, right, quick, program, (lower, upper), rows)
 
 
@@ -108,23 +110,31 @@ def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
     from oee_tabular.kernels import duals
 
-    return np.asarray(duals.solve_free(program.p, program.q, program.curvature, program.center, lower, upper))
+    return np.asarray(duals.solve_free(*program.kernel_form(), lower, upper))
 
 
-def dual_value(m: float, program: Coordinates, lower: float, upper: float) -> float:
-    """The dual function of one row at multiplier m - 1: a lower bound on the optimum, whatever m is."""
-    from oee_tabular.kernels import duals
+def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:
+    """(rows,) duality gaps of any g with multipliers ``m`` - 1 of the rows' equalities (None: there is no equality).
 
-    y, p, q = np.empty(len(program.p)), program.p, program.q
-    duals.fill_row(m, p, q, program.curvature, program.center, lower, upper, 0, len(p), y)
-    if not np.all(np.isfinite(y)):
-        return -np.inf
-    return objective(y, program) + (m - 1.0) * float(q @ (y - 1.0))
+    From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
+    """
+    from oee_tabular.kernels import certificate
+
+    multiplier = np.ones(len(indptr) - 1) if m is None else m
+    return np.asarray(
+        certificate.row_gaps(
+            program.squares, multiplier, program.p, program.q, program.curvature, program.center, lower, upper, indptr,
+            m is not None, g,
+        )
+    )  # fmt: skip
 
 
 def objective(g: Array, program: Coordinates) -> float:
-    """sum q g - p log g + curvature/2 (g - center)^2."""
+    """sum q g - p log g (or q g^2 / 2 - p g) + curvature/2 (g - center)^2."""
+    penalty = 0.5 * float(program.curvature @ (g - program.center) ** 2)
+    if program.squares:
+        return 0.5 * float(program.q @ g**2) - float(program.p @ g) + penalty
     seen = program.p > 0
     with np.errstate(divide="ignore"):
         logs = float(program.p[seen] @ np.log(g[seen]))
-    return float(program.q @ g) - logs + 0.5 * float(program.curvature @ (g - program.center) ** 2)
+    return float(program.q @ g) - logs + penalty

@@ -69,15 +69,17 @@ def solve_joint(program: JointProgram) -> JointSolution:
     big = segment_sums(program.q, program.indptr)  # D = sum_s' d, the simulator's d(s, a) up to rounding
     if program.least > 0.0 or program.most < np.inf:
         box = (program.lower, program.upper, program.least, program.most)
-        moves, pairs, theta, _, _, gap = ratio_box.solve_all_boxed(
+        moves, pairs, theta, push, press, _ = ratio_box.solve_all_boxed(
             program.p, program.q, program.bend, program.s, program.r, program.stiffness, big, box, program.indptr
         )
     else:
-        moves, pairs, theta, gap = joint.solve_all(
+        push, press = np.zeros(len(program.p)), np.zeros(len(program.p))
+        moves, pairs, theta, _ = joint.solve_all(
             program.p, program.q, program.bend, program.q, program.s, program.r, program.stiffness, big,
             program.lower, program.upper, program.indptr,
         )  # fmt: skip
-    return JointSolution(moves, pairs, theta, np.maximum(gap, 0.0), joint_objective(program, moves, pairs))
+    gap = joint_gaps(program, moves, pairs, theta, push, press)
+    return JointSolution(moves, pairs, theta, gap, joint_objective(program, moves, pairs))
 
 
 def joint_objective(program: JointProgram, moves: Array, pairs: Array) -> float:
@@ -177,9 +179,11 @@ class Joint(Method):
         else:
             point = programs.solve_joint(program, solver=self.solver)
             moves, pairs = point.moves, point.pairs
-            # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a lower bound
-            bound = max(joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1.0, -1.0))
-            gap = abs(joint_objective(program, moves, pairs) - bound)
+            # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a bound
+            gap = min(
+                float(joint_gaps(program, moves, pairs, sign * point.theta, point.push, point.press).sum())
+                for sign in (1.0, -1.0)
+            )
         known = spread((share > 0) & (pairs > 0), indptr)
         zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
         details = {
@@ -194,25 +198,13 @@ class Joint(Method):
         return make_result(simulator, zeta, self._name, gap, observed, details)
 
 
-def joint_dual_value(
-    program: JointProgram, theta: Array, push: Array | None = None, press: Array | None = None
-) -> float:
-    """The dual function at multipliers ``theta`` (rows,), ``push``, ``press`` >= 0 of nu b <= B <= mu b (entries,).
+def joint_gaps(program: JointProgram, moves: Array, pairs: Array, theta: Array, push: Array, press: Array) -> Array:
+    """(rows,) duality gaps of any ``moves`` and ``pairs``, at any multipliers ``theta`` (rows,), ``push``, ``press`` >= 0.
 
-    A lower bound on the program, whatever they are.
+    ``push`` and ``press`` (entries,) are those of nu b <= B <= mu b. From the program as stated, by code that no solver uses.
     """
-    from oee_tabular.kernels import duals
+    from oee_tabular.kernels import certificate
 
-    free, indptr = np.zeros(len(program.p)), program.indptr
-    push, press = (free if value is None else value for value in (push, press))
-    big = segment_sums(program.q, indptr)
-    slope = program.q * (1.0 + spread(theta, indptr)) - push + press
-    lifted = np.zeros(len(big)) if not press.any() else program.most * segment_sums(press, indptr)
-    steep = program.r - theta * big + program.least * segment_sums(push, indptr) - lifted
-    bounds = (program.lower, program.upper)
-    moves = duals.solve_free(program.p, slope, program.bend, free, *bounds)
-    pairs = duals.solve_free(program.s, steep, program.stiffness, np.zeros(len(big)), *bounds)
-    if not (np.all(np.isfinite(moves)) and np.all(np.isfinite(pairs))):
-        return -np.inf
-    value = joint_objective(program, moves, pairs)
-    return value + float((slope - program.q) @ moves) + float((steep - program.r) @ pairs)
+    box = (program.lower, program.upper, program.least, program.most)
+    numbers = (program.p, program.q, program.bend, program.s, program.r, program.stiffness)
+    return np.asarray(certificate.joint_gaps(*numbers, box, program.indptr, moves, pairs, theta, push, press))

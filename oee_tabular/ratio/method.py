@@ -120,7 +120,7 @@ def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) 
     elif sparse.issparse(log_or_counts):
         if discount is not None:
             raise ValueError("discount must be left out where counts are given: they have no timesteps")
-        counts = sparse.csr_array(log_or_counts)
+        counts = log_or_counts
     else:
         raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
     observed = aligned_counts(counts, simulator)

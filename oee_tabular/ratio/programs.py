@@ -60,24 +60,30 @@ class Statement:
 
 
 def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray | None) -> Statement:
-    """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free)."""
+    """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free).
+
+    Least squares: q g^2 / 2 - p g in place of the first two terms.
+    """
     import cvxpy as cp
 
     p, q, curvature = program.p, program.q, program.curvature
     g = cp.Variable(len(p))
-    seen, bent = np.flatnonzero(p > 0), np.flatnonzero(curvature > 0)
+    seen = np.flatnonzero((p > 0) & (not program.squares))
     constraints = []
     if lower > 0 or len(seen) < len(p):
         constraints.append(g >= lower)
     if upper < np.inf:
         constraints.append(g <= upper)
-    cost = q @ g
+    cost = -p @ g if program.squares else q @ g
     if seen.size:
         cost = cost - p[seen] @ cp.log(g[seen])
-    if bent.size:
-        height = cp.Variable(bent.size)
-        constraints.append(cp.square(g[bent] - program.center[bent]) <= height)
-        cost = cost + 0.5 * (curvature[bent] @ height)
+    squares = [(curvature, program.center)] + ([(q, np.zeros(len(q)))] if program.squares else [])
+    for weight, center in squares:
+        bent = np.flatnonzero(weight > 0)
+        if bent.size:
+            height = cp.Variable(bent.size)
+            constraints.append(cp.square(g[bent] - center[bent]) <= height)
+            cost = cost + 0.5 * (weight[bent] @ height)
     equality = None
     filled = np.zeros(0, dtype=np.int64)
     if indptr is not None:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, checked, on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.neighbours import Factor
@@ -74,7 +74,7 @@ class TransitionRatio:
             raise ValueError(
                 f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
             )
-        zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
+        zeta, stored = align(canonical(checked(self.values, "ratio"), drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
             raise ValueError("ratio must have the support of this simulator's transitions; it is another simulator's")
         return zeta

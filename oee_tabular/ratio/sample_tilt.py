@@ -66,7 +66,8 @@ def sample_tilt(p: Array, q: Array, features: Callable[[Array], Any] | str, *, c
     aim, _ = standardise(at_p, center, scale), standardise(at_q, center, scale)
     values = np.linalg.eigvalsh(at_q @ at_q.T)[len(used) - used.sum() :]
     collinear = at_q[used].T if len(values) and values[0] <= 1e-10 * values[-1] else None
-    theta, gap, log_mean, weights = newton(at_q, aim, 1.0 / len(p))
+    theta, _, log_mean, weights = newton(at_q, aim, 1.0 / len(p))
+    gap = _gap(theta, weights, at_p, at_q)
     log_p, q_ratio, slope = theta @ at_p - log_mean, weights * len(q), theta / scale
     farthest = int(log_p.argmax())
     log_ratio = float(log_p[farthest])
@@ -79,6 +80,18 @@ def sample_tilt(p: Array, q: Array, features: Callable[[Array], Any] | str, *, c
     p_ratio = np.exp(np.minimum(log_p, 700.0))
     fit = SampleRatio(p_ratio, q_ratio, gap, "log-linear", ratio, p.shape[1], details)
     return SampleTilt(fit, at_p, at_q, lost, collinear, farthest, log_ratio, log_ratio - math.log(len(q)))
+
+
+def _gap(theta: Array, weights: Array, at_p: Array, at_q: Array) -> float:
+    """|f'|^2 / (2 penalty), a bound on the risk less its minimum: the larger of theta's own and of the handed-over weights'.
+
+    The penalty 1 / n_p makes f strongly convex. Nothing here is the solver's.
+    """
+    n_p, exponents = at_p.shape[1], theta @ at_q
+    own = np.exp(exponents - exponents.max())
+    slopes = at_q @ np.column_stack([own / own.sum(), weights]) - (at_p.mean(axis=1) - theta / n_p)[:, None]
+    with np.errstate(over="ignore"):
+        return float((slopes**2).sum(axis=0).max() * n_p / 2.0)
 
 
 def score_test(tilt: SampleTilt, d: int) -> float:

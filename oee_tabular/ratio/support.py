@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align, canonical, find, row_of_entry
+from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 
@@ -39,6 +39,7 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     Traceback (most recent call last):
     ValueError: target must stay where the simulator has probability: it gives probability 0 to 24 different moves...
     """
+    moves = checked(moves, what)
     positive = moves.data > 0
     _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
     bad = np.flatnonzero(positive & ~stored)
@@ -93,6 +94,7 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
     >>> uncovered_share(target.transitions, simulator) > 0, uncovered_share(simulator.transitions, target)
     (True, 0.0)
     """
+    moves = checked(moves, "moves")
     _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
     return float(moves.data[~stored].sum() / moves.data.sum())
 
@@ -101,7 +103,7 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
     if counts.shape != simulator.transitions.shape:
         raise ValueError(f"counts must have shape {simulator.transitions.shape}; they have shape {counts.shape}")
-    matrix = canonical(counts, drop_zeros=True)
+    matrix = canonical(checked(counts, "counts"), drop_zeros=True)
     bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
     if bad.size:
         where = name_move(matrix, int(bad[0]), simulator.n_actions)

@@ -51,8 +51,8 @@ def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: 
     error = estimate.standard_error
     if error is None or not math.isfinite(estimate.value) or _measured(facts) < ENOUGH:
         return estimate
-    if error <= 1e-12 * max(1.0, abs(estimate.value)):  # 0, to roundoff
-        return replace(estimate, standard_error=0.0)
+    if error <= 1e-12 * abs(estimate.value):  # 0, to roundoff: what does not vary has no error to show
+        return replace(estimate, standard_error=None, diagnostics={"standard_error_of": "log"} | facts)
     ends = (estimate.value - quantile * error, estimate.value + quantile * error)
     return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
 

@@ -244,7 +244,7 @@ class Report:
         target = Path(folder)
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
-            "table.csv": self.table.to_csv(index=False).encode(),
+            "table.csv": _files.csv_bytes(self.table),
             "values.png": plots.figure_png(lambda ax: plots.plot_values(self.records(), ax, unit=self.unit)),
         }
         _files.write_all(target, contents)

@@ -76,8 +76,13 @@ class VoronoiCells:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """From ``arrays()``."""
-        return cls(arrays["cell_centres"], arrays["cell_scale"], float(arrays["cell_radius"]))
+        """From ``arrays()``; ValueError for what is no such cells."""
+        centres = _checks.float_array(arrays["cell_centres"], "cell_centres", ndim=2)
+        scale = _checks.float_array(arrays["cell_scale"], "cell_scale", ndim=1)
+        _checks.require_finite(centres, "cell_centres")
+        if centres.size == 0 or scale.shape != centres.shape[1:] or not np.all((scale > 0) & np.isfinite(scale)):
+            raise ValueError(f"cell_scale must be {centres.shape[1]} positive numbers, and cell_centres not be empty")
+        return cls(centres, scale, _checks.number_in(arrays["cell_radius"], "cell_radius", 0.0, np.inf))
 
 
 def visited_states(

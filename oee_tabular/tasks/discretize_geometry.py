@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -31,7 +32,7 @@ class Grid:
     @property
     def n_cells(self) -> int:
         """The number of vertices."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     @property
     def spacing(self) -> Array:
@@ -91,9 +92,16 @@ class Grid:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """From ``arrays()``."""
-        shape = tuple(int(n) for n in arrays["grid_shape"])
-        return cls(arrays["grid_low"], arrays["grid_high"], shape, tuple(bool(p) for p in arrays["grid_periodic"]))
+        """From ``arrays()``; ValueError for what is no grid."""
+        low, high = (_checks.float_array(arrays[name], name, ndim=1) for name in ("grid_low", "grid_high"))
+        shape, periodic = arrays["grid_shape"], arrays["grid_periodic"]
+        if not low.shape == high.shape == shape.shape == periodic.shape or not 0 < low.size < 32:
+            raise ValueError("grid_low, grid_high, grid_shape and grid_periodic must have a number for each coordinate")
+        if shape.dtype.kind not in "iu" or shape.min() < 2 or periodic.dtype.kind != "b":
+            raise ValueError("grid_shape must be integers of at least 2, grid_periodic booleans")
+        if not np.all((low < high) & np.isfinite(high - low)):
+            raise ValueError("grid_low must be finite and below grid_high")
+        return cls(low, high, tuple(shape.tolist()), tuple(periodic.tolist()))
 
 
 def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:

@@ -13,12 +13,13 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _memory
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP, mix
 from oee_tabular.mdp.policies import deterministic_policy
 
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
 
 
 def _destinations(size: int) -> IntArray:
@@ -53,6 +54,7 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
     n_states = n * n
+    _memory.require(STATE_BYTES * n_states, f"a gridworld of {n} x {n} cells")
     goal = n_states - 1
     destinations = _destinations(n)
     destinations[goal] = goal

@@ -169,7 +169,7 @@ FILES = {
     "no action": ("state_0,next_state_0\n1,2\n", "must have the columns state_0, .* it has no action, only "),
     "both forms": ("state_0,state,action,next_state_0\n1,1,0,2\n", "must have either state or state_0, ...; it has both"),
     "an empty field": ("state_0,action,next_state_0\n1,0,2\n,0,2\n", r"state\[1, 0\] must be finite; it is nan"),
-    "no table": ("", "must be a table with a header"),
+    "no table": ("", "must be a CSV table with a header"),
     "words": ("state_0,action,next_state_0\nx,0,2\n", "state must be an array of numbers"),
 }  # fmt: skip
 

@@ -725,6 +725,31 @@ def test_magic_weighs_the_distance_of_a_wrong_model():
     assert_allclose(found.value, share @ totals, rtol=1e-6)
 
 
+def resampled(problem, draws, zeta):
+    """Weighted doubly robust of logs in which the drawn episodes stand, each as often as it was drawn."""
+    log, found = problem.log, []
+    starts, columns = log.episode_starts, log.columns()
+    for draw in draws:
+        rows = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in draw])
+        parts = {name: column[rows] for name, column in columns.items()}
+        parts["episode"] = np.repeat(np.arange(len(draw)), [starts[i + 1] - starts[i] for i in draw])
+        again = Problem(problem.simulator, Transitions(**parts), horizon=problem.horizon, behavior_policy=BEHAVIOR)
+        found.append(DoublyRobust(data="episodes", ratio=zeta, self_normalized=True)(again, POLICY).value)
+    return np.array(found)
+
+
+def test_magic_normalises_the_weights_of_each_resample():
+    """Thomas and Brunskill's bootstrap: g_T of the resample itself, not sums of the log's own shares."""
+    problem, target = problem_of(3, horizon=4, n=15)
+    zeta = reweighted_zeta(problem.simulator, target, 1.0)
+    terms = episode_terms(problem, POLICY, exact.reweight(problem.simulator, zeta), self_normalized=True)
+    draws = np.random.default_rng(3).integers(0, 15, size=(20, 15))
+    expected = resampled(problem, draws, zeta)
+    assert_allclose(terms.resampled(draws), expected, rtol=1e-10)
+    assert_allclose(terms.resampled(np.arange(15)[None]), terms.total, rtol=1e-12)
+    assert np.abs(terms.partial[:, -1][draws].sum(axis=1) - expected).max() > 0.01  # the two differ
+
+
 def test_magic_between_the_model_and_the_log():
     """Two lengths: the weights minimise variance plus squared distance from the central half, checked on a grid."""
     problem, target = problem_of(3, horizon=4, n=15)
@@ -736,7 +761,7 @@ def test_magic_between_the_model_and_the_log():
     totals, n = parts.sum(axis=0), 15
     covariance = n / (n - 1) * (parts - totals / n).T @ (parts - totals / n)
     draws = np.random.default_rng(3).integers(0, n, size=(50, n))
-    low, high = np.quantile(parts[:, 1][draws].sum(axis=1), [0.25, 0.75])
+    low, high = np.quantile(resampled(problem, draws, zeta), [0.25, 0.75])
     bias = np.maximum(np.maximum(totals - high, low - totals), 0)
     matrix = covariance + np.outer(bias, bias)
     x = np.linspace(0, 1, 20_001)
@@ -746,8 +771,9 @@ def test_magic_between_the_model_and_the_log():
     assert_allclose(found.value, best @ totals, atol=1e-3)
     assert_allclose(found.standard_error, np.sqrt(best @ covariance @ best), rtol=1e-2)
     alone = Magic(ratio=zeta, n_lengths=1)(problem, POLICY, seed=3)
-    assert_allclose(alone.value, oee.policy_value(target, POLICY, horizon=4), atol=1.0)
     starts = problem.log.episode_starts
+    begun = oee.state_values(target, POLICY, horizon=4)[problem.log.state[starts[:-1]]]
+    assert_allclose(alone.value, begun.mean(), rtol=1e-12)  # the model, from where the log's episodes start
     first = Transitions(**{k: c[: starts[1]] for k, c in problem.log.columns().items()})
     single = Magic(ratio=zeta)(Problem(problem.simulator, first, horizon=4), POLICY)
     assert np.isnan(single.value)

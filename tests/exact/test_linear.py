@@ -33,12 +33,16 @@ def rational(matrix, b, gamma):
     return [row[n] for row in rows]
 
 
-def rational_values(mdp, policy):
-    """The exact solution for the numbers as they are stored."""
+def rational_values(mdp, policy, by_move=False):
+    """The exact solution for the numbers as they are stored; ``by_move``: for r(s, a, s'), not for its expectation."""
     p, n = mdp.transitions.toarray(), mdp.n_states
     chance = [[Fraction(x) for x in row] for row in p.tolist()]
     act = [[Fraction(x) for x in row] for row in policy.tolist()]
     pay = [[Fraction(x) for x in row] for row in mdp.rewards.tolist()]
+    if by_move and mdp.transition_rewards is not None:
+        paid = [[Fraction(x) for x in row] for row in mdp.transition_rewards.toarray().tolist()]
+        means = [sum(c * r for c, r in zip(*rows, strict=True)) for rows in zip(chance, paid, strict=True)]
+        pay = [means[s * mdp.n_actions : (s + 1) * mdp.n_actions] for s in range(n)]
     actions = range(mdp.n_actions)
     kernel = [[sum(act[s][a] * chance[s * mdp.n_actions + a][t] for a in actions) for t in range(n)] for s in range(n)]
     return rational(kernel, [sum(act[s][a] * pay[s][a] for a in actions) for s in range(n)], mdp.discount)
@@ -404,7 +408,7 @@ def test_a_layered_model_of_any_order_has_its_exact_values():
 def test_certified_values_are_the_exact_ones_correctly_rounded(rng):
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 6)), discount=float(rng.choice([0.0, 0.3, 0.9, 0.99, 0.9999])))
     policy = random_policy(rng, mdp)
-    truth = rational_values(mdp, policy)
+    truth = rational_values(mdp, policy, by_move=True)
     found = exact.evaluate_policy(mdp, policy, certify=True)
     right = np.array([float(x) for x in truth])
     # around 0 a bound has two signs, and half way between floats no bound is small enough
@@ -425,9 +429,27 @@ def test_certified_values_are_the_exact_ones_correctly_rounded(rng):
     assert abs(Fraction(found.value) - value) <= Fraction(ulps) + Fraction(1, 10**25)
     plain = exact.evaluate_policy(mdp, policy)
     assert plain.certified is None
+    truth = rational_values(mdp, policy)
     worst = max(abs(Fraction(v) - t) for v, t in zip(plain.values.tolist(), truth, strict=True))
     assert worst <= Fraction(plain.error_bound)
     assert_array_equal(oee.state_values(mdp, policy, certify=True), found.values)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0**-700])
+def test_rewards_of_moves_that_cancel_are_certified(scale):
+    """r(s, a) = sum P r(s, a, s') loses six digits to cancellation when it is rounded: V is right to the last bit."""
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        p = rng.dirichlet(np.ones(4), (4, 2))
+        rewards = rng.normal(size=(4, 2, 4))
+        rewards -= (1.0 - 1e-6) * (p * rewards).sum(axis=2)[:, :, None]
+        mdp = oee.FiniteMDP(p, rewards * scale, [1, 0, 0, 0], 0.9)
+        policy = rng.dirichlet(np.ones(2), 4)
+        truth = rational_values(mdp, policy, by_move=True)
+        found = exact.evaluate_policy(mdp, policy, certify=True)
+        assert found.certified == 1.0
+        assert_array_equal(found.values, [float(v) for v in truth])
+        assert max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True)) <= found.error_bound
 
 
 @given(rngs)

@@ -672,7 +672,7 @@ WRONG = {
     ),
     "bound for episodes: model": (
         lambda: oee.trajectory_efficiency_bound(SIMULATOR, BEHAVIOR, POLICY, horizon=2, model="bush"),
-        "^model must be one of 'mdp', 'tree'; got 'bush'$",
+        "^model must be one of 'mdp', 'tree', 'stationary'; got 'bush'$",
     ),
     "occupancy: of": (
         lambda: oee.occupancy(SIMULATOR, POLICY, of="pairs"),

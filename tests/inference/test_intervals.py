@@ -9,12 +9,14 @@ import pytest
 from helpers import dense, random_mdp, random_policy, rngs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.optimize import linprog
 
 import oee_tabular as oee
+from oee_tabular.exact import evaluate_policy
 from oee_tabular.inference import ambiguity, likelihood, robust
+from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.reference import rectangular_program
 from oee_tabular.kernels import ambiguity as kernel
@@ -259,7 +261,7 @@ def test_36_boxes(rng):
 
 
 def test_38_rows_never_seen_are_not_trusted():
-    """The log has no move of the only row that matters: the interval holds all that the box allows, delta nothing."""
+    """The log has no move of the only row that matters: the interval holds all that the box allows, delta none."""
     rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([1.0, 0.0]), [1, 0], 0.9)
     log = oee.Transitions([0, 0, 0], [1, 1, 1], [0, 1, 0])
@@ -272,7 +274,9 @@ def test_38_rows_never_seen_are_not_trusted():
         assert_allclose(found.diagnostics["unvisited_share"], 0.1 / 0.55)  # time in the first state
         everything = oee.interval(problem, first, method=method)
         assert_allclose((everything.lower, everything.upper), (1.0, 10.0), rtol=1e-9)
-    assert oee.interval(problem, first, method="delta").width == 0
+    delta = oee.interval(problem, first, method="delta")
+    assert np.isnan(delta.width)
+    assert "no move of the log that bears on the value varies" in delta.status
 
 
 @pytest.mark.parametrize("horizon", [None, 4])
@@ -331,21 +335,68 @@ def test_the_bootstraps_quick_value_is_the_value(rng):
     assert_allclose(_quick_value(evidence, evidence.phat), slow, rtol=1e-9, atol=1e-9)
 
 
+def test_the_bootstrap_draws_each_resample_anew_from_the_users_seed():
+    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
+    policy = oee.uniform_policy(simulator)
+    problem = oee.Problem(simulator, oee.sample_episodes(target, policy, 30, 10, seed=0))
+    evidence = ambiguity.gather(problem, policy)
+    for by in ("transitions", "episodes"):
+        first, again, other = (
+            bootstrap_values(problem, evidence, n_bootstrap=40, by=by, seed=seed)[1] for seed in (1, 1, 2)
+        )
+        assert_array_equal(first, again)
+        together = np.concatenate([first, other])
+        assert len(np.unique(np.round(together, 9))) == 80  # no resample is used twice, none is another seed's
+
+
 def test_bootstrap_by_episodes():
+    """A resample is the model of the drawn episodes, each as often as it was drawn; its law is that of episodes."""
     simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
     policy = oee.uniform_policy(simulator)
     log = oee.sample_episodes(target, policy, 200, 10, seed=0)
     problem = oee.Problem(simulator, log)
-    by_episodes, by_moves = (
-        oee.interval(problem, policy, method="bootstrap", resample=by, seed=0) for by in ("episodes", "transitions")
-    )
-    assert_allclose(by_episodes.width, by_moves.width, rtol=0.5)
+    _, values = bootstrap_values(problem, ambiguity.gather(problem, policy), n_bootstrap=25, by="episodes", seed=3)
+    starts, generator, expected = log.episode_starts, np.random.default_rng(3), []
+    for _ in range(25):
+        drawn = generator.integers(0, 200, 200)
+        rows = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in drawn])
+        again = oee.Problem(simulator, oee.Transitions(log.state[rows], log.action[rows], log.next_state[rows]))
+        expected.append(oee.estimators.ModelBased(fallback="simulator")(again, policy).value)
+    assert_allclose(values, expected, rtol=1e-9)
+    found = oee.interval(problem, policy, method="bootstrap", resample="episodes", seed=3)
+    _, values = bootstrap_values(problem, ambiguity.gather(problem, policy), n_bootstrap=500, by="episodes", seed=3)
+    assert values.min() < found.lower < values.mean() < found.upper < values.max()
     few = oee.Problem(simulator, oee.sample_episodes(target, policy, 4, 10, seed=0))
     with pytest.raises(ValueError, match="log must have at least 10 episodes to be resampled by episodes; it has 4"):
         oee.interval(few, policy, method="bootstrap", resample="episodes")
     bag = oee.Problem(simulator, log.draw(50, seed=0))
     with pytest.raises(ValueError, match="log must have episodes to be resampled by episodes; it has none"):
         oee.interval(bag, policy, method="bootstrap", resample="episodes")
+
+
+@pytest.mark.parametrize(("n", "k", "level"), [(1, 2, 0.05), (10, 2, 0.05), (10, 4, 0.01), (500, 3, 1e-6)])
+def test_the_anytime_radius_is_the_published_one(n, k, level):
+    """Jonsson et al. 2020, as theory.md section 3 has it: n r = log(1/level) + (k - 1) log(e (1 + n / (k - 1)))."""
+    expected = (np.log(1 / level) + (k - 1) * np.log(np.e * (1 + n / (k - 1)))) / n
+    found = ambiguity.anytime_radius(np.array([n, 0.0]), np.array([k, k]), level)
+    assert_allclose(found[0], expected, rtol=1e-13)
+    assert found[1] == np.inf
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_robust_value_that_stops_early_is_still_a_bound(sign, monkeypatch):
+    """Values that the sweep did not improve: the Bellman residual counts 1 / (1 - discount) times, less would not do here."""
+    simulator = oee.tasks.gridworld(3, 0.3, discount=0.95)
+    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 400, seed=0)
+    evidence = ambiguity.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator), 0.3, 3.0)
+    radius = robust.radii(evidence, 0.95, "independent", "kl")
+    exact = robust.extreme_value(evidence, radius, sign)
+    start = evaluate_policy(evidence.with_rows(evidence.phat), evidence.policy)
+    monkeypatch.setattr(robust, "evaluate_policy", lambda *_: start)
+    early = robust.extreme_value(evidence, radius, sign, most=1)
+    assert early.sweeps == 1
+    assert sign * early.bound >= sign * exact.value
+    assert sign * (early.value + sign * early.residual) < sign * exact.value - 0.01
 
 
 def test_a_box_that_the_counts_contradict_is_refused_by_name():

@@ -58,7 +58,10 @@ def test_the_structured_answer_against_clarabel(seed):
     if options["upper"] is not None:
         # the peer's own suboptimality, by our certificate, bounds its distance: h'' >= p / g^2 where p > 0
         multiplier = 1.0 if statement.equality is None else 1.0 + float(statement.equality.dual_value[0])
-        peer_gap = max(value - dual.dual_value(multiplier, program, low, high), 1e-16)
+        handed = np.clip(peer, max(low, 1e-300), high)
+        peer_gap = max(
+            float(dual.row_gaps(program, handed, np.array([multiplier]), low, high, np.array([0, len(ps)]))[0]), 1e-16
+        )
         seen = ps > 0
         reach = np.sqrt(2 * peer_gap / ps[seen]) * np.maximum(peer, fit.ratio[known])[seen]
         assert (np.abs(fit.ratio[known] - peer)[seen] <= np.maximum(1e-6, 2 * reach)).all()
@@ -94,32 +97,9 @@ def test_certificates_hold_and_are_tight(rng, box):
     assert fit.ratio.max() <= (options["upper"] or np.inf)
     if options["normalized"]:
         assert_allclose(q / q.sum() @ fit.ratio, 1.0, rtol=1e-12)
-    # the dual function at any multiplier is a lower bound
-    known = (p > 0) | (q > 0)
-    ps, qs = (p / p.sum())[known], (q / q.sum())[known]
-    bend = np.full(len(ps), options["ridge"]) * (1.0 if options["toward"] is None else qs)
-    program = dual.kl_coordinates(ps, qs, bend, options["toward"] or 0.0)
     below, above = fit.enclosure
     assert (below <= fit.ratio).all()
     assert (fit.ratio <= above).all()
-    multipliers = [1.0] if not options["normalized"] else [0.5, 1.0, 1.0 + fit.normalizer, 3.0]
-    for m in multipliers:
-        assert dual.dual_value(m, program, options["lower"] or 0.0, options["upper"] or np.inf) <= fit.objective + 1e-10
-
-
-def test_a_wrong_answer_is_not_certified():
-    """The certificate itself rejects a feasible point that is not the optimum."""
-    from oee_tabular.kernels import duals
-
-    p, q = np.array([0.75, 0.25]), np.array([0.5, 0.5])
-    zero = np.zeros(2)
-    program = dual.kl_coordinates(p, q, zero, 0.0)
-    right, wrong = np.array([1.5, 0.5]), np.array([1.4, 0.6])
-    gaps = [duals.row_gap(1.0, p, q, zero, zero, 0.0, np.inf, 0, 2, g) for g in (right, wrong)]
-    assert gaps[0] == 0
-    excess = dual.objective(wrong, program) - dual.objective(right, program)
-    assert_allclose(gaps[1], excess, rtol=1e-9)
-    assert excess > 1e-3
 
 
 @given(rngs, st.sampled_from([{}, {"lower": 0.1, "upper": 5.0}, {"ridge": 3.0, "toward": 1.0}, {"normalized": False}]))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from helpers import rngs
 from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
@@ -59,10 +60,49 @@ def test_against_clarabel():
         ours = joint.solve_joint(program)
         point = programs.solve_joint(program)
         value = joint.joint_objective(program, point.moves, point.pairs)
-        bound = max(joint.joint_dual_value(program, sign * point.theta, point.push, point.press) for sign in (1, -1))
+        gap = min(
+            joint.joint_gaps(program, point.moves, point.pairs, sign * point.theta, point.push, point.press).sum()
+            for sign in (1, -1)
+        )
         assert ours.objective <= value + 1e-9
-        assert ours.objective >= bound - 1e-9  # the peer's dual bound is below our value
-        assert bound > value - 1e-5
+        assert ours.objective >= value - gap - 1e-9  # the peer's dual bound is below our value
+        assert gap < 1e-5
+
+
+@given(rngs, st.sampled_from(["moves", "pairs", "theta"]), st.floats(0.01, 0.5))
+def test_a_point_that_is_off_is_not_certified(rng, which, off):
+    """Feasible points on the way to B = b = 1, and multipliers that are off: objective - gap stays below the optimum."""
+    program = random_program(rng)
+    found = joint.solve_joint(program)
+    moves, pairs, theta = found.moves, found.pairs, found.multiplier
+    if which == "theta":
+        theta = theta + off
+    else:
+        moves, pairs = moves + off * (1.0 - moves), pairs + off * (1.0 - pairs)
+    nothing = np.zeros(len(program.p))
+    gap = joint.joint_gaps(program, moves, pairs, theta, nothing, nothing).sum()
+    assert joint.joint_objective(program, moves, pairs) - gap <= found.objective + 1e-11
+    if which == "pairs":  # outside the constraint, or the box, by so much
+        far = joint.joint_gaps(program, found.moves, found.pairs * (1.0 + off), found.multiplier, nothing, nothing)
+        big = np.add.reduceat(program.q, program.indptr[:-1])
+        assert (far >= 0.99 * off * big * found.pairs - 1e-12).all()
+
+
+@pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
+def test_a_corrupted_joint_solver_is_found_out(monkeypatch, bounds):
+    from oee_tabular.kernels import joint as free
+    from oee_tabular.kernels import ratio_box as boxed
+
+    module, name = (boxed, "solve_all_boxed") if bounds else (free, "solve_all")
+    solve = getattr(module, name)
+
+    def wrong(*arguments):
+        moves, *rest = solve(*arguments)
+        moves[3] *= 1.01
+        return moves, *rest
+
+    monkeypatch.setattr(module, name, wrong)
+    assert oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **bounds).gap > 1e-5
 
 
 def test_zeta_stays_in_its_box():

@@ -553,12 +553,25 @@ def test_the_numbers_of_a_fit(options, loss):
         assert found.normalizer == 0.0
     assert (found.enclosure[0] <= found.ratio + 1e-12).all()
     assert (found.ratio <= found.enclosure[1] + 1e-12).all()
-    for move in np.eye(4):  # and it is the minimum: no entry does better by itself, the sum kept by the others
-        other = np.clip(g + 1e-4 * (move - qs / qs.sum() * 0), options.get("lower", 0), options.get("upper", np.inf))
-        if not options.get("normalized", True):
-            worse = qs @ other - ps[:3] @ np.log(other[:3]) if loss == "kl" else qs @ other**2 / 2 - ps @ other
-            worse += 0.5 * ridge * ((other**2).sum() if toward is None else qs @ (other - toward) ** 2)
-            assert worse >= value - 1e-12
+    tried = 0
+    for move in feasible_directions(qs, options.get("normalized", True)):  # and it is the minimum: no step does better
+        other = g + 1e-4 * move
+        if (other < options.get("lower", 0)).any() or (other > options.get("upper", np.inf)).any():
+            continue
+        worse = qs @ other - ps[:3] @ np.log(other[:3]) if loss == "kl" else qs @ other**2 / 2 - ps @ other
+        worse += 0.5 * ridge * ((other**2).sum() if toward is None else qs @ (other - toward) ** 2)
+        assert worse >= value - 1e-12
+        assert worse > value or ps @ move == 0
+        tried += 1
+    assert tried >= 2
+
+
+def feasible_directions(q, normalized):
+    """Up and down along each entry, or along pairs of entries that keep sum q g."""
+    one = np.eye(len(q))
+    if not normalized:
+        return [*one, *-one]
+    return [one[i] / q[i] - one[j] / q[j] for i in range(len(q)) for j in range(len(q)) if i != j]
 
 
 def test_a_class_has_the_numbers_of_its_program():

@@ -1,0 +1,400 @@
+"""Files that are broken, too large, elsewhere or written by other programs: one sentence each, naming the file."""
+
+import contextlib
+import io
+import json
+import time
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import _files, _memory
+from oee_tabular.tasks import CartPole, Discretization
+
+GRID = oee.tasks.gridworld(3, 0.3)
+LOG = oee.sample_episodes(GRID, oee.uniform_policy(GRID), 4, 20, seed=0)
+
+
+def npy(array):
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def archive(path, members, method=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in members.items():
+            file.writestr(f"{name}.npy", data)
+    return path
+
+
+def header(shape, descr="<f8"):
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": descr, "fortran_order": False, "shape": shape})
+    return buffer.getvalue()
+
+
+def edited(path, **changes):
+    arrays = dict(np.load(path)) | changes
+    np.savez(path, **arrays)
+    return path
+
+
+# ---- npz
+
+
+def test_a_flipped_byte_is_one_sentence(tmp_path):
+    """Deflated data, headers, the directory: zlib, tokenize, struct and zipfile each have errors of their own."""
+    path = tmp_path / "log.npz"
+    LOG.save(path)
+    data = path.read_bytes()
+    words = []
+    for k in range(0, len(data), 7):
+        path.write_bytes(data[:k] + bytes([data[k] ^ 0x5A]) + data[k + 1 :])
+        with contextlib.suppress(ValueError):
+            oee.Transitions.load(path)
+            continue
+        with pytest.raises(ValueError) as refused:
+            oee.Transitions.load(path)
+        words.append(str(refused.value))
+    assert all("log.npz" in text for text in words)
+    assert len(words) > len(data) / 7 * 0.5
+
+
+@pytest.mark.parametrize("text", ["{'descr': (", "(" * 3000, "-" * 9000 + "1", "{'a': '\\d'}", "[]"])
+def test_a_header_that_is_no_header(tmp_path, text):
+    written = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+    (tmp_path / "a.npy").write_bytes(written)
+    with pytest.raises(ValueError, match=r"a\.npy' must be an npz or npy file of plain arrays; .+"):
+        _files.read_npz(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, 99])
+def test_a_compression_that_numpy_does_not_write(tmp_path, method):
+    path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(3))}, min(method, zipfile.ZIP_LZMA))
+    data = bytearray(path.read_bytes())
+    data[data.rfind(b"PK\x01\x02") + 10] = method
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=rf"a\.npz' must be .* must be stored or deflated; its method is {method}"):
+        _files.read_npz(path)
+
+
+@pytest.mark.parametrize("shape", [(2_000_000_000,), (10**17,), (10**30,), (3, -1), (0, 10**30)])
+def test_declared_sizes_are_compared_with_what_is_stored(tmp_path, shape):
+    """Before memory is taken: the text has both sizes."""
+    archive(tmp_path / "a.npz", {"state": header(shape) + bytes(80)})
+    with pytest.raises(ValueError, match=r"a\.npz' must be .*; (an array .* needs .*; the file has 80 bytes|.+)"):
+        _files.read_npz(tmp_path / "a.npz")
+
+
+def test_a_directory_that_says_more_than_can_be_packed(tmp_path):
+    path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(3))})
+    data = bytearray(path.read_bytes())
+    at = data.rfind(b"PK\x01\x02") + 24
+    data[at : at + 4] = (2**31).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(
+        ValueError, match=r"a\.npz' must be .*; state\.npy must be as long as it says, 2 GiB; it is not"
+    ):
+        _files.read_npz(path)
+
+
+def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, capsys):
+    from oee_tabular.cli import main
+
+    path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(2**18))})
+    monkeypatch.setattr(_memory, "available", lambda: 2.0**20)
+    with pytest.raises(MemoryError, match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free"):
+        _files.read_npz(path)
+    with pytest.raises(SystemExit) as ended:
+        main(["info", str(path)])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith("oee: not enough memory; ")
+    pd.DataFrame({"state": np.zeros(2**18), "x": 0}).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(MemoryError, match=r"a\.parquet' needs 0\.00195 GiB"):
+        oee.Transitions.load(tmp_path / "a.parquet")
+
+
+def test_a_gridworld_that_no_machine_holds(capsys):
+    from oee_tabular.cli import main
+
+    with pytest.raises(MemoryError, match=r"a gridworld of 1000000 x 1000000 cells needs 1\.68e\+06 GiB"):
+        oee.tasks.gridworld(10**6, 0.1)
+    with pytest.raises(SystemExit) as ended:
+        main(["policy", "gridworld:1000000,slip=0.1", "uniform", "--output", "p.npy"])
+    assert ended.value.code == 2
+    assert "not enough memory; a gridworld of 1000000" in capsys.readouterr().err
+    assert 0 < _memory.available() < 2.0**60
+
+
+def test_a_pickle_is_never_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", state=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match=r"a\.npz' must be .*; it holds Python objects, which are never unpickled"):
+        _files.read_npz(tmp_path / "a.npz")
+
+
+# ---- simulators
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"shape": np.array([np.inf, 4.0])},
+            r"shape must be two positive integers, states and actions; it is \[inf, 4\.0\]",
+        ),
+        ({"shape": np.array([9, -4])}, r"shape must be two positive integers"),
+        ({"discount": np.array("0.5")}, r"discount must be an array of numbers"),
+        ({"initial": np.array(["0.5"] * 9)}, r"initial must be an array of numbers"),
+        ({"transitions_data": np.array(["1"] * 9)}, r"transitions\.data must be real numbers"),
+        ({"transitions_indices": np.zeros(3)}, r"transitions\.indices must be integers of one dimension"),
+        ({"transitions_indptr": np.zeros(3, dtype=int)}, r"transitions\.indptr must have 37 entries.*; it has 3"),
+    ],
+)
+def test_parts_of_a_simulator(tmp_path, changes, text):
+    GRID.save(tmp_path / "s.npz")
+    with pytest.raises(ValueError, match=rf"s\.npz'.*{text}"):
+        oee.FiniteMDP.load(edited(tmp_path / "s.npz", **changes))
+
+
+@pytest.mark.parametrize("part", ["transitions", "rewards"])
+def test_row_pointers_are_checked_before_native_code_follows_them(tmp_path, part):
+    """It ended in a segmentation fault: hence a process of its own would be lost, where this fails."""
+    GRID.save(tmp_path / "s.npz")
+    pointers = GRID.transitions.indptr.copy()
+    pointers[5] = 10**6
+    with pytest.raises(
+        ValueError, match=rf"s\.npz': {part}\.indptr\[6\] must be at least indptr\[5\] = 1000000; it is"
+    ):
+        oee.FiniteMDP.load(edited(tmp_path / "s.npz", **{f"{part}_indptr": pointers}))
+
+
+def test_cells_of_a_discretization(tmp_path):
+    path = tmp_path / "cells.npz"
+    cells = {
+        "grid_low": -np.ones(2),
+        "grid_high": np.ones(2),
+        "grid_shape": np.full(2, 4),
+        "grid_periodic": np.zeros(2, bool),
+    }
+    from oee_tabular.tasks.discretize import task_metadata
+
+    metadata = task_metadata(CartPole())
+    chain = oee.FiniteMDP(np.full((17, 2, 17), 1 / 17), np.zeros(17), np.full(17, 1 / 17), 0.9)
+    good = chain.arrays() | cells | {"points": np.zeros((3, 4)), "point_cell": np.array([0, 1, 15])}
+    good |= {"metadata": np.array(json.dumps(metadata)), _files.KIND: np.array("finite_mdp")}
+    np.savez(path, **good)
+    assert Discretization.load(path, CartPole()).cells.n_cells == 16
+    for changes, text in (
+        ({"grid_low": -np.ones(3)}, "must have a number for each coordinate"),
+        (
+            {"grid_shape": np.full(2, 2**32)},
+            r"cells must be at most 17, of 2 features; they are 18446744073709551616 of 2",
+        ),
+        ({"grid_high": -np.ones(2)}, "grid_low must be finite and below grid_high"),
+        ({"point_cell": np.array([0, 1, 16])}, r"point_cell must be in 0\.\.15; it is 0 to 16"),
+        ({"points": np.zeros((3, 3))}, r"points must have shape \(n, 4\)"),
+        ({"metadata": np.array("{")}, r"Expecting property name"),
+    ):
+        np.savez(path, **(good | changes))
+        with pytest.raises(ValueError, match=rf"cells\.npz'.*{text}"):
+            Discretization.load(path, CartPole())
+
+
+# ---- sparse matrices that were edited after they were made
+
+
+def broken(form):
+    """A matrix of GRID's shape in one of scipy's formats, with one index that leads outside."""
+    matrix = sparse.csr_array(GRID.transitions, copy=True).asformat(form)
+    if form in ("csr", "csc", "bsr"):
+        matrix.indptr = matrix.indptr.copy()
+        matrix.indptr[1] = 10**6
+    elif form == "coo":
+        matrix.coords[1].flags.writeable = True
+        matrix.coords[1][0] = 10**6
+    elif form == "dia":
+        matrix.offsets = np.append(matrix.offsets, 3)
+    elif form == "lil":
+        matrix.rows[0] = [*matrix.rows[0], 10**6]
+    else:
+        matrix._dict[0, 10**6] = 1.0
+    return matrix
+
+
+ENTRIES = {
+    "transitions": lambda matrix: oee.FiniteMDP(matrix, np.zeros(9), np.eye(9)[0], 0.9),
+    "transitions replaced": GRID.with_transitions,
+    "rewards": lambda matrix: oee.FiniteMDP(GRID.transitions, matrix, np.eye(9)[0], 0.9),
+    "counts of a ratio": lambda matrix: oee.transition_ratio(matrix, GRID),
+    "counts of a problem": lambda matrix: oee.Problem(GRID, LOG, counts=matrix),
+    "uncovered share": lambda matrix: oee.ratio.uncovered_share(matrix, GRID),
+    "zeta of moments": lambda matrix: oee.weighted_return_moments(GRID, matrix, oee.uniform_policy(GRID), horizon=3),
+    "ratio": lambda matrix: oee.exact.reweight(GRID, matrix),
+}
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo", "dia", "lil", "dok"])
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_every_sparse_matrix_that_enters_is_checked(entry, form):
+    with pytest.raises(ValueError, match=r"(transitions|rewards|counts|moves|zeta|ratio)[ .]"):
+        ENTRIES[entry](broken(form))
+
+
+@pytest.mark.parametrize(
+    ("pointers", "text"),
+    [
+        (
+            [0, 5, 0],
+            r"kernel\.indptr\[2\] must be at least indptr\[1\] = 5; it is 0",
+        ),  # no entry: scipy looks no further
+        ([0, 1, 9], r"kernel\.indptr\[2\] must be at most 2, the entries; it is 9"),
+        ([1, 1, 2], r"kernel\.indptr\[0\] must be 0; it is 1"),
+        ([0, 2], r"kernel\.indptr must have 3 entries, one more than rows; it has 2"),
+        ([0.0, 1.0, 2.0], r"kernel\.indptr must be integers"),
+    ],
+)
+def test_pointers_of_rows(pointers, text):
+    kernel = sparse.csr_array(np.eye(2))
+    kernel.indptr = np.array(pointers)
+    with pytest.raises(ValueError, match=text):
+        oee.exact.solve_policy_system(kernel, np.ones(2), 0.5)
+
+
+def test_flags_that_no_longer_hold_are_not_believed():
+    """scipy keeps what it found out about the order of the indices; who edits them afterwards makes that wrong."""
+    matrix = sparse.csr_array(np.array([[0.25, 0.75], [0.5, 0.5]]))
+    assert matrix.has_sorted_indices
+    matrix.indices[:2], matrix.data[:2] = [1, 0], [0.75, 0.25]
+    mdp = oee.FiniteMDP(matrix, np.zeros(2), [1, 0], 0.5)
+    np.testing.assert_array_equal(mdp.transitions.toarray(), [[0.25, 0.75], [0.5, 0.5]])
+    np.testing.assert_array_equal(mdp.transitions.indices, [0, 1, 0, 1])
+
+
+# ---- words that look like numbers
+
+
+@pytest.mark.parametrize("words", [np.array([["0.25"] * 4] * 9), np.array([["0.25"] * 4] * 9, dtype=object)])
+def test_words_are_no_numbers(tmp_path, words):
+    with pytest.raises(
+        ValueError, match=r"policy must be an array of numbers; got ndarray \(it holds .*, no numbers\)"
+    ):
+        oee.policy_value(GRID, words)
+    with pytest.raises(ValueError, match="discount must be a number"):
+        GRID.with_discount(np.array("0.5"))
+    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "reward": ["0.5"]}).to_parquet(tmp_path / "l.parquet")
+    with pytest.raises(ValueError, match=r"l\.parquet': reward must be an array of numbers"):
+        oee.Transitions.load(tmp_path / "l.parquet")
+
+
+# ---- tables
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("state;action;next_state\n0;0;1\n", "state;action;next_state: its fields must be separated by commas; .* semicolons"),
+        ("state\taction\tnext_state\n0\t0\t1\n", "separated by commas; they are by tabs"),
+        ("State,Action,Next State\n0,0,1\n", "; write action for 'Action'; write next_state for 'Next State'"),
+        ("State,action,next_state\n0,0,1\n", r"it has State, action, next_state; write state for 'State'$"),
+    ],
+)  # fmt: skip
+def test_what_a_table_of_another_program_must_change(tmp_path, text, hint):
+    (tmp_path / "l.csv").write_text(text)
+    with pytest.raises(ValueError, match=rf"l\.csv' must have the columns state, action, next_state; .*{hint}"):
+        oee.Transitions.load(tmp_path / "l.csv")
+
+
+@pytest.mark.parametrize("text", ["state_0;next_state_0;action\n1;2;0\n", "State_0,Next_State_0,action\n1,2,0\n"])
+def test_the_same_for_continuous_states(tmp_path, text):
+    (tmp_path / "l.csv").write_text(text)
+    with pytest.raises(
+        ValueError, match=r"l\.csv' must have the columns state_0.*(by semicolons|write state_0 for 'State_0')"
+    ):
+        oee.ContinuousTransitions.load(tmp_path / "l.csv")
+
+
+def test_a_hundred_thousand_foreign_columns_are_not_read(tmp_path):
+    foreign = 100_000
+    names = ["state", "action", "next_state", *(f"sensor_{k}" for k in range(foreign))]
+    rows = [",".join(["0", "0", "1", *["0.5"] * foreign])] * 2
+    (tmp_path / "l.csv").write_text("\n".join([",".join(names), *rows]))
+    start = time.perf_counter()
+    with pytest.warns(UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 99990 more$"):
+        assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
+    assert time.perf_counter() - start < 5
+
+
+def test_numbers_of_columns_that_go_on_for_ever(tmp_path):
+    (tmp_path / "l.csv").write_text("state_0,state_999999999,next_state_0,action\n1,2,3,0\n")
+    with pytest.raises(ValueError, match="must have every column from state_0 to state_999999999; state_1 is missing"):
+        oee.ContinuousTransitions.load(tmp_path / "l.csv")
+
+
+def test_a_parquet_file_with_a_column_twice(tmp_path):
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    twice = pa.Table.from_arrays([pa.array([0])] * 4, names=["state", "state", "action", "next_state"])
+    parquet.write_table(twice, tmp_path / "l.parquet")
+    with pytest.raises(
+        ValueError, match=r"l\.parquet' must be a parquet table; its columns must differ; it has 'state' twice"
+    ):
+        oee.Transitions.load(tmp_path / "l.parquet")
+
+
+# ---- other machines, other folders
+
+
+ADDRESSES = ["http://host/x.csv", "https://host/x.parquet", "s3://bucket/x.npz", "ftp://host/x-v0", "file:///x.csv"]
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
+def test_nothing_is_fetched(address, monkeypatch, capsys):
+    import socket
+    from pathlib import Path
+
+    from oee_tabular.cli import main
+    from oee_tabular.cli_inputs import policy_array
+
+    def refuse(*_, **__):
+        raise AssertionError("the network")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    readers = [
+        oee.Transitions.load, oee.ContinuousTransitions.load, oee.FiniteMDP.load, LOG.save,
+        lambda path: policy_array(path, "policy"), lambda path: Discretization.load(path, CartPole()),
+    ]  # fmt: skip
+    for reader in readers:
+        for given in (address, Path(address)):
+            with pytest.raises(
+                ValueError, match=r"path must be a file of this machine; .* is an address, and nothing is fetched"
+            ):
+                reader(given)
+    with pytest.raises(SystemExit) as ended:
+        main(["info", address])
+    assert ended.value.code == 2
+    assert "nothing is fetched" in capsys.readouterr().err
+
+
+def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
+    root = tmp_path / "root"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    for name in ("minari:../../elsewhere/x-v0", "minari:grid/uniform", "minari:/etc/x-v0", "minari:"):
+        with pytest.raises(ValueError, match=r"path must be a Minari id, minari:namespace/name-v0, .*; it is"):
+            LOG.save(name)
+        with pytest.raises(FileNotFoundError, match="neither a file nor a Minari folder"):
+            oee.Transitions.load(name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("path", [None, 3, b"log.npz", "a\x00.npz", ["a"]])
+def test_what_is_no_path(path):
+    for reader in (oee.Transitions.load, oee.FiniteMDP.load, oee.ContinuousTransitions.load, LOG.save, GRID.save):
+        with pytest.raises(ValueError, match="path must be"):
+            reader(path)

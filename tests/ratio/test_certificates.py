@@ -1,0 +1,274 @@
+"""Every certificate is that of the program as stated: it holds, it is tight, and it rejects its own solver's errors.
+
+The independent minimisation here knows the statement alone: bisections on the slope of each entry, and on the multiplier.
+"""
+
+import numpy as np
+import pytest
+from helpers import rngs
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.ratio import dual, interior
+
+SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
+
+
+def statement(rng):
+    """p, q with zeros on either side and on both, and options for ``density_ratio``; bounded from below."""
+    n = int(rng.integers(2, 7))
+    p, q = (rng.integers(0, 4, n) * (rng.random(n) < 0.7) + 0.0 for _ in range(2))
+    p[rng.integers(n)] += 1
+    q[rng.integers(n)] += 1
+    options = {
+        "lower": float(rng.choice([0.0, 0.3, 0.9])),
+        "upper": float(rng.choice([1.2, 2.5, 40.0])),
+        "ridge": float(rng.choice([0.0, 0.2, 3.0])),
+        "toward": [None, 0.0, 1.0, 0.5, 2.0][int(rng.integers(5))],
+        "normalized": bool(rng.random() < 0.5),
+        "loss": str(rng.choice(["kl", "chi2"])),
+    }
+    if options["toward"] is None and options["ridge"] > 0 and rng.random() < 0.5:
+        options["upper"] = None
+    return p, q, options
+
+
+def optimum(p, q, options):
+    """The program's least value by strong duality, max_eta min_g: nested bisections, nothing of the package's."""
+    known = (p > 0) | (q > 0)
+    p, q = (p / p.sum())[known], (q / q.sum())[known]
+    ridge, toward, squares = options["ridge"], options["toward"], options["loss"] == "chi2"
+    bend, center = (np.full(len(p), ridge), 0.0) if toward is None else (ridge * q, toward)
+    lower, upper = options["lower"], 1e4 if options["upper"] is None else options["upper"]
+
+    def at(eta):
+        """The Lagrangian's least value, and sum q g - 1 there."""
+        low, high = np.full(len(p), lower), np.full(len(p), upper)
+        for _ in range(60):
+            g = 0.5 * (low + high)
+            slope = bend * (g - center) + eta * q + (q * g - p if squares else q - p / np.maximum(g, 1e-300))
+            low, high = np.where(slope < 0, g, low), np.where(slope < 0, high, g)
+        g = np.where(low == lower, lower, np.where(high == upper, upper, 0.5 * (low + high)))
+        fits = q * g**2 / 2 - p * g if squares else q * g - np.where(p > 0, p * np.log(np.maximum(g, 1e-300)), 0.0)
+        miss = float(q @ g) - 1.0
+        return float((fits + bend * (g - center) ** 2 / 2).sum()) + eta * miss, miss
+
+    if not options["normalized"]:
+        return at(0.0)[0]
+    left, right = -1e4, 1e4
+    for _ in range(60):
+        middle = 0.5 * (left + right)
+        left, right = (middle, right) if at(middle)[1] > 0 else (left, middle)
+    return max(at(left)[0], at(right)[0])
+
+
+def value_of(g, p, q, options):
+    """The objective as the docstring of ``density_ratio`` writes it."""
+    known = (p > 0) | (q > 0)
+    p, q, g = (p / p.sum())[known], (q / q.sum())[known], g[known]
+    gap = g if options["toward"] is None else g - options["toward"]
+    penalty = options["ridge"] / 2 * ((gap**2).sum() if options["toward"] is None else q @ gap**2)
+    if options["loss"] == "chi2":
+        return q @ g**2 / 2 - p @ g + penalty
+    return q @ g - p[p > 0] @ np.log(g[p > 0]) + penalty
+
+
+def solved(rng, solver="dual"):
+    p, q, options = statement(rng)
+    return p, q, options, oee.density_ratio(p, q, solver=solver, **options)
+
+
+@given(rngs)
+def test_the_minimum_with_zeros_in_p_and_in_q(rng):
+    p, q, options, fit = solved(rng)
+    best = optimum(p, q, options)
+    size = max(1.0, abs(best))
+    assert_allclose(fit.objective, value_of(fit.ratio, p, q, options), rtol=1e-10, atol=1e-12 * size)
+    assert_allclose(fit.objective, best, rtol=0, atol=1e-9 * size)
+    assert 0 <= fit.gap < 1e-12 * size
+    assert fit.dual_bound <= best + 1e-9 * size
+    if options["normalized"]:
+        assert_allclose(q / q.sum() @ fit.ratio, 1.0, rtol=1e-12)
+    assert fit.ratio.min() >= options["lower"]
+    assert fit.ratio.max() <= (options["upper"] or np.inf)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_clarabel_has_the_same_minimum(seed):
+    p, q, options, fit = solved(np.random.default_rng(seed), "CLARABEL")
+    best = optimum(p, q, options)
+    assert fit.gap < 1e-6
+    assert_allclose(fit.objective, best, rtol=0, atol=1e-6)
+    assert fit.objective - fit.gap <= best + 1e-9
+
+
+@pytest.mark.parametrize("options", [{}, {"ridge": 0.2, "toward": 1.0}, {"ridge": 0.2}, {"ridge": 0.2, "toward": 3.0}])
+@pytest.mark.parametrize("solver", ["dual", "CLARABEL"])
+def test_least_squares_where_q_is_0_and_p_is_not(options, solver):
+    """The linear term -p g of such an entry stands: it goes to the upper bound, or to where a ridge towards 0 stops it."""
+    fit = oee.density_ratio(
+        [1, 1], [0, 1], lower=0.3, upper=2.5, loss="chi2", normalized=False, solver=solver, **options
+    )
+    first = 2.5  # without curvature, or 0.5 / 0.2
+    second = {None: 0.5 / 1.2, 1.0: 0.7 / 1.2, 3.0: 1.1 / 1.2}[options.get("toward")] if options else 0.5
+    assert_allclose(fit.ratio, [first, second], rtol=1e-5)
+    assert fit.gap < 1e-8
+    tied = oee.density_ratio([1, 1], [0, 1], lower=0.3, upper=2.5, loss="chi2", solver=solver, **options)
+    assert_allclose(tied.ratio, [first, 1.0], rtol=1e-5)
+    assert tied.gap < 1e-8
+
+
+# ---- the certificates themselves ---------------------------------------------------------------------------------
+
+
+@given(rngs, st.floats(-0.4, 0.4))
+def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
+    """Whatever the point and the multiplier: objective - gap is below the optimum."""
+    p, q, options, fit = solved(rng)
+    known = (p > 0) | (q > 0)
+    ps, qs = (p / p.sum())[known], (q / q.sum())[known]
+    toward = options["toward"]
+    bend = np.full(len(ps), options["ridge"]) * (1.0 if toward is None else qs)
+    program = dual.Coordinates(ps, qs, bend, np.full(len(ps), toward or 0.0), squares=options["loss"] == "chi2")
+    low, high = options["lower"], np.inf if options["upper"] is None else options["upper"]
+    g = fit.ratio[known]
+    moved = np.clip(g * np.exp(rng.normal(size=len(g)) * off), max(low, 1e-9), high)
+    if options["normalized"]:
+        moved = g + min(1.0, abs(off)) * (np.ones(len(g)) - g)  # towards 1, which is feasible
+    m = np.array([1.0 + fit.normalizer + off]) if options["normalized"] else None
+    indptr = np.array([0, len(g)])
+    gap = float(dual.row_gaps(program, moved, m, low, high, indptr)[0])
+    best = optimum(p, q, options)
+    assert dual.objective(moved, program) - gap <= best + 1e-9 * max(1.0, abs(best))
+    outside = g.copy()
+    outside[0] = low - 0.1
+    assert dual.row_gaps(program, outside, m, low, high, indptr)[0] > 0.099  # off by so much
+
+
+def test_a_wrong_answer_is_not_certified():
+    """A feasible point that is not the optimum: at the right multiplier the gap is what it is above the optimum."""
+    program = dual.kl_coordinates(np.array([0.75, 0.25]), np.array([0.5, 0.5]), np.zeros(2), 0.0)
+    right, wrong = np.array([1.5, 0.5]), np.array([1.4, 0.6])
+    gaps = [float(dual.row_gaps(program, g, np.ones(1), 0.0, np.inf, np.array([0, 2]))[0]) for g in (right, wrong)]
+    assert gaps[0] == 0
+    excess = dual.objective(wrong, program) - dual.objective(right, program)
+    assert_allclose(gaps[1], excess, rtol=1e-9)
+    assert excess > 1e-3
+    off = float(dual.row_gaps(program, right * 1.001, np.ones(1), 0.0, np.inf, np.array([0, 2]))[0])
+    assert off > 1e-3 - 1e-9  # at the multiplier 0 the missed sum q g = 1 counts as it is
+
+
+def test_a_solver_that_loses_a_linear_term_is_found_out(monkeypatch):
+    """The error that was once made: least squares by a moved centre, (q + A)/2 (g - c')^2, nothing where q + A = 0."""
+    form = dual.Coordinates.kernel_form
+
+    def lossy(self):
+        p, q, a, pull = form(self)
+        return p, q, a, np.where(a > 0, pull, 0.0)
+
+    monkeypatch.setattr(dual.Coordinates, "kernel_form", lossy)
+    fit = oee.density_ratio([1, 1], [0, 1], lower=0.3, upper=2.5, loss="chi2", normalized=False)
+    assert_array_equal(fit.ratio, [0.3, 0.5])
+    assert_allclose(fit.gap, 0.5 * (2.5 - 0.3), rtol=1e-12)
+    assert "inaccurate" in fit.status
+
+
+@pytest.mark.parametrize(("name", "module"), [("plain", "solve_plain_rows"), ("duals", "solve_rows")])
+def test_corrupted_rows_are_found_out(monkeypatch, name, module):
+    """A kernel that leaves one entry of one row half a percent off."""
+    from oee_tabular import kernels
+
+    __import__(f"oee_tabular.kernels.{name}")
+    kernel = getattr(kernels, name)
+    solve, place = getattr(kernel, module), {"plain": 5, "duals": 8}[name]
+
+    def wrong(*arguments):
+        found = solve(*arguments)
+        arguments[place][7] *= 1.005
+        return found
+
+    options = {
+        "prior": "simulator",
+        "lower": 0.01,
+        "upper": 10.0,
+        "ridge": 0.0 if name == "plain" else 0.1,
+        "toward": 1.0,
+    }
+    right = oee.transition_ratio(LOG, SIMULATOR, **options).gap
+    monkeypatch.setattr(kernel, module, wrong)
+    assert oee.transition_ratio(LOG, SIMULATOR, **options).gap > 1e-7 > 1e3 * right
+
+
+def test_a_class_is_certified_at_the_weights_that_are_handed_over(monkeypatch):
+    """Multipliers that are off, w that is off, and g that is not Phi w."""
+    x = np.linspace(-1.0, 1.0, 30)
+    p, q, features = np.exp(-((x - 0.3) ** 2)), np.ones(30), np.column_stack([np.ones(30), x])
+    solve = interior.solve
+    for ridge in (0.0, 0.1):
+        options = {"features": features, "lower": 0.05, "upper": 9.0, "ridge": ridge}
+        right = oee.density_ratio(p, q, **options)
+        assert right.gap < 1e-11
+        for change in ("weights", "ratio", "both"):
+
+            def wrong(program, change=change, **keywords):
+                found = solve(program, **keywords)
+                move = {"weights": (1e-3, 0.0), "ratio": (0.0, 1e-3), "both": (1e-3, 1e-3)}[change]
+                weights = found.weights + np.array([0.0, move[0]])
+                g = found.ratio + move[1] * x
+                gap, violation = interior.certificate(program, weights, g, found.tie, found.eta)
+                return type(found)(weights, g, found.tie, found.eta, gap, violation, 0)
+
+            if ridge > 0:
+                with monkeypatch.context() as patched:
+                    patched.setattr(interior, "solve", wrong)
+                    fit = oee.density_ratio(p, q, **options)
+                assert fit.gap > 1e-8
+                assert fit.objective - fit.gap <= right.objective + 1e-12
+            else:
+                monkeypatch.setattr(interior, "_iterate", _off(interior._iterate, x, change))
+                assert oee.density_ratio(p, q, **options).gap > 1e-8
+                monkeypatch.undo()
+
+
+def _off(iterate, x, change):
+    """The interior-point method with w or g moved after it has certified them."""
+
+    def wrong(*arguments):
+        found = iterate(*arguments)
+        weights = found.weights if change == "ratio" else found.weights + 1e-3
+        ratio = found.ratio if change == "weights" else found.ratio + 1e-3 * x
+        return type(found)(weights, ratio, found.tie, found.eta, found.gap, found.violation, found.iterations)
+
+    return wrong
+
+
+@pytest.mark.parametrize("which", ["theta", "weights"])
+def test_a_log_linear_fit_that_is_off_is_found_out(monkeypatch, which):
+    from oee_tabular.kernels import loglinear
+
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(0.5, 0.8, 500), rng.normal(size=600)
+    newton = loglinear.newton
+    assert oee.ratio.density_ratio_samples(x, y, features="quadratic").gap < 1e-20
+
+    def wrong(*arguments):
+        theta, gap, log_mean, weights = newton(*arguments)
+        if which == "theta":
+            return theta * 1.01, gap, log_mean, weights
+        return theta, gap, log_mean, weights * np.linspace(0.99, 1.01, len(weights))
+
+    monkeypatch.setattr(loglinear, "newton", wrong)
+    assert oee.ratio.density_ratio_samples(x, y, features="quadratic").gap > 1e-6
+
+
+def test_a_kernel_fit_that_is_off_is_found_out(monkeypatch):
+    from oee_tabular.ratio import sample_kernel
+
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(0.5, 0.8, 300), rng.normal(size=300)
+    eigh = np.linalg.eigh
+    monkeypatch.setattr(sample_kernel.np.linalg, "eigh", lambda a: (eigh(a)[0] * 1.01, eigh(a)[1]))
+    assert oee.ratio.density_ratio_samples(x, y, kernel="gaussian").gap > 1e-6

@@ -1,0 +1,12 @@
+"""A short run of ``fuzz_files.py``: files that are broken in every way that it knows."""
+
+import fuzz_files
+import pytest
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_broken_files_are_refused_with_a_sentence(tmp_path):
+    number, outcomes, failures = fuzz_files.fuzz(seed=1, seconds=10, folder=tmp_path)
+    assert failures == []
+    assert number > 100
+    assert outcomes["refused"] > outcomes["finite"] > 0

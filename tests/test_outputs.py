@@ -1,0 +1,329 @@
+"""What the commands write: nothing recorded is lost, links stay, no formulas; one command a folder; Ctrl-C."""
+
+import csv
+import errno
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import oee_tabular as oee
+from oee_tabular import _files, _lock
+from oee_tabular.cli import main
+
+GRID = "gridworld:3,slip=.3"
+SAMPLE = ("sample", GRID, "--episodes", 2, "--output")
+
+
+def command(capsys, *arguments):
+    """(exit code, what was printed, what was said on stderr)."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return ended.value.code or 0, captured.out, captured.err
+
+
+def started(*arguments, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "oee_tabular", *map(str, arguments)], text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, **options,
+    )  # fmt: skip
+
+
+# ---- what stands there already
+
+
+@pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
+def test_a_recorded_log_is_not_overwritten(tmp_path, capsys, name):
+    path = tmp_path / name
+    path.write_text("hours of work")
+    code, out, said = command(capsys, *SAMPLE, path)
+    assert (code, out) == (2, "")
+    assert said == f"oee: --output must be a new file, or be given with --overwrite; {str(path)!r} exists already\n"
+    assert path.read_text() == "hours of work"
+    assert command(capsys, *SAMPLE, path, "--overwrite")[0] == 0
+    assert len(oee.Transitions.load(path)) > 0
+
+
+def test_nor_are_a_log_of_states_and_a_plan_s_policy(tmp_path, capsys):
+    for name in ("log.csv", "plan.npy"):
+        (tmp_path / name).write_text("hours of work")
+    assert command(capsys, "sample", "cartpole", "--episodes", 1, "--output", tmp_path / "log.csv")[0] == 2
+    assert command(capsys, *SAMPLE, tmp_path / "log.npz")[0] == 0
+    plan = (
+        "plan",
+        "--simulator",
+        GRID,
+        "--log",
+        tmp_path / "log.npz",
+        "--transitions",
+        9,
+        "--output",
+        tmp_path / "plan.npy",
+    )
+    code, _, said = command(capsys, *plan)
+    assert code == 2
+    assert "plan.npy' exists already" in said
+    assert [(tmp_path / name).read_text() for name in ("log.csv", "plan.npy")] == ["hours of work"] * 2
+    assert command(capsys, *plan, "--overwrite")[0] == 0
+    assert np.load(tmp_path / "plan.npy").shape == (9, 4)
+
+
+def test_reports_and_what_can_be_made_again_are_replaced_and_say_so(tmp_path, capsys):
+    log, out, page = tmp_path / "log.npz", tmp_path / "out", tmp_path / "page.html"
+    command(capsys, *SAMPLE, log)
+    evaluate = (
+        "evaluate",
+        "--simulator",
+        GRID,
+        "--log",
+        log,
+        "--estimators",
+        "simulator",
+        "--output",
+        out,
+        "--report",
+        page,
+    )
+    assert "(replaced)" not in command(capsys, *evaluate)[1]
+    written = command(capsys, *evaluate)[1].splitlines()[-1]
+    for path in (out / "report.json", out / "table.csv", out / "values.png", page):
+        assert f"{path} (replaced)" in written
+    for arguments in (
+        ("policy", GRID, "uniform", "--output", tmp_path / "p.npy"),
+        ("export", GRID, "--output", tmp_path / "s.npz"),
+    ):
+        assert "(replaced)" not in command(capsys, *arguments)[1]
+        assert f"{arguments[-1]} (replaced): " in command(capsys, *arguments)[1]
+
+
+def test_a_link_stays_a_link(tmp_path, capsys):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    log = kept / "log.npz"
+    log.write_text("old")
+    (tmp_path / "log.npz").symlink_to(log)
+    assert command(capsys, *SAMPLE, tmp_path / "log.npz", "--overwrite")[0] == 0
+    (kept / "report.json").symlink_to(tmp_path / "elsewhere.json")  # leads nowhere yet
+    assert command(
+        capsys, "evaluate", "--simulator", GRID, "--log", log, "--estimators", "simulator", "--output", kept
+    )[0] == 0  # fmt: skip
+    assert (tmp_path / "log.npz").is_symlink()
+    assert (kept / "report.json").is_symlink()
+    assert len(oee.Transitions.load(log)) > 0
+    assert "results" in json.loads((tmp_path / "elsewhere.json").read_text())
+    assert not [path for path in (*tmp_path.iterdir(), *kept.iterdir()) if path.suffix == ".part"]
+
+
+def test_a_folder_and_a_loop_of_links_are_named(tmp_path, capsys):
+    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "loop.npz").symlink_to(tmp_path / "loop.npz")
+    for name, text in (
+        ("folder.npz", "must be a file; it is a folder"),
+        ("loop.npz", "must be a file; it is something else"),
+    ):
+        code, _, said = command(capsys, *SAMPLE, tmp_path / name, "--overwrite")
+        assert code == 2
+        assert said.startswith(f"oee: {tmp_path / name}: {text}")
+
+
+# ---- a disk that is full
+
+
+@pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
+def test_a_full_disk_names_the_file(tmp_path, name):
+    """A process that may write 100 bytes at most: the error comes in the middle of writing, whoever writes."""
+
+    def small():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+
+    (tmp_path / name).write_text("old")
+    process = started(
+        *SAMPLE, tmp_path / name, "--overwrite", preexec_fn=small, env=os.environ | {"NUMBA_CACHE_DIR": ""}
+    )
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 2
+    assert said.splitlines()[-1].startswith(f"oee: {tmp_path / name}: cannot be written (")
+    assert "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "old"
+
+
+def test_write_all_names_the_file_and_keeps_all(tmp_path, monkeypatch):
+    (tmp_path / "a").write_text("old")
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(_files.Path, "write_bytes", full)
+    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/a'"):
+        _files.write_all(tmp_path, {"a": b"new", "b": b"new"})
+    with pytest.raises(OSError, match=r"/new/a'"):
+        _files.write_all(tmp_path / "new", {"a": b"new"})
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_text() == "old"
+
+
+# ---- spreadsheets
+
+FORMULAS = ["=cmd|'/C calc'!A0", "@SUM(A1)", "+1+1", "-2+3", "\t=1", "\r=1", "＝1"]
+
+
+@pytest.mark.filterwarnings("ignore:Glyph")  # a tab has none
+def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
+    mdp = oee.tasks.gridworld(2, 0.3)
+    log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 3, 9, seed=0)
+    policies = dict.fromkeys([*FORMULAS, "plain"], oee.uniform_policy(mdp))
+    report = oee.evaluate(oee.Problem(mdp, log), policies, estimators=["simulator"], seed=0)
+    report.save(tmp_path)
+    table = pd.read_csv(tmp_path / "table.csv")
+    assert sorted(table["policy"].unique()) == sorted([*(f"'{name}".replace("\r", "\n") for name in FORMULAS), "plain"])
+    found = json.loads((tmp_path / "report.json").read_text())
+    assert {row["policy"] for row in found["results"]} == {*FORMULAS, "plain"}  # JSON needs none
+    with open(tmp_path / "table.csv", newline="") as handle:
+        cells = [cell for row in csv.reader(handle) for cell in row]
+    assert len(cells) == table.shape[1] * (len(table) + 1)
+    assert not [cell for cell in cells if cell.startswith(("=", "@", "+"))]
+
+
+def test_numbers_and_their_signs_stay():
+    frame = pd.DataFrame({"=name": ["-a", None], "x": [-1.5, np.nan], "n": [-1, 2]})
+    assert _files.csv_bytes(frame) == b"'=name,x,n\n'-a,-1.5,-1\n,,2\n"
+    assert list(frame.columns) == ["=name", "x", "n"]
+
+
+# ---- two commands in one folder
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from oee_tabular import _lock
+with _lock.only_one(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that holds the folder."""
+    process = subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "estimands"], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def reproduce(output, **options):
+    from oee_tabular.experiments.command import reproduce as run
+
+    settings = {"everything": False, "smoke": False, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False}
+    return run(["estimands"], output=output, say=lambda text: None, **(settings | options))
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_the_second_command_in_a_folder_is_refused(tmp_path, holder, monkeypatch, fresh):
+    from oee_tabular.experiments import command as commands
+
+    monkeypatch.setattr(commands, "run_experiment", lambda *_, **__: pytest.fail("it began"))
+    with pytest.raises(
+        ValueError, match=rf"estimands must be used by one command at a time; another \(process {holder.pid}\)"
+    ):
+        reproduce(tmp_path, fresh=fresh)
+    with pytest.raises(ValueError, match="must be used by one command at a time"):
+        oee.bench.run("oee", families=["machine"], sizes=[3], seeds=1, output=tmp_path / "estimands", fresh=fresh)
+
+
+def test_a_dead_process_holds_nothing(tmp_path, holder):
+    holder.kill()
+    holder.wait()
+    folder = tmp_path / "estimands"
+    assert (folder / _lock.NAME).exists()  # it could not tidy up
+    with _lock.only_one(folder), pytest.raises(ValueError, match="one command at a time"), _lock.only_one(folder):
+        pass
+    assert list(folder.iterdir()) == []
+
+
+def test_a_lock_leaves_nothing_and_takes_no_file_away(tmp_path):
+    with _lock.only_one(tmp_path / "a" / "b"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with _lock.only_one(tmp_path / "c"):
+        (tmp_path / "c" / "kept").write_text("x")
+    assert [path.name for path in (tmp_path / "c").iterdir()] == ["kept"]
+
+
+def test_fresh_keeps_the_lock_that_it_holds(tmp_path):
+    from oee_tabular.experiments.catalogue import EXPERIMENTS
+    from oee_tabular.experiments.store import Store, alone
+
+    settings = EXPERIMENTS["estimands"].settings(smoke=True)
+    Store(tmp_path, settings).open()
+    with alone(tmp_path):
+        Store(tmp_path, settings, fresh=True)
+        assert [path.name for path in tmp_path.iterdir()] == [_lock.NAME]
+
+
+@pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 0, 1), (1, 5, 1)])
+def test_no_more_jobs_than_cells(jobs, cells, most):
+    from oee_tabular.experiments.run import _backend
+
+    with _backend(jobs, None) as parallel:
+        assert parallel(cells).n_jobs == most
+
+
+# ---- Ctrl-C
+
+
+INTERRUPTED = """
+import os, signal, sys
+
+module = sys.argv.pop(1)
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == module:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+from oee_tabular.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.experiments.command", "numpy"])
+def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_path):
+    """What is imported before the command begins, and what it imports as it goes."""
+    process = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, module, "reproduce", "fig1a", "--smoke", "--output", tmp_path],
+        capture_output=True, text=True, timeout=20, check=False,
+    )  # fmt: skip
+    assert process.returncode == 130
+    assert "Traceback" not in process.stderr
+    assert "KeyboardInterrupt" not in process.stderr
+
+
+def test_workers_are_not_interrupted_themselves():
+    """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
+    from oee_tabular.experiments.run import _deaf
+
+    script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
+    with _deaf():
+        inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (inside.stdout, outside.stdout) == ("True\n", "False\n")
+
+
+def test_the_script_is_the_one_that_catches_it():
+    import tomllib
+    from pathlib import Path
+
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    assert project["scripts"]["oee"] == "oee_tabular.__main__:main"
