@@ -13,7 +13,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, find
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
 from oee_tabular.mdp.finite_mdp import canonical_table, name_move
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
@@ -111,14 +111,13 @@ class Problem:
         self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.simulator, FiniteMDP):
-            raise ValueError(f"simulator must be a FiniteMDP; got {type(self.simulator).__name__}")
+        _checks.instance(self.simulator, FiniteMDP, "simulator")
         for name in ("log", "episodes"):
             value = getattr(self, name)
             if not isinstance(value, Transitions) and not (name == "episodes" and value is None):
                 raise ValueError(f"{name} must be Transitions; got {type(value).__name__}")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
-        object.__setattr__(self, "horizon", _checks.optional_horizon(self.horizon))
+        object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:
             checked = check_policy(self.behavior_policy, self.simulator, name="behavior_policy")
             object.__setattr__(self, "behavior_policy", checked)

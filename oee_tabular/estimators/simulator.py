@@ -80,8 +80,7 @@ class Oracle(ExactLimit):
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
-        if not isinstance(self.target, FiniteMDP):
-            raise ValueError(f"target must be a FiniteMDP; got {type(self.target).__name__}")
+        _checks.instance(self.target, FiniteMDP, "target")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
 

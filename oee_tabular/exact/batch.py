@@ -14,7 +14,8 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
 from oee_tabular.exact.systems import TINY, readable, unsigned
 from oee_tabular.exact.values import evaluate_policy
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
+from oee_tabular.mdp.horizons import SHORT
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +189,8 @@ def evaluate_batch(
     flat = None
     if stack.sizes.max() <= TINY and (steps is not None or stack.discounts.max() < 1.0):
         flat = _flat(policies, sizes, actions)
+    if flat is not None and steps is not None and steps > SHORT:
+        steps = max(steps_of(steps, model) for model in stack.models)
     if flat is None:
         return _one_by_one(stack.models * repeat, policies, steps)
     starts = _starts(sizes)

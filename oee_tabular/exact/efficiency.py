@@ -24,7 +24,7 @@ from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.values import policy_kernel, state_values
 from oee_tabular.exact.walks import forward_measure, require_mdp, walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
 
 
 def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, horizon: int | None = None) -> float:
@@ -198,7 +198,7 @@ def trajectory_efficiency_bound(
     14.04
     """
     require_mdp(mdp)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = steps_of(horizon, mdp, kept=12 * mdp.n_states)
     _checks.one_of(model, "model", ("mdp", "tree"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)

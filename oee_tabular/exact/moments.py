@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
@@ -36,6 +37,7 @@ from oee_tabular.exact.walks import (
     weighted_kernel,
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import SHORT, followed
 
 KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
@@ -56,11 +58,13 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     Examples
     --------
     >>> import numpy as np
+from scipy import sparse
     >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
     require_mdp(mdp)
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, mdp, horizon=steps)
     return _moments(walk_of(mdp, pi), "per_decision", steps, False, sources)
@@ -108,6 +112,8 @@ def weighted_return_moments(
     """
     require_mdp(simulator, "simulator")
     _checks.one_of(kind, "kind", KINDS)
+    _checks.boolean(self_normalized, "self_normalized")
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, simulator, horizon=steps)
     return _moments(walk_of(simulator, pi, ratio=zeta), kind, steps, self_normalized, sources)
@@ -145,6 +151,8 @@ def policy_is_moments(
     """
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
+    _checks.boolean(self_normalized, "self_normalized")
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=steps)
     pi = check_policy(policy, mdp, horizon=steps)
@@ -159,11 +167,24 @@ def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, so
             what = "trajectory" if kind == "trajectory" else "self-normalised"
             raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
         return infinite(walk, sources)
+    steps = _followed(walk, steps, kind == "trajectory" or self_normalized, sources)
     if kind == "trajectory":
         return _trajectory(walk, steps, self_normalized, sources)
     if self_normalized:
         return _per_step_ratio(walk, steps, sources)
     return per_decision(walk, steps, sources=sources)
+
+
+def _followed(walk: Walk, steps: int, lasting: bool, sources: bool) -> int:
+    """The steps of a horizon that are carried out; weights that grow faster than the discount, or stay, keep all of them."""
+    if steps <= SHORT or len(walk.act) > 1:
+        return steps
+    rate = walk.discount
+    if not (bool(np.all(walk.u == 1.0)) and bool(np.all(walk.w == 1.0))):
+        first, second = (_radius(weighted_kernel(walk, power)) for power in (1, 2))
+        rate = 1.0 if lasting else max(rate, rate * first, rate**2 * second)
+    kept = 10.0 * walk.n_states if sources or lasting else 4.0
+    return followed(steps, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
 
 
 def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:
@@ -276,9 +297,13 @@ def doubly_robust_moments(
     (0.95, 0.95, 0.25, 0.3823)
     """
     require_mdp(simulator, "simulator")
+    _checks.boolean(action_baseline, "action_baseline")
+    _checks.boolean(sources, "sources")
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)
+    if baseline is None:
+        steps = _followed(walk, steps, False, True)
     u = values_to_go(walk_of(simulator, pi), steps) if baseline is None else _checks.float_array(baseline, "baseline")
     if u.shape != (steps + 1, simulator.n_states):
         raise ValueError(
@@ -333,8 +358,15 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator, horizon=steps)
     walk = walk_of(simulator, pi, ratio=zeta)
+    steps = followed(steps, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
     first, second = (forward_measure(walk, steps, power=power)[:, 0].sum(axis=1) for power in (1, 2))
     return first, second
+
+
+def _radius(matrix: sparse.csr_array) -> float:
+    if matrix.shape[0] <= 400:
+        return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
+    return spectral_radius(matrix)
 
 
 @one_thread
@@ -358,9 +390,5 @@ def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
     """
     require_mdp(simulator, "simulator")
     walk = walk_of(simulator, check_policy(policy, simulator), ratio=zeta)
-    matrix = weighted_kernel(walk, 2)
-    if matrix.shape[0] <= 400:
-        radius = float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
-        return float(np.log(radius)) if radius > 0 else -np.inf
-    radius = spectral_radius(matrix)
+    radius = _radius(weighted_kernel(walk, 2))
     return float(np.log(radius)) if radius > 0 else -np.inf

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import finite
 from oee_tabular.exact.infinite import infinite_values, kernel_parts
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable
-from oee_tabular.mdp import check_policy
+from oee_tabular.mdp import check_policy, optional_steps, steps_of
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     ([0.5, 1.5], 1.0, True)
     """
     require_model(model)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if certify and steps is not None:
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
@@ -146,7 +145,7 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     if horizon is None:
         return factor * evaluate_policy(mdp, policy).value
     require_model(mdp)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = steps_of(horizon, mdp, policy)
     return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
 
 
@@ -184,7 +183,7 @@ def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arr
     [[10.0, 18.0], [20.0, 20.0]]
     """
     require_model(mdp)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
     return _backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))

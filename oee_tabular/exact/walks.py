@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _printing
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical
 from oee_tabular._threads import dot
@@ -96,8 +96,7 @@ class Walk:
 
 def require_mdp(value: object, name: str = "mdp") -> None:
     """A ValueError for what is no FiniteMDP."""
-    if not isinstance(value, FiniteMDP):
-        raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+    _checks.instance(value, FiniteMDP, name)
 
 
 def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array | None = None) -> Walk:

@@ -23,7 +23,8 @@ from oee_tabular.exact import policy_value
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.pairs import Sides, check_pair, forward_distributions
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp.horizons import followed
 
 _LONGEST, _NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
 
@@ -169,7 +170,7 @@ def path_kl(target: FiniteMDP, model: Model, policy: Any, *, horizon: int, ratio
     """
     kernel = check_pair(target, model, ratio)
     _require_rows(kernel)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = followed(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
     pi = check_policy(policy, target, horizon=steps)
     return _path_kl(kernel, pi, steps, _row_kl(target, kernel))
 
@@ -251,7 +252,7 @@ def kl_path_sides(
     _, bound, gamma = _measured(target, kernel)
     shift = int(_on_moves(target))
     rows = _row_kl(target, kernel)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
         return Sides(left, kl_path_bound(_path_kl(kernel, pi, steps, rows)[shift:][:steps], bound, gamma))

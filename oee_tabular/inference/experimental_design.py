@@ -31,7 +31,7 @@ from oee_tabular.inference.design_costs import row_costs
 from oee_tabular.inference.design_flow import certify, collection_mdp, flow_design, policy_of
 from oee_tabular.inference.design_plan import Outlook, Plan, greedy_pairs
 from oee_tabular.inference.design_programs import Design, evaluate, fill, free_design
-from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps, uniform_policy
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.programs import SolverStatusError
@@ -232,7 +232,7 @@ def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
 def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
-        return np.zeros(problem.n_states * problem.n_actions), problem, _checks.optional_horizon(horizon)
+        return np.zeros(problem.n_states * problem.n_actions), problem, optional_steps(horizon, problem)
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a Problem or a FiniteMDP; got {type(problem).__name__}")
     if horizon is not None:

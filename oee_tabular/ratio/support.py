@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
@@ -113,8 +114,7 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
 def require_pair(target: object, simulator: object) -> None:
     """Two MDPs with the same states and actions."""
     for value, name in ((target, "target"), (simulator, "simulator")):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+        _checks.instance(value, FiniteMDP, name)
     assert isinstance(target, FiniteMDP)
     assert isinstance(simulator, FiniteMDP)
     if target.transitions.shape != simulator.transitions.shape:

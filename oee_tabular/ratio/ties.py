@@ -81,8 +81,7 @@ def tied_ratio(
     (20, True, True)
     """
     kappa = _checks.number_in(strength, "strength", 0.0, np.inf)
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     counts = log_or_counts
     if isinstance(counts, Transitions):

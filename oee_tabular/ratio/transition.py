@@ -30,7 +30,7 @@ from oee_tabular._sparse import align, on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
 from oee_tabular.ratio.features import Kernel
@@ -157,8 +157,7 @@ def transition_ratio(
     _checks.one_of(method, "method", METHODS)
     if tie is not None and method == "conditional":
         method = "tied"
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    _checks.instance(simulator, FiniteMDP, "simulator")
     options = {
         "prior": prior,
         "strength": strength,
@@ -189,7 +188,7 @@ def transition_ratio(
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
         _checks.one_of(prior, "prior", PRIORS)
-        steps = _checks.optional_horizon(horizon)
+        steps = optional_steps(horizon, simulator)
         return fit_conditional(
             observed,
             simulator,

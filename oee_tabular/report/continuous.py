@@ -266,8 +266,7 @@ def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array
 
 
 def _fits(log: ContinuousTransitions, task: ContinuousTask) -> None:
-    if not isinstance(log, ContinuousTransitions):
-        raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+    _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state != task.n_state:
         raise ValueError(
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "

@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.data import ContinuousTransitions
+from oee_tabular.mdp.horizons import followed
 from oee_tabular.tasks.continuous import ContinuousTask, StatePolicy, check_probabilities, check_states
 
 CHUNK = 4096  # episodes of one random stream
@@ -78,8 +79,9 @@ def monte_carlo_value(
     >>> 0.62 < expert.value < 0.635  # the paper's figure has .63 here; 1 - .99^100 = .634 is the most there is
     True
     """
-    n, steps = _checks.positive_integer(n_episodes, "n_episodes"), _checks.positive_integer(horizon, "horizon")
-    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+    n, gamma = _checks.positive_integer(n_episodes, "n_episodes"), _checks.number_in(discount, "discount", 0.0, 1.0)
+    _checks.boolean(normalized, "normalized")
+    steps = followed(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
     if normalized and gamma == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     returns = []

@@ -231,8 +231,7 @@ class Discretization:
         self, log: ContinuousTransitions, outside: str, strict: bool
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """The rows that can be encoded, their action numbers, and which end in the absorbing state."""
-        if not isinstance(log, ContinuousTransitions):
-            raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+        _checks.instance(log, ContinuousTransitions, "log")
         _checks.one_of(outside, "outside", OUTSIDE)
         if log.n_state != self.task.n_state:
             raise ValueError(

@@ -13,7 +13,7 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of, one_thread
 
@@ -183,7 +183,7 @@ def compare_with_oracle(
     data: dict[str, Any]
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(target.discount, _checks.optional_horizon(horizon))
+        steps = rollout_horizon(target.discount, optional_steps(horizon, target))
         data = {"behavior_policy": behavior, "data_distribution": _visits(target, behavior, steps)}
         bound = _or_infinite(target, behavior, pi, steps)
     else:
@@ -225,8 +225,7 @@ def _pair(pair: Any) -> tuple[FiniteMDP, FiniteMDP]:
     except (TypeError, ValueError):
         raise ValueError(f"pair must be (simulator, target); got {type(pair).__name__}") from None
     for value, name in ((simulator, "pair[0], the simulator,"), (target, "pair[1], the target,")):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+        _checks.instance(value, FiniteMDP, name)
     if simulator.transitions.shape != target.transitions.shape:
         raise ValueError(
             f"pair must have the same states and actions; their transitions have shapes {simulator.transitions.shape} and "

@@ -315,9 +315,7 @@ def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
 
 
 def _require(mdp: Any) -> FiniteMDP:
-    if not isinstance(mdp, FiniteMDP):
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
-    return mdp
+    return _checks.instance(mdp, FiniteMDP, "mdp")
 
 
 def _sizes(low: Any, high: Any, low_name: str, high_name: str) -> tuple[int, int]:
