@@ -48,7 +48,7 @@ app = typer.Typer(
 
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
 Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same bits.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same bits.")]
 
 
 @app.command()

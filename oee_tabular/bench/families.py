@@ -174,6 +174,7 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     >>> oee.bench.families(1)["garnet_worse"].truth == every["garnet_worse"].truth
     False
     """
+    _checks.boolean(large, "large")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed must be an integer from 0; got {seed!r}")
     makers = dict(MADE) | (dict(LARGE) if large else {})

@@ -131,6 +131,7 @@ class ContinuousTransitions:
         Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
         are not and the largest distance, or an error does with ``strict``.
         """
+        _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
         table = table.reshape(len(table), -1)
         if self.action.ndim == 1:

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.linear import DivergentKernelError, exponent
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,10 @@ class Estimate:
     interval: tuple[float, float] | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     status: str = "ok"
+
+    def __post_init__(self) -> None:
+        if self.status == "ok" and not np.isfinite(self.value):
+            object.__setattr__(self, "status", "the value is not finite: beyond the largest float, or not a number")
 
     def __repr__(self) -> str:
         text = f"Estimate({self.value:.6g}"
@@ -97,8 +101,11 @@ def effective_sample_size(weights: Array) -> float:
 
 def mean_and_error(values: Array) -> tuple[float, float | None]:
     """Mean and standard error of independent values; no error from a single one."""
-    n = len(values)
-    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if n > 1 else None
+    n, shift = len(values), exponent(values)  # squares of very large or small numbers leave the range of floats
+    scaled = np.ldexp(values, -shift)
+    with np.errstate(over="ignore"):
+        error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if n > 1 else None
+        return float(np.ldexp(scaled.mean(), shift)), error
 
 
 def without_divergence(make: Callable[[], Estimate]) -> Estimate:

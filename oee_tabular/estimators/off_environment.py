@@ -92,6 +92,7 @@ class OffEnvironment(ExactLimit):
             raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {self.ratio!r}")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
+        _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
@@ -197,6 +198,8 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     if within is None or step is None:
         return exact
     likeliest = policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
+    if not np.isfinite([within, step.change, step.standard_error, step.change_error, likeliest]).all():
+        return exact  # rewards near the largest float
     change = nearer(step.change, likeliest - exact.value)
     apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
     share = max(0.0, 1.0 - AGAINST / apart**2) if apart > 0 else 0.0

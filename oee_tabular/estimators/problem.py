@@ -11,12 +11,13 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, find
+from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
-from oee_tabular.mdp.finite_mdp import canonical_table, name_move
+from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
+from oee_tabular.ratio.support import checked_counts
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,10 @@ class Problem:
         if self.rewards == "log" and self.log.reward is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
         if self._counts is not None:
-            object.__setattr__(self, "_counts", _checked_counts(self._counts, self.simulator))
+            matrix = checked_counts(self._counts, self.simulator)
+            if matrix.nnz == 0:
+                raise ValueError("counts must have at least one move; all are 0")
+            object.__setattr__(self, "_counts", matrix)
             refuse_unsupported(self._counts, self.simulator, what="counts")
         else:
             refuse_unsupported(self.counts, self.simulator)
@@ -187,25 +191,6 @@ class Problem:
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
-
-
-def _checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
-    """Given counts as a canonical csr of the simulator's shape, read-only; ValueError that names the place."""
-    shape = simulator.transitions.shape
-    if not sparse.issparse(counts):
-        raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
-    if counts.shape != shape:
-        raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
-    if counts.dtype.kind not in "fiub":
-        raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
-    matrix = canonical(sparse.csr_array(counts, dtype=np.float64), drop_zeros=True)
-    bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
-    if bad.size:
-        where = name_move(matrix, int(bad[0]), simulator.n_actions)
-        raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]:g}")
-    if matrix.nnz == 0:
-        raise ValueError("counts must have at least one move; all are 0")
-    return matrix
 
 
 def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:

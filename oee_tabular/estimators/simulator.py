@@ -83,6 +83,7 @@ class Oracle(ExactLimit):
         _checks.instance(self.target, FiniteMDP, "target")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
+        _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:

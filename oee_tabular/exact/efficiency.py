@@ -136,6 +136,7 @@ def ratio_of_ratios_variance(
     >>> round(ratio_of_ratios_variance(coin, coin, [[1.0]] * 2, data, data), 6)
     0.5
     """
+    _checks.boolean(independent_samples, "independent_samples")
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
     _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)

@@ -24,7 +24,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.linear import spectral_radius
+from oee_tabular.exact.finite import locked
+from oee_tabular.exact.linear import exponent, spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
     Walk,
@@ -33,6 +34,7 @@ from oee_tabular.exact.walks import (
     infinite,
     per_decision,
     require_mdp,
+    scaled_moments,
     walk_of,
     weighted_kernel,
 )
@@ -58,7 +60,7 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     Examples
     --------
     >>> import numpy as np
-from scipy import sparse
+    from scipy import sparse
     >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
@@ -162,6 +164,13 @@ def policy_is_moments(
 
 
 def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
+    shift = exponent(walk.pay)
+    scaled = walk if shift == 0 else replace(walk, pay=locked(np.ldexp(walk.pay, -shift)))
+    with np.errstate(over="ignore", invalid="ignore"):  # of weights: said below
+        return scaled_moments(_of_scaled(scaled, kind, steps, self_normalized, sources), shift)
+
+
+def _of_scaled(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
     if steps is None:
         if kind == "trajectory" or self_normalized:
             what = "trajectory" if kind == "trajectory" else "self-normalised"
@@ -310,8 +319,10 @@ def doubly_robust_moments(
             f"baseline must have shape {(steps + 1, simulator.n_states)}, values to go at t; it has {u.shape}"
         )
     _checks.require_finite(u, "baseline")
-    u = u.copy()
+    shift = exponent(np.concatenate([walk.pay, u.ravel()]))
+    u = np.ldexp(u, -shift)
     u[steps] = 0.0
+    walk = replace(walk, pay=locked(np.ldexp(walk.pay, -shift)))
     weighted = entries(walk, walk.prob * walk.w)
     paid = row_sums(weighted, weighted.data * walk.pay) if walk.by_move else walk.pay
     known = np.empty((steps, walk.act.shape[1]))  # all of the step that the baseline knows
@@ -320,8 +331,8 @@ def doubly_robust_moments(
     quiet = replace(walk, pay=np.zeros(len(walk.pay)))
     if action_baseline:
         mean = (walk.act * known).reshape(steps, simulator.n_states, -1).sum(axis=2)
-        return per_decision(quiet, steps, h=mean, k=u, sources=sources)
-    return per_decision(quiet, steps, c=known, k=u, sources=sources)
+        return scaled_moments(per_decision(quiet, steps, h=mean, k=u, sources=sources), shift)
+    return scaled_moments(per_decision(quiet, steps, c=known, k=u, sources=sources), shift)
 
 
 def values_to_go(walk: Walk, steps: int) -> Array:

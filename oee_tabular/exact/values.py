@@ -6,12 +6,15 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import finite
 from oee_tabular.exact.infinite import infinite_values, kernel_parts
@@ -84,7 +87,8 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     >>> found.values.round(6).tolist(), round(found.value, 6), found.error_bound < 1e-12
     ([0.5, 1.5], 1.0, True)
     """
-    require_model(model)
+    require_model(model, "model")
+    _checks.boolean(certify, "certify")
     steps = optional_steps(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if certify and steps is not None:
@@ -94,7 +98,10 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     else:
         found = PolicyValues(*infinite_values(model, pi, certify))
-    return found if np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+    if np.isfinite(found.values).all():
+        return found
+    warnings.warn("some values are beyond the largest float: they are infinite, or not numbers", stacklevel=2)
+    return replace(found, error_bound=np.inf)
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
@@ -141,12 +148,15 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0
     """
-    factor = _normalise(mdp, normalized)
+    factor = _normalise(mdp, _checks.boolean(normalized, "normalized"))
     if horizon is None:
         return factor * evaluate_policy(mdp, policy).value
     require_model(mdp)
     steps = steps_of(horizon, mdp, policy)
-    return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
+    value = factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
+    if not math.isfinite(value):
+        warnings.warn("the value is beyond the largest float: it is infinite, or not a number", stacklevel=2)
+    return value
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:

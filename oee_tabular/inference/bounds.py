@@ -51,6 +51,7 @@ def unnormalised_bound(
     >>> round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12), unnormalised_bound(0.5, 1.0, 0.9)
     (0.5625, inf)
     """
+    _checks.boolean(rewards_on_moves, "rewards_on_moves")
     eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:
@@ -109,6 +110,7 @@ def normalised_bound(
     >>> normalised_bound(0.5, 1.0, 0.5, horizon=3), normalised_bound(0.5, 1.0, 1.0, horizon=10)
     (0.5, 15.0)
     """
+    _checks.boolean(rewards_on_moves, "rewards_on_moves")
     eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:

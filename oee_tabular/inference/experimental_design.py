@@ -116,6 +116,8 @@ def plan_data_collection(
     >>> round(plan.expected_standard_error[1], 3), plan.next_pairs[:3]
     (0.106, ((4, 0), (0, 0), (8, 0)))
     """
+    _checks.boolean(optimistic, "optimistic")
+    _checks.boolean(restart_costs_a_move, "restart_costs_a_move")
     counts, mdp, steps = _known(problem, horizon)
     number = _checks.positive_integer(n, "n")
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
@@ -136,12 +138,12 @@ def plan_data_collection(
         horizon=steps,
         box=box,
         confidence=level,
-        optimistic=bool(optimistic),
+        optimistic=optimistic,
     )
     collection = None
     if sampling == "behavior":
         again = _restart(restart, mdp.discount, steps)
-        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=bool(restart_costs_a_move))
+        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
     base, costs = counts / number, found.table / number
     matters = np.flatnonzero(costs.max(axis=1) > 0.0)
     after, least, free = (np.zeros(len(pis)) for _ in range(3))

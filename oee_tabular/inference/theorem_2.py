@@ -36,6 +36,7 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
     >>> ratio_error_bound(0.01, 2.0, 0.5), ratio_error_bound(0.01, 2.0, 0.5, tight=True)
     (0.16, 0.1)
     """
+    _checks.boolean(tight, "tight")
     lower, upper = check_box(nu, mu)
     size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
     return (upper + lower if tight else upper * (1.0 + lower * upper)) / lower**2 * size
@@ -57,6 +58,7 @@ def ratio_error_sides(
     >>> round(ratio_error_sides([1.1], [0.9], [1.0], [1.0], mu=2.0, nu=0.5).ratio, 3)
     0.139
     """
+    _checks.boolean(tight, "tight")
     named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
     top, bottom, best_top, best_bottom = (in_box(value, name, *check_box(nu, mu)) for name, value in named.items())
     for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):

@@ -12,6 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
+from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.neighbours import Factor
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -84,6 +85,7 @@ class TransitionRatio:
 
         Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
         """
+        _checks.boolean(normalize, "normalize")
         zeta = self.on(simulator)
         data = zeta * simulator.transitions.data
         sums = row_sums(simulator.transitions, data)
@@ -113,7 +115,10 @@ class TransitionRatio:
         as given; unvisited rows add only what they share with others (a tilt). The error that a wrong prior makes is not in
         it. None where no formula is known.
         """
-        return None if self._influence is None else self._influence.standard_error(gradient)
+        if self._influence is None:
+            return None
+        shift = exponent(gradient)
+        return float(np.ldexp(self._influence.standard_error(np.ldexp(gradient, -shift)), shift))
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
@@ -123,7 +128,12 @@ class TransitionRatio:
         that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single move has none under its own frequencies.
         """
-        return None if self._influence is None else self._influence.one_step(gradient)
+        if self._influence is None:
+            return None
+        shift = exponent(gradient)
+        step = self._influence.one_step(np.ldexp(gradient, -shift))
+        parts = step.change, step.standard_error, step.unseen, step.change_error
+        return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
 
 
 @dataclass(frozen=True)

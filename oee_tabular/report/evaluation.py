@@ -69,6 +69,8 @@ def evaluate(
     >>> report.sureness.sentences[0].split(":")[0]
     'The target differs from the simulator'
     """
+    _checks.boolean(normalized, "normalized")
+    _checks.boolean(guaranteed, "guaranteed")
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     if not isinstance(problem, Problem):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
+from oee_tabular import _checks
 from oee_tabular.mdp import FiniteMDP
 
 
@@ -44,10 +45,10 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
     environment_exists(identifier)
     try:
         return gymnasium.make(identifier, **kwargs)
-    except (TypeError, KeyError) as error:
-        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
     except gymnasium.error.Error as error:
         raise ValueError(f"environment {identifier!r} cannot be made: {error}") from None
+    except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
+        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
 
 
 def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
@@ -64,8 +65,12 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> Finit
     >>> toy_text("FrozenLake-v1", map_name="8x8", success_rate=0.6)
     FiniteMDP(64 states, 4 actions, 674 transitions, rewards r(s, a, s'), discount 0.99)
     """
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     env = make_environment(identifier, **kwargs)
     try:
-        return FiniteMDP.from_gymnasium(env, discount=discount)
+        return FiniteMDP.from_gymnasium(env, discount=gamma)
+    except ValueError as error:
+        said = f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}" if kwargs else ""
+        raise ValueError(f"environment {identifier!r}{said} is no finite MDP: {error}") from None
     finally:
         env.close()
