@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular.bench import families_garnet as garnets
 from oee_tabular.bench import families_grids as grids
 from oee_tabular.bench import families_gymnasium as others_own

@@ -14,7 +14,8 @@ from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes

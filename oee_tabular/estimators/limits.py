@@ -12,7 +12,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
 from oee_tabular.exact import Model, policy_value
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 

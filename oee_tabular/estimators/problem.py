@@ -13,7 +13,8 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data

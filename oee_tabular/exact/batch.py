@@ -14,8 +14,8 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
 from oee_tabular.exact.systems import TINY, readable, unsigned
 from oee_tabular.exact.values import evaluate_policy
-from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
-from oee_tabular.mdp.horizons import SHORT
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import SHORT, steps_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,8 @@ from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.values import policy_kernel, state_values
 from oee_tabular.exact.walks import forward_measure, require_mdp, walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 
 
 def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, horizon: int | None = None) -> float:

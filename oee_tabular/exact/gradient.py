@@ -13,7 +13,8 @@ from oee_tabular.exact.finite import locked, rows_of
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
-from oee_tabular.mdp import check_policy, optional_steps
+from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import optional_steps
 
 
 def transition_gradient(

@@ -20,7 +20,8 @@ from oee_tabular.exact import finite
 from oee_tabular.exact.infinite import infinite_values, kernel_parts
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable
-from oee_tabular.mdp import check_policy, optional_steps, steps_of
+from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import optional_steps, steps_of
 
 
 @dataclass(frozen=True)

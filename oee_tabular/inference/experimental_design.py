@@ -31,7 +31,8 @@ from oee_tabular.inference.design_costs import row_costs
 from oee_tabular.inference.design_flow import certify, collection_mdp, flow_design, policy_of
 from oee_tabular.inference.design_plan import Outlook, Plan, greedy_pairs
 from oee_tabular.inference.design_programs import Design, evaluate, fill, free_design
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps, uniform_policy
+from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.programs import SolverStatusError

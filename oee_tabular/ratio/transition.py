@@ -30,7 +30,8 @@ from oee_tabular._sparse import align, on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
 from oee_tabular.ratio.features import Kernel

@@ -9,7 +9,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 
 
 def running_sums(data: Array, indptr: Any) -> Array:

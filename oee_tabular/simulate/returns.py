@@ -11,7 +11,8 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP, check_policy, steps_of
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 from oee_tabular.simulate.logs import episode_log, stream_key
 
 if TYPE_CHECKING:

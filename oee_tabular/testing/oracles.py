@@ -13,7 +13,8 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
-from oee_tabular.mdp import FiniteMDP, check_policy, optional_steps
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of, one_thread
 
