@@ -170,6 +170,22 @@ def instance(value: object, kind: type[T] | tuple[type[T], ...], name: str, call
     return value
 
 
+def function(value: object, name: str) -> None:
+    """``value`` can be called."""
+    if not callable(value):
+        raise ValueError(f"{name} must be a function; got {type(value).__name__}")
+
+
+def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
+    """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of what it must be one."""
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError
+        return tuple(value)
+    except TypeError:
+        raise ValueError(f"{name} must be {rule}; got {type(value).__name__}") from None
+
+
 def require_memory(count: float, name: str, value: object, *, size: int = 8) -> None:
     """``count`` numbers of ``size`` bytes, which the argument ``name`` asks for, are no more than the machine has."""
     if count * size > _machine_memory():

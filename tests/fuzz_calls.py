@@ -31,17 +31,93 @@ METHODS = {
     "TransitionRatio": ("log_standard_error", "maximum_likelihood_model", "on", "one_step", "target_model"),
     "Problem": ("rewards_of",),
 }
-CALLED = ("DoublyRobust", "DualDice", "ImportanceSampling", "Magic", "Marginalized", "ModelBased", "OffEnvironment", "Simulator")
+CALLED = (
+    "DoublyRobust",
+    "DualDice",
+    "ImportanceSampling",
+    "Magic",
+    "Marginalized",
+    "ModelBased",
+    "OffEnvironment",
+    "Simulator",
+)
 RESULTS = "records of results, strategies, pictures, or minutes of work"
-LEFT_OUT = (
-    "Estimate Interval Moments Plan RatioFit Report TransitionRatio BatchValues LinearSolution ModelStack ReweightedModel Comparison "
-    "EstimationCounterexample Outlook RowChanges Selection Sides SimulationLemma Families League Assumptions SampleRatio Result "
-    "SampledReturns ArmCells Closure Discretization KinovaHand MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator Model "
-    "ContinuousTask StatePolicy arm_cells train_expert fit_hand kinova_model check_estimator run league_of families "
-    "garnet_worse evaluate_continuous record_goals hand_log reacher_log visited_states defensive_mixture logs mdp_pairs mdps "
-    "policies horizons padded_log relabelled_log load_kinova_log make_environment check_output check_page Settings GymnasiumTask "
-    "LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem"
-).split()
+LEFT_OUT = [
+    "Estimate",
+    "Interval",
+    "Moments",
+    "Plan",
+    "RatioFit",
+    "Report",
+    "TransitionRatio",
+    "BatchValues",
+    "LinearSolution",
+    "ModelStack",
+    "ReweightedModel",
+    "Comparison",
+    "EstimationCounterexample",
+    "Outlook",
+    "RowChanges",
+    "Selection",
+    "Sides",
+    "SimulationLemma",
+    "Families",
+    "League",
+    "Assumptions",
+    "SampleRatio",
+    "Result",
+    "SampledReturns",
+    "ArmCells",
+    "Closure",
+    "Discretization",
+    "KinovaHand",
+    "MonteCarlo",
+    "Moves",
+    "NamedTask",
+    "Case",
+    "Verdict",
+    "Verdicts",
+    "Family",
+    "Estimator",
+    "Model",
+    "ContinuousTask",
+    "StatePolicy",
+    "arm_cells",
+    "train_expert",
+    "fit_hand",
+    "kinova_model",
+    "check_estimator",
+    "run",
+    "league_of",
+    "families",
+    "garnet_worse",
+    "evaluate_continuous",
+    "record_goals",
+    "hand_log",
+    "reacher_log",
+    "visited_states",
+    "defensive_mixture",
+    "logs",
+    "mdp_pairs",
+    "mdps",
+    "policies",
+    "horizons",
+    "padded_log",
+    "relabelled_log",
+    "load_kinova_log",
+    "make_environment",
+    "check_output",
+    "check_page",
+    "Settings",
+    "GymnasiumTask",
+    "LinearReacher",
+    "VisitedCells",
+    "GridInterpolation",
+    "gaussian",
+    "DEFAULT",
+    "LAWS",
+    "tandem",
+]
 
 
 def functions(known):
@@ -51,7 +127,12 @@ def functions(known):
         for name in module.__all__:
             if callable(getattr(module, name)) and name not in LEFT_OUT:
                 found[name] = getattr(module, name)
-    holders = {"FiniteMDP": known["mdp"], "Transitions": known["log"], "TransitionRatio": known["zeta"], "Problem": known["problem"]}
+    holders = {
+        "FiniteMDP": known["mdp"],
+        "Transitions": known["log"],
+        "TransitionRatio": oee.transition_ratio(known["log"], known["simulator"]),
+        "Problem": known["problem"],
+    }
     for holder, names in METHODS.items():
         found |= {f"{holder}.{name}": getattr(holders[holder], name) for name in names}
     found |= {f"{name}.__call__": getattr(oee.estimators, name)() for name in CALLED}
@@ -79,7 +160,9 @@ def call(function, values):
     """The call, positional-only parameters in their place."""
     kinds = inspect.signature(function).parameters
     positional = [values[n] for n, p in kinds.items() if p.kind is p.POSITIONAL_ONLY and n in values]
-    return function(*positional, **{n: v for n, v in values.items() if kinds[n].kind is not inspect.Parameter.POSITIONAL_ONLY})
+    return function(
+        *positional, **{n: v for n, v in values.items() if kinds[n].kind is not inspect.Parameter.POSITIONAL_ONLY}
+    )
 
 
 def has_nan(value, depth=0):
@@ -93,8 +176,12 @@ def has_nan(value, depth=0):
     if isinstance(value, tuple | list):
         return any(has_nan(part, depth + 1) for part in value)
     if dataclasses.is_dataclass(value) and depth < 2:
-        names = [f.name for f in dataclasses.fields(value) if f.name not in ("diagnostics", "details") and f.name[0] != "_"]
-        return getattr(value, "status", "ok") == "ok" and any(has_nan(getattr(value, name), depth + 1) for name in names)
+        names = [
+            f.name for f in dataclasses.fields(value) if f.name not in ("diagnostics", "details") and f.name[0] != "_"
+        ]
+        return getattr(value, "status", "ok") == "ok" and any(
+            has_nan(getattr(value, name), depth + 1) for name in names
+        )
     return False
 
 
@@ -115,7 +202,8 @@ def judged(function, values, replaced):
             return "refused", str(error)
         except Exception as error:
             return "raw", f"{type(error).__name__}: {error}"
-    if has_nan(result) and not any(issubclass(w.category, UserWarning) for w in said):
+    silent = not isinstance(result, oee.inference.RowChanges)  # nan where a row was never recorded, as it says
+    if silent and has_nan(result) and not any(issubclass(w.category, UserWarning) for w in said):
         return "nan", repr(result)
     return "accepted", ""
 

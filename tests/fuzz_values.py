@@ -58,6 +58,7 @@ def own_values(known):
     """Arguments whose meaning differs from that of the same name elsewhere: function name -> values."""
     uniform, cartpole, moves = known["policy"], known["task"], known["continuous_log"]
     driver = oee.tasks.cartpole_policy(0.5)
+    paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
     many = np.stack([uniform, uniform])
     return {
         "reweight": {"ratio": known["zeta"]}, "evaluate_batch": {"policies": many}, "stack_models": {"models": [known["mdp"]] * 2},
@@ -69,16 +70,17 @@ def own_values(known):
         "ContinuousTransitions": {"state": moves.state[:2], "action": moves.action[:2], "next_state": moves.next_state[:2]},
         "record": {"policy": driver, "n_episodes": None, "n_transitions": 20}, "monte_carlo_value": {"policy": driver},
         "resimulate": {"log": moves}, "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
-        "leading_bias": {}, "Problem": {"behavior_policy": None, "rewards": "simulator"}, "Magic": {"ratio": "conditional"},
-        "Marginalized": {"ratio": "conditional", "lower": None, "upper": None}, "toy_text": {}, "solve_policy_system": {},
-        "OffEnvironment": {"ratio": "conditional"}, "DoublyRobust": {"ratio": "conditional"}, "FiniteMDP": {},
-        "ratio_error_sides": {"moves": known["g"]}, "compare_with_oracle": {"n": 20, "repetitions": 3, "data_distribution": None},
+        "DualDice.__call__": {"problem": oee.Problem(known["simulator"], known["log"])},
+        "Problem": {"behavior_policy": None, "rewards": "simulator"}, "Magic": {"ratio": "conditional"},
+        "Marginalized": {"ratio": "conditional", "lower": None, "upper": None},
+        "OffEnvironment": {"ratio": "conditional"}, "DoublyRobust": {"ratio": "conditional"},
+        "ratio_error_sides": {"moves": known["g"]}, "compare_with_oracle": {"n": 20, "repetitions": 3, "horizon": None, "data_distribution": known["data_distribution"]},
         "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)}, "LinearReacher": {"coefficients": None, "root": None},
-        "FiniteMDP.with_rewards": {}, "family": {}, "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1},
-        "estimation_sides": {"n": 1000}, "renyi_divergence": {}, "Reacher": {"target": (0.1, 0.1)}, "uncovered_share": {},
-        "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01}, "FiniteMDP.from_gymnasium": {}, "unnormalised_bound": {},
-        "fit_hand": {}, "gridworld_policy": {}, "displacements": {}, "Transitions": {"episode": None},
-        "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0}, "CartPole": {}, "tandem": {"size": 5}, "garnet_worse": {"n_states": 40},
+        "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1},
+        "estimation_sides": {"n": 1000}, "Reacher": {"target": (0.1, 0.1)},
+        "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
+        "Transitions": {"episode": None},
+        "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0}
     }  # fmt: skip
 
 

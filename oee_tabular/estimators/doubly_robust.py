@@ -17,7 +17,7 @@ from oee_tabular.estimators.episodes import episode_limit, episode_terms
 from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.model_based import delta_error
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
 from oee_tabular.exact import (
     Model,
@@ -30,7 +30,7 @@ from oee_tabular.exact import (
 from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate import sample_episodes
 
 DATA = ("transitions", "rollouts", "episodes")
@@ -92,7 +92,7 @@ class DoublyRobust(ExactLimit):
         return without_divergence(lambda: self._estimate(problem, policy, seed))
 
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         if self.data == "transitions":
             return self._on_transitions(problem, pi, generator)

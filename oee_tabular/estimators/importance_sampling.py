@@ -13,11 +13,11 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
 from oee_tabular.estimators.limits import ExactLimit, Population
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import forward_measure, walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 
 LARGEST_WEIGHT = 1e150  # its square is still a float
 
@@ -69,7 +69,7 @@ class ImportanceSampling(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         log = problem.log if problem.episodes is None else problem.episodes
         starts, timestep = log.episode_starts, log.timestep
         if starts is None or timestep is None:

@@ -15,10 +15,10 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.linear import DivergentKernelError, exponent
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ModelBased(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         totals = row_sums(problem.counts)
         model = self.model(problem)
         try:

@@ -15,7 +15,7 @@ from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population, limit_ratio
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
 from oee_tabular.exact import (
     Model,
@@ -28,7 +28,6 @@ from oee_tabular.exact import (
     weighted_return_moments,
 )
 from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 
 NORMAL = NormalDist().inv_cdf(0.975)
@@ -97,7 +96,7 @@ class OffEnvironment(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = self.fit(problem, pi, generator)
         if self.evaluation == "monte_carlo":

@@ -14,8 +14,8 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts
@@ -115,9 +115,8 @@ class Problem:
     def _check(self) -> None:
         _checks.instance(self.simulator, FiniteMDP, "simulator")
         for name in ("log", "episodes"):
-            value = getattr(self, name)
-            if not isinstance(value, Transitions) and not (name == "episodes" and value is None):
-                raise ValueError(f"{name} must be Transitions; got {type(value).__name__}")
+            if name == "log" or self.episodes is not None:
+                _checks.instance(getattr(self, name), Transitions, name, "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
         object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:
@@ -191,7 +190,13 @@ class Problem:
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""
+        _checks.instance(log, Transitions, "log", "Transitions")
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
+
+
+def checked_policy(problem: object, policy: Any) -> Array:
+    """A policy of ``problem``, (S, A); a ValueError for what is no Problem or no policy of it."""
+    return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
 def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:

@@ -10,11 +10,11 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit, Population
 from oee_tabular.estimators.off_environment import OffEnvironment
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 
 
@@ -88,7 +88,7 @@ class Oracle(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         ratio = true_ratio(self.target, problem.simulator)
         if self.evaluation == "monte_carlo":
             return product_estimate(

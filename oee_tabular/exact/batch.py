@@ -103,15 +103,12 @@ def stack_models(models: Sequence[Model]) -> ModelStack:
     >>> evaluate_batch(stack_models([coin, coin]), [[[1.0]] * 2] * 2).value.round(6).tolist()
     [1.0, 1.0]
     """
-    try:
-        found = tuple(models)
-    except TypeError:
-        raise ValueError(f"models must be a FiniteMDP or a sequence of them; got {type(models).__name__}") from None
+    found = _checks.collection(models, "models", "a FiniteMDP or a sequence of them")
     if not found:
         raise ValueError("models must be at least one FiniteMDP; there is none")
     if set(map(type, found)) != {FiniteMDP}:
-        for model in found:
-            require_model(model)
+        for i, model in enumerate(found):
+            require_model(model, f"models[{i}]")
     rows = _each(found, "transitions")
     pointers, indices, data = (
         getattr(rows[0], name) if len(rows) == 1 else np.concatenate(_each(rows, name))

@@ -175,6 +175,7 @@ def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify
     >>> state_values(coin, [[1.0]] * 2).round(6).tolist(), state_values(coin, [[1.0]] * 2, horizon=2).tolist()
     ([0.5, 1.5], [0.25, 1.25])
     """
+    require_model(mdp)
     return evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values
 
 

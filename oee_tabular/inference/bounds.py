@@ -61,7 +61,7 @@ def unnormalised_bound(
     if steps is None:
         rest = 1.0 - gamma * (1.0 + eta)
         return bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest) if rest > 0.0 else math.inf
-    t = np.arange(steps)
+    t = np.arange(followed(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8))
     growth = (t + shift) * np.log1p(eta)
     with np.errstate(over="ignore"):
         return float(bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth)))
@@ -117,7 +117,7 @@ def normalised_bound(
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = _long(gamma) if steps is None else steps
+    length = _long(gamma) if steps is None else followed(steps, gamma, work=100.0, kept=8)
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:

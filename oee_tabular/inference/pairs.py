@@ -19,8 +19,8 @@ from oee_tabular._sparse import align, on_pattern
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.horizons import optional_steps
 
 
 @dataclass(frozen=True)

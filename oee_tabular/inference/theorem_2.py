@@ -18,6 +18,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.pairs import Sides, check_box, check_pair, in_box
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import followed
 
 
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
@@ -100,7 +101,8 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
     if bound == 0.0 or size == 0.0:
         return 0.0
-    t = np.arange(1.0, steps + 1.0)
+    last = followed(steps, min(1.0, gamma / lower), work=100.0, kept=8)
+    t = np.arange(1.0, last + 1.0)
     with np.errstate(over="ignore"):
         return float(steps * (bound * size) ** 2 * np.sum(t * (gamma / lower) ** t))
 
@@ -122,11 +124,12 @@ def value_error_sides(
     0.023
     """
     kernel = check_pair(target, model, ratio)
+    steps = _checks.positive_integer(horizon, "horizon")
     if target.reward_data is not None:
         raise ValueError("target must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')")
     largest = float(np.abs(target.rewards).max())
     right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
-    values = [policy_value(mdp, policy, horizon=horizon + 1) for mdp in (target, kernel)]
+    values = [policy_value(mdp, policy, horizon=steps + 1) for mdp in (target, kernel)]
     return Sides((values[0] - values[1]) ** 2, right)
 
 
@@ -167,9 +170,10 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     >>> round(corrected_value_error_bound(2, 1.0, 0.5, error=0.1), 6)
     0.015
     """
-    steps = _checks.positive_integer(horizon, "horizon")
     bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     size = _checks.number_in(error, "error", 0.0, math.inf)
-    t = np.arange(1.0, steps + 1.0)
+    steps = _checks.positive_integer(horizon, "horizon")
+    last = followed(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
+    t = np.arange(1.0, last + 1.0)
     return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))

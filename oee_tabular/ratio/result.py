@@ -71,6 +71,7 @@ class TransitionRatio:
 
     def on(self, simulator: FiniteMDP) -> Array:
         """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
+        _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
                 f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
@@ -100,6 +101,7 @@ class TransitionRatio:
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
         """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
+        _checks.instance(simulator, FiniteMDP, "simulator")
         if self._influence is None:
             raise ValueError(
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
@@ -115,6 +117,7 @@ class TransitionRatio:
         as given; unvisited rows add only what they share with others (a tilt). The error that a wrong prior makes is not in
         it. None where no formula is known.
         """
+        gradient = self._aligned(gradient)
         if self._influence is None:
             return None
         shift = exponent(gradient)
@@ -128,12 +131,21 @@ class TransitionRatio:
         that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single move has none under its own frequencies.
         """
+        gradient = self._aligned(gradient)
         if self._influence is None:
             return None
         shift = exponent(gradient)
         step = self._influence.one_step(np.ldexp(gradient, -shift))
         parts = step.change, step.standard_error, step.unseen, step.change_error
         return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
+
+    def _aligned(self, gradient: Any) -> Array:
+        array = _checks.float_array(gradient, "gradient", ndim=1)
+        if len(array) != self.values.nnz:
+            raise ValueError(
+                f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"
+            )
+        return array
 
 
 @dataclass(frozen=True)

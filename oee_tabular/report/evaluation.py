@@ -73,8 +73,11 @@ def evaluate(
     _checks.boolean(guaranteed, "guaranteed")
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    if target is not None:
+        _checks.instance(target, FiniteMDP, "target")
+    if facts is not None:
+        _checks.instance(facts, Mapping, "facts")
     if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
         raise ValueError(
             f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "

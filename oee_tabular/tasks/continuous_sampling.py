@@ -79,6 +79,7 @@ def monte_carlo_value(
     >>> 0.62 < expert.value < 0.635  # the paper's figure has .63 here; 1 - .99^100 = .634 is the most there is
     True
     """
+    _checks.instance(task, ContinuousTask, "task")
     n, gamma = _checks.positive_integer(n_episodes, "n_episodes"), _checks.number_in(discount, "discount", 0.0, 1.0)
     _checks.boolean(normalized, "normalized")
     steps = followed(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
@@ -137,6 +138,7 @@ def record(
     """
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")
+    _checks.instance(task, ContinuousTask, "task")
     steps = _checks.positive_integer(max_steps, "max_steps")
     if n_episodes is not None:
         wanted = _checks.positive_integer(n_episodes, "n_episodes")
@@ -211,6 +213,8 @@ def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = 
     >>> bool((pair.state == log.state).all()), bool((pair.next_state == log.next_state).all())
     (True, False)
     """
+    _checks.instance(task, ContinuousTask, "task")
+    _checks.instance(log, ContinuousTransitions, "log", "ContinuousTransitions")
     states = check_states(task, log.state, "log.state")
     moved = task.step(states, log.action_numbers(task.actions), _checks.generator(seed))
     return ContinuousTransitions(

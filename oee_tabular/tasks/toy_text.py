@@ -13,6 +13,7 @@ def environment_exists(identifier: str) -> None:
     """A ValueError with the nearest ids for an unknown one."""
     from gymnasium.envs.registration import registry
 
+    _checks.instance(identifier, str, "identifier")
     if identifier not in registry:
         near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
         hint = f"; near: {', '.join(near)}" if near else ""
