@@ -221,6 +221,14 @@ def generator(seed: Any) -> np.random.Generator:
         raise ValueError(f"seed must be what numpy.random.default_rng takes; got {seed!r} ({error})") from None
 
 
+def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
+    """The stream ``key`` of ``seed``, with an error that names the argument."""
+    try:
+        return np.random.SeedSequence(seed, spawn_key=key)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"seed must be what numpy.random.SeedSequence takes; got {seed!r} ({error})") from None
+
+
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
     """The same array, no longer writable."""
     array.flags.writeable = False

@@ -41,6 +41,12 @@ CALLED = (
     "OffEnvironment",
     "Simulator",
 )
+ALIASES = {
+    "identifier": ("environment",),
+    "spec": ("environment", "simulator"),
+    "policies": ("policy",),
+    "log_or_counts": ("counts",),
+}
 RESULTS = "records of results, strategies, pictures, or minutes of work"
 LEFT_OUT = [
     "Estimate",
@@ -185,9 +191,10 @@ def has_nan(value, depth=0):
     return False
 
 
-def named(message, replaced):
-    """Whether a message names one of the replaced arguments."""
-    return any(re.search(rf"(?<![a-z]){name}s?(?![a-z])|{name.replace('_', ' ')}", message) for name in replaced)
+def named(message, arguments):
+    """Whether a message names an argument: of two that do not fit it may be the other one."""
+    words = [word for name in arguments for word in (name, *ALIASES.get(name, ()))]
+    return any(re.search(rf"(?<![a-z]){word}s?(?![a-z])|{word.replace('_', ' ')}", message) for word in words)
 
 
 def judged(function, values, replaced):
@@ -197,7 +204,9 @@ def judged(function, values, replaced):
         try:
             result = call(function, values)
         except (ValueError, TypeError) as error:
-            return ("refused" if named(str(error), replaced) else "nameless"), f"{type(error).__name__}: {error}"
+            if any(callable(values[name]) for name in replaced):
+                return "refused", str(error)  # perhaps the hostile function's own
+            return ("refused" if named(str(error), values) else "nameless"), f"{type(error).__name__}: {error}"
         except DOCUMENTED as error:
             return "refused", str(error)
         except Exception as error:

@@ -112,7 +112,7 @@ def spoilt(rng, valid):
     if isinstance(valid, bool | str | None.__class__ | dict) or not np.shape(valid):
         return [valid]
     array = np.array(valid)
-    if array.dtype == object or array.size == 0:
+    if array.dtype.kind not in "fiub" or array.size == 0:
         return array
     change = rng.integers(6)
     if change == 0:

@@ -148,6 +148,7 @@ class Transitions:
         """
         _checks.positive_integer(n_states, "n_states")
         _checks.positive_integer(n_actions, "n_actions")
+        _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
         for name, column, limit in (
             ("state", self.state, n_states),
             ("action", self.action, n_actions),

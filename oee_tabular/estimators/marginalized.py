@@ -21,6 +21,7 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import density_ratio
+from oee_tabular.ratio.box import check_box
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
@@ -62,6 +63,7 @@ class Marginalized(ExactLimit):
 
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
+        check_box(self.lower, self.upper, normalized=False)
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:

@@ -35,8 +35,9 @@ class Simulator(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
+        pi = checked_policy(problem, policy)
         try:
-            found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
+            found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
         except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})

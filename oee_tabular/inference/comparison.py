@@ -139,6 +139,7 @@ def compare_policies(
     recorded      6.8896        0.13     0.0%  -3.112 [-3.236, -2.988]
     values: discounted sum of rewards, not normalised; intervals at 95%
     """
+    _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if not isinstance(policies, Mapping) or len(policies) < 2:

@@ -257,7 +257,7 @@ def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> S
     if bound < largest:
         raise ValueError(f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}")
     left = float(ps[ps > 0.0] @ (values - best) ** 2)
-    return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound**2 * risk)
+    return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound * bound * risk)
 
 
 def _same_length(g: Array, p: Array) -> None:

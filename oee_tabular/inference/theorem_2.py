@@ -104,7 +104,7 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     last = followed(steps, min(1.0, gamma / lower), work=100.0, kept=8)
     t = np.arange(1.0, last + 1.0)
     with np.errstate(over="ignore"):
-        return float(steps * (bound * size) ** 2 * np.sum(t * (gamma / lower) ** t))
+        return float(steps * (bound * size) * (bound * size) * np.sum(t * (gamma / lower) ** t))
 
 
 def value_error_sides(
@@ -130,7 +130,7 @@ def value_error_sides(
     largest = float(np.abs(target.rewards).max())
     right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
     values = [policy_value(mdp, policy, horizon=steps + 1) for mdp in (target, kernel)]
-    return Sides((values[0] - values[1]) ** 2, right)
+    return Sides((values[0] - values[1]) * (values[0] - values[1]), right)
 
 
 def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu: float) -> Sides:
@@ -176,4 +176,4 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     steps = _checks.positive_integer(horizon, "horizon")
     last = followed(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
     t = np.arange(1.0, last + 1.0)
-    return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))
+    return float(2.0 * steps * (bound * size) * (bound * size) * np.sum(t * gamma ** (2.0 * t)))

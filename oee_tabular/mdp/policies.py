@@ -61,6 +61,7 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
     require_sized(mdp)
+    _checks.instance(name, str, "name")
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
     shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]

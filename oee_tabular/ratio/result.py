@@ -74,7 +74,7 @@ class TransitionRatio:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
+                f"ratio must be for {simulator.transitions.shape} rows and states, the simulator's; it is for {self.values.shape}"
             )
         zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
@@ -106,6 +106,7 @@ class TransitionRatio:
             raise ValueError(
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
             )
+        self.on(simulator)  # or an error
         return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
 
     @one_thread
@@ -141,6 +142,7 @@ class TransitionRatio:
 
     def _aligned(self, gradient: Any) -> Array:
         array = _checks.float_array(gradient, "gradient", ndim=1)
+        _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
             raise ValueError(
                 f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"

@@ -109,7 +109,7 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
     _checks.instance(simulator, FiniteMDP, "simulator")
     given = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
     _checks.require_finite(given, "coordinates")
-    places = given.reshape(len(given), -1)
+    places = given[:, None] if given.ndim == 1 else given
     if places.shape[0] != simulator.n_states:
         raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
     matrix = simulator.transitions

@@ -97,7 +97,7 @@ def evaluate(
     raw: list[Result] = []
     cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
     for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
-        stream = np.random.SeedSequence(seed, spawn_key=(i, j))
+        stream = _checks.seed_sequence(seed, (i, j))
         raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
     sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
@@ -173,7 +173,12 @@ def _chosen(
     if isinstance(estimators, Mapping):
         return dict(estimators), []
     found: dict[str, Estimator] = {}
-    for item in [estimators] if isinstance(estimators, str) else estimators:
+    every = (
+        (estimators,)
+        if isinstance(estimators, str)
+        else _checks.collection(estimators, "estimators", "names or estimators")
+    )
+    for item in every:
         if isinstance(item, str):
             found |= named_estimators([item], target)
         elif callable(item):

@@ -67,6 +67,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     from oee_tabular.kernels import rollout
 
     n = _checks.positive_integer(n_episodes, "n_episodes")
+    _checks.require_memory(9.0 * n, "n_episodes", n)  # a row each, at least
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.positive_integer(horizon, "horizon")
     if steps > 10**6 / n:  # no log of a million moves is cut

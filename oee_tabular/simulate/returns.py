@@ -145,6 +145,7 @@ def sample_returns(
     _checks.one_of(kind, "kind", KINDS)
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
+    _checks.require_memory(9.0 * n, "n_episodes", n)
     steps = steps_of(horizon, mdp)
     lanes = min(_checks.positive_integer(n_lanes, "n_lanes"), n)
     pi = check_policy(policy, mdp)

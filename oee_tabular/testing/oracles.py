@@ -175,6 +175,7 @@ def compare_with_oracle(
     (True, True)
     """
     simulator, target = _pair(pair)
+    _checks.function(estimator, "estimator")
     pi = check_policy(policy, simulator)
     size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
@@ -197,7 +198,7 @@ def compare_with_oracle(
     values, reasons = [], []
     with one_thread():
         for k in range(times):
-            stream = np.random.SeedSequence(seed, spawn_key=(k,))
+            stream = _checks.seed_sequence(seed, (k,))
             if behavior is not None and steps is not None:
                 log = sample_episodes(target, behavior, size, steps, seed=stream)
             else:
