@@ -25,7 +25,7 @@ def valid_values():
     simulator, target = (oee.tasks.gridworld(SIZE, slip=slip) for slip in (0.3, 0.1))
     uniform, expert = oee.uniform_policy(target), oee.tasks.gridworld_expert(SIZE)
     log = oee.sample_episodes(target, uniform, 20, 20, seed=0)
-    counts, zeta = log.counts(9, 4), oee.true_ratio(target, simulator)
+    zeta = oee.true_ratio(target, simulator)
     even = np.full((9, 4), 1 / 36)
     g, p, q = np.array([1.0, 0.8, 1.3]), np.array([0.3, 0.4, 0.3]), np.array([0.4, 0.3, 0.3])
     problem = oee.Problem(simulator, log, horizon=20)
@@ -56,32 +56,63 @@ def valid_values():
 
 def own_values(known):
     """Arguments whose meaning differs from that of the same name elsewhere: function name -> values."""
-    uniform, cartpole, moves = known["policy"], known["task"], known["continuous_log"]
+    uniform, moves = known["policy"], known["continuous_log"]
     driver = oee.tasks.cartpole_policy(0.5)
     paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
     many = np.stack([uniform, uniform])
     return {
-        "reweight": {"ratio": known["zeta"]}, "evaluate_batch": {"policies": many}, "stack_models": {"models": [known["mdp"]] * 2},
-        "check_policy": {"name": "policy", "horizon": None}, "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
-        "evaluate": {"target": None, "estimators": ["oee", "model-based"]}, "transition_ratio": {"horizon": None, "discount": None,
-            "coordinates": None, "bandwidth": None, "lower": None, "upper": None, "kernel": None, "behavior_policy": None},
-        "density_ratio": {"kernel": None, "coordinates": None}, "density_ratio_samples": {"kernel": None},
-        "interval": {"n_bootstrap": 20}, "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
-        "ContinuousTransitions": {"state": moves.state[:2], "action": moves.action[:2], "next_state": moves.next_state[:2]},
-        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20}, "monte_carlo_value": {"policy": driver},
-        "resimulate": {"log": moves}, "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
+        "reweight": {"ratio": known["zeta"]},
+        "evaluate_batch": {"policies": many},
+        "stack_models": {"models": [known["mdp"]] * 2},
+        "check_policy": {"name": "policy", "horizon": None},
+        "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
+        "evaluate": {"target": None, "estimators": ["oee", "model-based"]},
+        "transition_ratio": {
+            "horizon": None,
+            "discount": None,
+            "coordinates": None,
+            "bandwidth": None,
+            "lower": None,
+            "upper": None,
+            "kernel": None,
+            "behavior_policy": None,
+        },
+        "density_ratio": {"kernel": None, "coordinates": None},
+        "density_ratio_samples": {"kernel": None},
+        "interval": {"n_bootstrap": 20},
+        "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
+        "ContinuousTransitions": {
+            "state": moves.state[:2],
+            "action": moves.action[:2],
+            "next_state": moves.next_state[:2],
+        },
+        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20},
+        "monte_carlo_value": {"policy": driver},
+        "resimulate": {"log": moves},
+        "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
         "DualDice.__call__": {"problem": oee.Problem(known["simulator"], known["log"])},
-        "Problem": {"behavior_policy": None, "rewards": "simulator"}, "Magic": {"ratio": "conditional"},
+        "Problem": {"behavior_policy": None, "rewards": "simulator"},
+        "Magic": {"ratio": "conditional"},
         "Marginalized": {"ratio": "conditional", "lower": None, "upper": None},
-        "OffEnvironment": {"ratio": "conditional"}, "DoublyRobust": {"ratio": "conditional"},
-        "ratio_error_sides": {"moves": known["g"]}, "compare_with_oracle": {"n": 20, "repetitions": 3, "horizon": None, "data_distribution": known["data_distribution"]},
-        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)}, "LinearReacher": {"coefficients": None, "root": None},
+        "OffEnvironment": {"ratio": "conditional"},
+        "DoublyRobust": {"ratio": "conditional"},
+        "ratio_error_sides": {"moves": known["g"]},
+        "compare_with_oracle": {
+            "n": 20,
+            "repetitions": 3,
+            "horizon": None,
+            "data_distribution": known["data_distribution"],
+        },
+        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)},
         "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1},
-        "estimation_sides": {"n": 1000}, "Reacher": {"target": (0.1, 0.1)},
-        "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
+        "estimation_sides": {"n": 1000},
+        "Reacher": {"target": (0.1, 0.1)},
+        "value_error_sides": {"target": paid[0], "model": paid[1]},
+        "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
         "Transitions": {"episode": None},
-        "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0}
-    }  # fmt: skip
+        "KinovaArm": {"goal": 0},
+        "kinova_policy": {"delta": 0.0},
+    }
 
 
 def hostile(rng, valid):

@@ -123,7 +123,6 @@ def _backup(model: Model, value: Array) -> Array:
 def _normalise(model: Model, normalized: bool) -> float:
     if not normalized:
         return 1.0
-    require_model(model)
     if model.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     return 1.0 - model.discount
@@ -149,10 +148,10 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0
     """
+    require_model(mdp)
     factor = _normalise(mdp, _checks.boolean(normalized, "normalized"))
     if horizon is None:
         return factor * evaluate_policy(mdp, policy).value
-    require_model(mdp)
     steps = steps_of(horizon, mdp, policy)
     value = factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
     if not math.isfinite(value):

@@ -74,7 +74,7 @@ class TransitionRatio:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states, the simulator's; it is for {self.values.shape}"
+                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
             )
         zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:

@@ -87,7 +87,7 @@ def test_a_product_of_weights_beyond_floats_is_said():
     log = Transitions([0] * n, [0] * n, [0] * n, [1.0] * n, episode=[0] * n, behavior_probability=[0.1] * n)
     found = ImportanceSampling()(oee.Problem(stay, log), [[1.0, 0.0]])
     assert np.isnan(found.value)
-    assert "overflows in row 150 of the log, step 150 of its episode" in found.status
+    assert "overflows in row 149 of the log, step 149 of its episode" in found.status
 
 
 def test_a_probability_below_every_ratio_is_no_support():
