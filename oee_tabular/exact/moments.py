@@ -164,10 +164,26 @@ def policy_is_moments(
 
 
 def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
-    shift = exponent(walk.pay)
+    shift = _exponent(walk)
     scaled = walk if shift == 0 else replace(walk, pay=locked(np.ldexp(walk.pay, -shift)))
     with np.errstate(over="ignore", invalid="ignore"):  # of weights: said below
         return scaled_moments(_of_scaled(scaled, kind, steps, self_normalized, sources), shift)
+
+
+def _exponent(walk: Walk) -> int:
+    """That of the largest reward that is reached: others may be of any size."""
+    if exponent(walk.pay) == 0:
+        return 0
+    taken = walk.act.max(axis=0) > 0.0
+    row = np.repeat(np.arange(len(taken)), np.diff(walk.indptr.astype(np.int64)))
+    state, reached = np.arange(len(taken)) // (len(taken) // walk.n_states), walk.initial > 0.0
+    while True:
+        rows = taken & reached[state]
+        ahead = reached.copy()
+        ahead[walk.indices[rows[row]]] = True
+        if (ahead == reached).all():
+            return exponent(walk.pay[rows[row]] if walk.by_move else walk.pay[rows])
+        reached = ahead
 
 
 def _of_scaled(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:

@@ -6,7 +6,6 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any
@@ -99,10 +98,14 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     else:
         found = PolicyValues(*infinite_values(model, pi, certify))
-    if np.isfinite(found.values).all():
-        return found
-    warnings.warn("some values are beyond the largest float: they are infinite, or not numbers", stacklevel=2)
-    return replace(found, error_bound=np.inf)
+    return found if np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+
+
+def _said(values: Any) -> Any:
+    """The same values, with a warning where one is not finite."""
+    if not np.isfinite(values).all():
+        warnings.warn("a value is beyond the largest float: it is infinite, or not a number", stacklevel=3)
+    return values
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
@@ -151,12 +154,9 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     require_model(mdp)
     factor = _normalise(mdp, _checks.boolean(normalized, "normalized"))
     if horizon is None:
-        return factor * evaluate_policy(mdp, policy).value
+        return float(_said(factor * evaluate_policy(mdp, policy).value))
     steps = steps_of(horizon, mdp, policy)
-    value = factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
-    if not math.isfinite(value):
-        warnings.warn("the value is beyond the largest float: it is infinite, or not a number", stacklevel=2)
-    return value
+    return float(_said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:
@@ -175,7 +175,7 @@ def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    return evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values
+    return np.asarray(_said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
 
 
 def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
@@ -197,4 +197,4 @@ def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arr
     steps = optional_steps(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
-    return _backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))
+    return np.asarray(_said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))
