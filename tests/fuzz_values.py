@@ -150,4 +150,7 @@ def spoilt(rng, valid):
         array = array.astype(float)
         array.flat[rng.integers(array.size)] = rng.choice([np.nan, np.inf, -1.0, 1e308, 1e-320])
         return array
-    return (array[:-1], array.astype(str), array[None], array.astype(object), array.astype(float) * 1e308)[change - 1]
+    with np.errstate(over="ignore"):
+        return (array[:-1], array.astype(str), array[None], array.astype(object), array.astype(float) * 1e308)[
+            change - 1
+        ]

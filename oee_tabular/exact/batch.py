@@ -173,10 +173,9 @@ def evaluate_batch(
         stack, single = stack_models([models]), True
     else:
         stack, single = models if isinstance(models, ModelStack) else stack_models(models), False  # type: ignore[arg-type]
-    try:
-        count = len(policies)
-    except TypeError:
-        raise ValueError(f"policies must be a sequence of policies; got {type(policies).__name__}") from None
+    if not isinstance(policies, np.ndarray) or policies.ndim == 0:
+        policies = _checks.collection(policies, "policies", "a sequence of policies")
+    count = len(policies)
     if not single and count != len(stack):
         raise ValueError(f"policies must be as many as models ({len(stack)}); there are {count}")
     if count == 0:

@@ -40,7 +40,8 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
     _checks.boolean(tight, "tight")
     lower, upper = check_box(nu, mu)
     size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
-    return (upper + lower if tight else upper * (1.0 + lower * upper)) / lower**2 * size
+    square = lower**2
+    return (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size if square > 0.0 else math.inf
 
 
 def ratio_error_sides(

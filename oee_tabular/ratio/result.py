@@ -74,7 +74,8 @@ class TransitionRatio:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
+                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}, "
+                "another simulator's"
             )
         zeta, stored = align(canonical(self.values, drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:

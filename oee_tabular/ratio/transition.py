@@ -156,6 +156,7 @@ def transition_ratio(
     (True, True)
     """
     _checks.one_of(method, "method", METHODS)
+    _checks.instance(solver, str, "solver")
     if tie is not None and method == "conditional":
         method = "tied"
     _checks.instance(simulator, FiniteMDP, "simulator")

@@ -171,6 +171,10 @@ def _chosen(
         names, left_out = default_names(problem)
         return named_estimators(names, target), left_out
     if isinstance(estimators, Mapping):
+        for name, estimator in estimators.items():
+            _checks.function(estimator, f"estimators[{name!r}]")
+        if not estimators:
+            raise ValueError("estimators must hold at least one; it is empty")
         return dict(estimators), []
     found: dict[str, Estimator] = {}
     every = (

@@ -156,6 +156,7 @@ def record(
 
 def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
     """Generators for CHUNK episodes each, spawned from ``seed``."""
+    _checks.require_memory(9.0 * n, "n_episodes", n)
     sizes = [min(CHUNK, n - low) for low in range(0, n, CHUNK)]
     children = _checks.generator(seed).spawn(len(sizes))
     return list(zip(children, sizes, strict=True))
