@@ -177,7 +177,7 @@ class Transitions:
             chosen = np.arange(len(self))[asked] if asked.size else np.zeros(0, dtype=np.int64)
             if chosen.ndim != 1:
                 raise IndexError(f"they have shape {asked.shape}")
-        except (IndexError, ValueError, TypeError) as error:
+        except (IndexError, ValueError, TypeError, OverflowError) as error:
             raise ValueError(f"rows must be a mask or row numbers of the log's {len(self)} rows; {error}") from None
         if chosen.size == 0:
             raise ValueError("rows must choose at least one row; they choose none")

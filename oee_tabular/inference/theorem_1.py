@@ -163,7 +163,7 @@ def universal_constant_counterexample(
         raise ValueError(f"n must be at least 2; it is {samples}")
     right = estimation_bound(samples, mu, nu, confidence, 0.0, 1.0)
     unseen = math.exp(samples * math.log1p(-1.0 / samples))
-    return EstimationCounterexample((mu - 1.0) ** 2, right, unseen**2, unseen * (1.0 - unseen))
+    return EstimationCounterexample((mu - 1.0) * (mu - 1.0), right, unseen**2, unseen * (1.0 - unseen))
 
 
 def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float) -> float:

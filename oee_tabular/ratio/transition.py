@@ -182,6 +182,7 @@ def transition_ratio(
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
     if prior is None:
         prior = "average" if features is None and smoothness is None else "tilt"
+    _checks.one_of(prior, "prior", PRIORS)
     for name, users in {"features": ("tilt",), "smoothness": ("tilt",), "values_of": ("average", "tilt")}.items():
         if options[name] is not None and prior not in users:
             raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
@@ -189,7 +190,6 @@ def transition_ratio(
         raise ValueError("horizon must be left out without values_of: it is that of the values")
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
-        _checks.one_of(prior, "prior", PRIORS)
         steps = optional_steps(horizon, simulator)
         return fit_conditional(
             observed,
