@@ -44,6 +44,14 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
     return array
 
 
+def as_array(value: object, name: str) -> NDArray[Any]:
+    """``numpy.array(value)``, with an error that names the argument where rows have different lengths."""
+    try:
+        return np.array(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} must be an array; {error}") from None
+
+
 def _has_text(values: Iterable[object]) -> bool:
     return any(isinstance(value, str | bytes) for value in values)
 

@@ -216,7 +216,7 @@ def _vectors(value: Any, name: str) -> Array:
 
 
 def _actions(value: Any) -> NDArray[Any]:
-    array = np.array(value)
+    array = _checks.as_array(value, "action")
     if array.ndim == 2:
         return _vectors(array, "action")
     if array.ndim != 1:

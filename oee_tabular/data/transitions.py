@@ -311,10 +311,7 @@ def _integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
 
 
 def _booleans(value: Any, name: str) -> BoolArray:
-    try:
-        array = np.array(value)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a column of booleans; {error}") from None
+    array = _checks.as_array(value, name)
     if array.ndim != 1:
         raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
     if array.dtype.kind == "b" or array.size == 0:

@@ -47,6 +47,10 @@ def transition_gradient(
     require_model(model, "model")
     if values_of is not None:
         require_model(values_of, "values_of")
+        if values_of.rewards.shape != model.rewards.shape:
+            raise ValueError(
+                f"values_of must have the model's states and actions, {model.rewards.shape}; it has {values_of.rewards.shape}"
+            )
     steps = optional_steps(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of

@@ -394,7 +394,7 @@ def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]
 
 
 def _terminal_states(value: Any, n_states: int) -> IntArray:
-    array = np.array(value)
+    array = _checks.as_array(value, "terminal_state")
     if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
         raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
     bad = np.flatnonzero((array < 0) | (array >= n_states))

@@ -28,7 +28,7 @@ class Sized(Protocol):
 
 def require_sized(mdp: object) -> None:
     """A ValueError for what has no states and actions."""
-    if not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
+    if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
 

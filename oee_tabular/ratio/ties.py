@@ -134,10 +134,7 @@ def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:
     if callable(tie):
         first, action = np.divmod(row_of_entry(matrix), simulator.n_actions)
         tie = tie(first, action, matrix.indices.astype(np.int64))
-    try:
-        given = np.asarray(tie)
-    except ValueError as error:
-        raise ValueError(f"tie must be an array of keys; {error}") from None
+    given = _checks.as_array(tie, "tie")
     if given.shape != (matrix.nnz,):
         raise ValueError(
             f"tie must have shape ({matrix.nnz},), a key for each entry of simulator.transitions; it has shape {given.shape}"
