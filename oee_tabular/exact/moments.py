@@ -391,6 +391,8 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
 
 
 def _radius(matrix: sparse.csr_array) -> float:
+    if not np.isfinite(matrix.data).all():
+        return np.inf  # of squares beyond the largest float
     if matrix.shape[0] <= 400:
         return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
     return spectral_radius(matrix)

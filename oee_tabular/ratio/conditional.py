@@ -94,9 +94,8 @@ def _tilt(
 ) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
     """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
     if not (isinstance(smoothness, str) and smoothness == "evidence"):
-        smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, infinite=True)
-        if smoothness == 0.0:
-            raise ValueError("smoothness must be in (0, inf]; it is 0")
+        if not (isinstance(smoothness, float) and smoothness == np.inf):
+            smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
     if features is None:
         whole = fit_default_tilt(observed, simulator, solver=solver)
     else:
