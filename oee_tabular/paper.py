@@ -13,7 +13,18 @@ Assumption V.1: nu <= g <= mu with nu < 1 < mu. Assumption V.2: p / q is in the 
 import numpy as np
 
 __all__ = (
-    "J", "d", "d_moves", "risk", "beta", "zeta", "zeta_of", "J_of_products", "algorithm_1", "theorem_1", "lemma", "theorem_2",
+    "J",
+    "J_of_products",
+    "algorithm_1",
+    "beta",
+    "d",
+    "d_moves",
+    "lemma",
+    "risk",
+    "theorem_1",
+    "theorem_2",
+    "zeta",
+    "zeta_of",
 )  # fmt: skip
 
 

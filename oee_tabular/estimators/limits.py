@@ -13,6 +13,7 @@ from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry, row_sums
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
@@ -74,7 +75,7 @@ def population(
     behavior = None
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, simulator)
     return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
 
 

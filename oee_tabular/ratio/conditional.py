@@ -93,7 +93,7 @@ def _tilt(
     observed: Array, simulator: FiniteMDP, features: Any, smoothness: float | str, solver: str
 ) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
     """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
-    if smoothness not in ("evidence", np.inf):
+    if not (isinstance(smoothness, str | float) and smoothness in ("evidence", np.inf)):
         smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
     if features is None:
         whole = fit_default_tilt(observed, simulator, solver=solver)

@@ -81,8 +81,7 @@ def tied_ratio(
     (20, True, True)
     """
     kappa = _checks.number_in(strength, "strength", 0.0, np.inf)
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     counts = log_or_counts
     if isinstance(counts, Transitions):
@@ -135,7 +134,7 @@ def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:
     if callable(tie):
         first, action = np.divmod(row_of_entry(matrix), simulator.n_actions)
         tie = tie(first, action, matrix.indices.astype(np.int64))
-    given = np.asarray(tie)
+    given = _checks.as_array(tie, "tie")
     if given.shape != (matrix.nnz,):
         raise ValueError(
             f"tie must have shape ({matrix.nnz},), a key for each entry of simulator.transitions; it has shape {given.shape}"

@@ -31,6 +31,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.conditional import PRIORS, Ridge, fit_conditional
 from oee_tabular.ratio.features import Kernel
@@ -156,10 +157,10 @@ def transition_ratio(
     (True, True)
     """
     _checks.one_of(method, "method", METHODS)
+    _checks.instance(solver, str, "solver")
     if tie is not None and method == "conditional":
         method = "tied"
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
+    _checks.instance(simulator, FiniteMDP, "simulator")
     options = {
         "prior": prior,
         "strength": strength,
@@ -182,6 +183,7 @@ def transition_ratio(
             raise ValueError(f"{name} must not be given with method {method!r}, which does not use it; got {value!r}")
     if prior is None:
         prior = "average" if features is None and smoothness is None else "tilt"
+    _checks.one_of(prior, "prior", PRIORS)
     for name, user in {"features": "tilt", "smoothness": "tilt", "values_of": "average"}.items():
         if options[name] is not None and prior != user:
             raise ValueError(f"{name} must be left out with prior {prior!r}, which does not use them")
@@ -189,8 +191,7 @@ def transition_ratio(
         raise ValueError("horizon must be left out without values_of: it is that of the values")
     observed = _observed(log_or_counts, simulator, discount)
     if method == "conditional":
-        _checks.one_of(prior, "prior", PRIORS)
-        steps = _checks.optional_horizon(horizon)
+        steps = optional_steps(horizon, simulator)
         return fit_conditional(
             observed,
             simulator,
