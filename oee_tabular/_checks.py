@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import operator
-from typing import Any, TypeAlias
+import os
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ Array: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+T = TypeVar("T")
+
+LARGEST_INTEGER = 2**63 - 1
 SUM_TOLERANCE = 1e-8
 SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
@@ -25,8 +29,12 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
     try:
         given: Any = np.array(value)
-        if given.dtype.kind not in "biufO" or holds_words(given):
-            raise TypeError("complex numbers" if np.iscomplexobj(given) else f"it holds {given.dtype}, no numbers")
+        if np.iscomplexobj(given):
+            raise TypeError("complex numbers")
+        if given.dtype.kind in "USMm" or holds_words(given):
+            raise TypeError("text or dates")
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"it holds {given.dtype}, no numbers")
         array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
@@ -40,6 +48,14 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
 def holds_words(array: NDArray[Any]) -> bool:
     """Whether an array of Python objects has words among them: "0.25" is no number."""
     return array.dtype.kind == "O" and any(isinstance(item, str | bytes) for item in array.flat)
+
+
+def as_array(value: object, name: str) -> NDArray[Any]:
+    """``numpy.array(value)``, with an error that names the argument where rows have different lengths."""
+    try:
+        return np.array(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} must be an array; {error}") from None
 
 
 def require_finite(array: Array, name: str) -> None:
@@ -115,7 +131,7 @@ def number_in(
 ) -> float:
     """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
-        if np.asarray(value).dtype.kind not in "biufO" or isinstance(value, str | bytes):
+        if isinstance(value, str | bytes) or np.ndim(value) or np.asarray(value).dtype.kind not in "biufO":
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -134,16 +150,65 @@ def number_in(
 
 
 def positive_integer(value: Any, name: str) -> int:
-    """``value`` as an int of at least 1."""
+    """``value`` as an int of at least 1 that 64 bits hold."""
     try:
-        if isinstance(value, bool):
+        if isinstance(value, bool | np.bool_):
             raise TypeError
         number = operator.index(value)
     except TypeError:
         raise ValueError(f"{name} must be a positive integer; got {value!r}") from None
     if number < 1:
         raise ValueError(f"{name} must be a positive integer; it is {number}")
+    if number > LARGEST_INTEGER:
+        raise ValueError(f"{name} must be at most 2**63 - 1; it is {number}")
     return number
+
+
+def boolean(value: object, name: str) -> bool:
+    """True or False, Python's or numpy's; nothing else stands for them."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False; got {value!r}")
+    return bool(value)
+
+
+def instance(value: object, kind: type[T] | tuple[type[T], ...], name: str, called: str = "") -> T:
+    """``value``, which is an object of the class ``kind``, or of one of them; ``called``: how the error says it."""
+    if not isinstance(value, kind):
+        rule = called or " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+        article = "" if rule.endswith("s") else "an " if rule[0] in "AEIOU" else "a "
+        raise ValueError(f"{name} must be {article}{rule}; got {type(value).__name__}")
+    return value
+
+
+def function(value: object, name: str) -> None:
+    """``value`` can be called."""
+    if not callable(value):
+        raise ValueError(f"{name} must be a function; got {type(value).__name__}")
+
+
+def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
+    """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of what it must be one."""
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError
+        return tuple(value)
+    except TypeError:
+        raise ValueError(f"{name} must be {rule}; got {type(value).__name__}") from None
+
+
+def require_memory(count: float, name: str, value: object, *, size: int = 8) -> None:
+    """``count`` numbers of ``size`` bytes, which the argument ``name`` asks for, are no more than the machine has."""
+    if count * size > _machine_memory():
+        raise ValueError(
+            f"{name} must be small enough for this machine's memory; {value} needs {count * size / 2**30:.3g} GiB"
+        )
+
+
+def _machine_memory() -> int:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not on every system
+        return 2**36
 
 
 def optional_horizon(horizon: Any) -> int | None:
@@ -153,7 +218,7 @@ def optional_horizon(horizon: Any) -> int | None:
 
 def one_of(value: object, name: str, allowed: tuple[str, ...]) -> None:
     """``value`` is one of the allowed words."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
         raise ValueError(f"{name} must be one of {words}; got {value!r}")
 
@@ -162,8 +227,16 @@ def generator(seed: Any) -> np.random.Generator:
     """``numpy.random.default_rng(seed)``, with an error that names the argument."""
     try:
         return np.random.default_rng(seed)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"seed must be what numpy.random.default_rng takes; got {seed!r} ({error})") from None
+
+
+def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
+    """The stream ``key`` of ``seed``, with an error that names the argument."""
+    try:
+        return np.random.SeedSequence(seed, spawn_key=key)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"seed must be what numpy.random.SeedSequence takes; got {seed!r} ({error})") from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

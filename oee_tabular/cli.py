@@ -49,7 +49,7 @@ app = typer.Typer(
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
 Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists (a Minari folder: never).")]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same bits.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same bits.")]
 
 
 @app.command()

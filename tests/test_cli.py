@@ -235,3 +235,11 @@ def test_guaranteed_intervals_are_asked_for(tmp_path, capsys):
     ]
     assert "guaranteed, between" not in run(capsys, *words)
     assert "guaranteed, between" in run(capsys, *words, "--guaranteed")
+
+
+def test_a_negative_seed_is_refused_by_its_name(capsys):
+    said = run(
+        capsys, "sample", "gridworld:3,slip=0.1", "--episodes", "1", "--output", "log.npz", "--seed", "-1", code=2
+    )
+    assert "--seed" in said
+    assert "Invalid value for '--seed'" in " ".join(said.split())

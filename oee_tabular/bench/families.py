@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular.bench import families_garnet as garnets
 from oee_tabular.bench import families_grids as grids
 from oee_tabular.bench import families_gymnasium as others_own
@@ -174,6 +175,7 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     >>> oee.bench.families(1)["garnet_worse"].truth == every["garnet_worse"].truth
     False
     """
+    _checks.boolean(large, "large")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed must be an integer from 0; got {seed!r}")
     makers = dict(MADE) | (dict(LARGE) if large else {})

@@ -155,6 +155,8 @@ def run(
     >>> found.league["estimator"].tolist(), len(found.table)
     (['maximum-likelihood', 'simulator', 'oee'], 24)
     """
+    _checks.boolean(fresh, "fresh")
+    _checks.boolean(progress, "progress")
     planned = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
     options: dict[str, Any] = {"jobs": jobs, "dask": dask, "fresh": fresh, "progress": progress}
     if output is not None:

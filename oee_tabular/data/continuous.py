@@ -131,6 +131,7 @@ class ContinuousTransitions:
         Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
         are not and the largest distance, or an error does with ``strict``.
         """
+        _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
         table = table.reshape(len(table), -1)
         if self.action.ndim == 1:
@@ -215,7 +216,7 @@ def _vectors(value: Any, name: str) -> Array:
 
 
 def _actions(value: Any) -> NDArray[Any]:
-    array = np.array(value)
+    array = _checks.as_array(value, "action")
     if array.ndim == 2:
         return _vectors(array, "action")
     if array.ndim != 1:

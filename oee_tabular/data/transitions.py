@@ -148,6 +148,7 @@ class Transitions:
         """
         _checks.positive_integer(n_states, "n_states")
         _checks.positive_integer(n_actions, "n_actions")
+        _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
         for name, column, limit in (
             ("state", self.state, n_states),
             ("action", self.action, n_actions),
@@ -155,8 +156,10 @@ class Transitions:
         ):
             bad = np.flatnonzero(column >= limit)
             if bad.size:
+                given = "n_actions" if name == "action" else "n_states"
                 raise ValueError(
-                    f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all)"
+                    f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
+                    f"{given} is {limit})"
                 )
         weights = np.ones(len(self))
         if discount is not None:
@@ -169,12 +172,12 @@ class Transitions:
 
     def select(self, rows: Any) -> Self:
         """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
-        asked = np.asarray(rows)
-        if asked.size == 0:
-            raise ValueError("rows must choose at least one row; they choose none")
         try:
-            chosen = np.arange(len(self))[asked]
-        except IndexError as error:
+            asked = np.asarray(rows)
+            chosen = np.arange(len(self))[asked] if asked.size else np.zeros(0, dtype=np.int64)
+            if chosen.ndim != 1:
+                raise IndexError(f"they have shape {asked.shape}")
+        except (IndexError, ValueError, TypeError, OverflowError) as error:
             raise ValueError(f"rows must be a mask or row numbers of the log's {len(self)} rows; {error}") from None
         if chosen.size == 0:
             raise ValueError("rows must choose at least one row; they choose none")
@@ -308,7 +311,7 @@ def _integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
 
 
 def _booleans(value: Any, name: str) -> BoolArray:
-    array = np.array(value)
+    array = _checks.as_array(value, name)
     if array.ndim != 1:
         raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
     if array.dtype.kind == "b" or array.size == 0:

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.linear import DivergentKernelError, exponent
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,10 @@ class Estimate:
     interval: tuple[float, float] | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     status: str = "ok"
+
+    def __post_init__(self) -> None:
+        if self.status == "ok" and not np.isfinite(self.value):
+            object.__setattr__(self, "status", "the value is not finite: beyond the largest float, or not a number")
 
     def __repr__(self) -> str:
         text = f"Estimate({self.value:.6g}"
@@ -104,10 +108,13 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
 
     ``size``: of the numbers that the values are differences of, where they are.
     """
-    n = len(values)
-    with np.errstate(invalid="ignore"):  # infinite values
-        varied = n > 1 and not np.ptp(values) <= ROUNDING * max(float(np.abs(values).max()), size)
-        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(n)) if varied else None
+    n, shift = len(values), exponent(values)  # squares of very large or small numbers leave the range of floats
+    scaled = np.ldexp(values, -shift)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite values
+        most = max(float(np.abs(scaled).max()), float(np.ldexp(size, -shift)))
+        varied = n > 1 and not np.ptp(scaled) <= ROUNDING * most
+        error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varied else None
+        return float(np.ldexp(scaled.mean(), shift)), error
 
 
 def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:

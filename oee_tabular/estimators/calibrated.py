@@ -55,6 +55,7 @@ def calibrate(
     >>> calibrate(Estimate(0.45), discretised=0.50, continuous=0.51).diagnostics["calibration"]
     'ratio: times 0.51 / 0.5 (simulator: continuous / discretised)'
     """
+    _checks.instance(estimate, Estimate, "estimate")
     _checks.one_of(kind, "kind", KINDS)
     below = _checks.number_in(discretised, "discretised", -np.inf, np.inf)
     truth = _checks.number_in(continuous, "continuous", -np.inf, np.inf)

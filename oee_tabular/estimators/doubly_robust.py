@@ -15,8 +15,9 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, identified, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
 from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators.model_based import delta_error
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
 from oee_tabular.exact import (
     Model,
@@ -29,7 +30,7 @@ from oee_tabular.exact import (
 from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
 from oee_tabular.simulate import sample_episodes
 
@@ -80,6 +81,7 @@ class DoublyRobust(ExactLimit):
     def __post_init__(self) -> None:
         _checks.one_of(self.data, "data", DATA)
         _checks.one_of(self.weights, "weights", WEIGHTS)
+        _checks.boolean(self.self_normalized, "self_normalized")
         if self.self_normalized and self.data != "episodes":
             raise ValueError(f"self_normalized must be False with data {self.data!r}: it is for episodes")
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
@@ -91,7 +93,7 @@ class DoublyRobust(ExactLimit):
         return without_divergence(lambda: self._estimate(problem, policy, seed))
 
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         if self.data == "transitions":
             return self._on_transitions(problem, pi, generator)
@@ -125,9 +127,7 @@ class DoublyRobust(ExactLimit):
         seen = total[rows] > 0
         frequency = np.divide(observed, total[rows], out=np.zeros_like(observed), where=seen)
         change = float(gradient[seen] @ (frequency - model.transitions.data)[seen])
-        mean = row_sums(model.transitions, frequency * gradient)
-        spread = row_sums(model.transitions, frequency * (gradient - mean[rows]) ** 2)
-        error = float(np.sqrt(np.sum(spread[total > 0] / total[total > 0])))
+        error = delta_error(model.transitions, frequency, total, gradient)
         diagnostics |= coverage(problem, where, policy, total.reshape(model.n_states, -1))
         error_or_none = identified(error, gradient, model.transitions.indptr)
         return Estimate(base.value + change, error_or_none, diagnostics=diagnostics)

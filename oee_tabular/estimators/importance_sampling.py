@@ -13,12 +13,14 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size
 from oee_tabular.estimators.limits import ExactLimit
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import forward_measure, walk_of
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
+
+LARGEST_WEIGHT = 1e150  # its square is still a float
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,13 @@ class ImportanceSampling(ExactLimit):
     def __post_init__(self) -> None:
         _checks.one_of(self.kind, "kind", ("trajectory", "per_decision"))
         _checks.one_of(self.ragged, "ragged", ("pad", "zero"))
+        _checks.boolean(self.self_normalized, "self_normalized")
         _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         log = problem.log if problem.episodes is None else problem.episodes
         starts, timestep = log.episode_starts, log.timestep
         if starts is None or timestep is None:
@@ -78,7 +81,13 @@ class ImportanceSampling(ExactLimit):
         keep = np.ones(len(log), dtype=np.bool_) if problem.horizon is None else timestep < problem.horizon
         lengths = np.diff(starts) if problem.horizon is None else np.minimum(np.diff(starts), problem.horizon)
         cut = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        weight = segment_products(ratio[keep], cut)
+        with np.errstate(over="ignore"):
+            weight = segment_products(ratio[keep], cut)
+        beyond = np.flatnonzero(~(weight <= LARGEST_WEIGHT))
+        if beyond.size:
+            row, step = int(np.flatnonzero(keep)[beyond[0]]), int(timestep[keep][beyond[0]])
+            reason = f"the product of policy / behaviour overflows in row {row} of the log, step {step} of its episode"
+            return Estimate(float("nan"), status=f"{reason}: shorten the horizon, or use oee")
         last = weight[cut[1:] - 1]
         if self.kind == "trajectory":
             weight = np.repeat(last, lengths)
@@ -114,7 +123,16 @@ class ImportanceSampling(ExactLimit):
             raise ValueError(
                 "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
             )
-        ratio = policy[log.state, log.action] / self._behavior(problem, log)
+        taken = self._behavior(problem, log)
+        with np.errstate(over="ignore"):
+            ratio = policy[log.state, log.action] / taken
+        beyond = np.flatnonzero(~(ratio <= LARGEST_WEIGHT))
+        if beyond.size:
+            row = int(beyond[0])
+            raise ValueError(
+                f"behavior_probability must be large enough for a weight that floats can square; in row {row} it is "
+                f"{taken[row]:g}, and the policy takes that action with probability {policy[log.state[row], log.action[row]]:g}"
+            )
         return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)  # what is over has nothing to correct
 
     def limit_of(self, people: Population) -> float:
@@ -198,9 +216,11 @@ def _truncation(
         end = 0.0 if problem.horizon is None else gamma**problem.horizon
         tail = (gamma ** lengths.astype(np.float64) - end) / (1.0 - gamma)
     counted = missing & (last > 0)
-    total = float(np.sum(last[counted] * largest * tail[counted]))
     mass = float(last.sum()) if self_normalized else float(len(last))
-    bound = total / mass if mass > 0 else 0.0
+    with np.errstate(over="ignore"):
+        bound = float(np.sum(last[counted] / mass * tail[counted])) * largest if mass > 0 else 0.0
+    if gamma < 1.0 or problem.horizon is not None:
+        bound = min(bound, float(np.finfo(float).max))  # there is one, even where no float holds it
     return {"truncated_share": float(missing.mean()), "truncation_bias_bound": bound}
 
 

@@ -11,6 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
@@ -35,7 +36,7 @@ def population(
     behavior = None
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, simulator)
     return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
 
 

@@ -16,10 +16,9 @@ from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_terms
 from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
-from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.population import Population
 
 
@@ -68,7 +67,7 @@ class Magic(ExactLimit):
         return without_divergence(lambda: self._estimate(problem, policy, seed))
 
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
         found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=True)

@@ -15,11 +15,11 @@ from oee_tabular.estimators.base import Estimate, without_divergence
 from oee_tabular.estimators.limits import ExactLimit, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.values import policy_kernel
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.population import Population
@@ -72,7 +72,7 @@ class Marginalized(ExactLimit):
         return without_divergence(lambda: self._estimate(problem, policy, seed))
 
     def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
         model = reweight(problem.model, zeta)
         counts = row_sums(problem.counts)
@@ -150,7 +150,7 @@ class DualDice(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         if problem.horizon is not None:
             raise ValueError(
                 f"horizon must be None for DualDICE, whose occupancies are of the infinite sum; it is {problem.horizon}"

@@ -15,10 +15,10 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import ROUNDING, Estimate
 from oee_tabular.estimators.limits import ExactLimit, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
-from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.exact.linear import DivergentKernelError, exponent
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
 
 
@@ -58,7 +58,7 @@ class ModelBased(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         totals = row_sums(problem.counts)
         model = self.model(problem)
         try:
@@ -74,7 +74,12 @@ class ModelBased(ExactLimit):
             diagnostics["single_share"] = diagnostics["coverage"] - known
         error = None
         if model.discount < 1.0 or problem.horizon is not None:
-            error = _standard_error(model, totals, transition_gradient(model, pi, horizon=problem.horizon))
+            error = delta_error(
+                model.transitions,
+                model.transitions.data,
+                totals,
+                transition_gradient(model, pi, horizon=problem.horizon),
+            )
             diagnostics["standard_error_of"] = "log"
             certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
             if not certain and error <= ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max())):
@@ -125,10 +130,10 @@ class ModelBased(ExactLimit):
         )
 
 
-def _standard_error(model: FiniteMDP, totals: Array, gradient: Array) -> float:
-    """Delta method, sum over visited rows of Var(gradient) / n."""
-    matrix = model.transitions
-    rows = row_of_entry(matrix)
-    mean = row_sums(matrix, matrix.data * gradient)
-    variance = row_sums(matrix, matrix.data * (gradient - mean[rows]) ** 2)
-    return float(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])))
+def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:
+    """Delta method, root of the sum over visited rows of Var(gradient) / n, variances under ``frequency``."""
+    shift = exponent(gradient)
+    gradient = np.ldexp(gradient, -shift)
+    mean = row_sums(matrix, frequency * gradient)
+    variance = row_sums(matrix, frequency * (gradient - mean[row_of_entry(matrix)]) ** 2)
+    return float(np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift))

@@ -15,7 +15,7 @@ from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate, identified
 from oee_tabular.estimators.limits import ExactLimit
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
 from oee_tabular.exact import (
     Model,
@@ -28,7 +28,6 @@ from oee_tabular.exact import (
     weighted_return_moments,
 )
 from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.transition import method_named
@@ -92,14 +91,17 @@ class OffEnvironment(ExactLimit):
         if isinstance(self.ratio, str):
             _checks.one_of(self.ratio, "ratio", NAMED)
         elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
-            raise ValueError(f"ratio must be a method, its name, a TransitionRatio or a function; got {self.ratio!r}")
+            raise ValueError(
+                f"ratio must be a method's name, a TransitionRatio or a function, or a method of oee.ratio; got {self.ratio!r}"
+            )
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
+        _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = self.fit(problem, pi, generator)
         if self.evaluation == "monte_carlo":
@@ -199,6 +201,8 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     if within is None or step is None:
         return exact
     likeliest = policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
+    if not np.isfinite([within, step.change, step.standard_error, step.change_error, likeliest]).all():
+        return exact  # rewards near the largest float
     change = nearer(step.change, likeliest - exact.value)
     apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
     share = max(0.0, 1.0 - AGAINST / apart**2) if apart > 0 else 0.0

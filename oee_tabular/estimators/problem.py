@@ -11,12 +11,14 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, checked, find
+from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.finite_mdp import canonical_table, name_move
+from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
+from oee_tabular.ratio.support import checked_counts
 
 
 @dataclass(frozen=True)
@@ -111,14 +113,12 @@ class Problem:
         self._check()
 
     def _check(self) -> None:
-        if not isinstance(self.simulator, FiniteMDP):
-            raise ValueError(f"simulator must be a FiniteMDP; got {type(self.simulator).__name__}")
+        _checks.instance(self.simulator, FiniteMDP, "simulator")
         for name in ("log", "episodes"):
-            value = getattr(self, name)
-            if not isinstance(value, Transitions) and not (name == "episodes" and value is None):
-                raise ValueError(f"{name} must be Transitions; got {type(value).__name__}")
+            if name == "log" or self.episodes is not None:
+                _checks.instance(getattr(self, name), Transitions, name, "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
-        object.__setattr__(self, "horizon", _checks.optional_horizon(self.horizon))
+        object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:
             checked = check_policy(self.behavior_policy, self.simulator, name="behavior_policy")
             object.__setattr__(self, "behavior_policy", checked)
@@ -132,7 +132,10 @@ class Problem:
         if self.rewards == "log" and self.log.reward is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
         if self._counts is not None:
-            object.__setattr__(self, "_counts", _checked_counts(self._counts, self.simulator))
+            matrix = checked_counts(self._counts, self.simulator)
+            if matrix.nnz == 0:
+                raise ValueError("counts must have at least one move; all are 0")
+            object.__setattr__(self, "_counts", matrix)
             refuse_unsupported(self._counts, self.simulator, what="counts")
         else:
             refuse_unsupported(self.counts, self.simulator)
@@ -187,24 +190,13 @@ class Problem:
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""
+        _checks.instance(log, Transitions, "log", "Transitions")
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
 
 
-def _checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
-    """Given counts as a canonical csr of the simulator's shape, read-only; ValueError that names the place."""
-    shape = simulator.transitions.shape
-    if not sparse.issparse(counts):
-        raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
-    if counts.shape != shape:
-        raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
-    matrix = canonical(checked(counts, "counts"), drop_zeros=True)
-    bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
-    if bad.size:
-        where = name_move(matrix, int(bad[0]), simulator.n_actions)
-        raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]:g}")
-    if matrix.nnz == 0:
-        raise ValueError("counts must have at least one move; all are 0")
-    return matrix
+def checked_policy(problem: object, policy: Any) -> Array:
+    """A policy of ``problem``, (S, A); a ValueError for what is no Problem or no policy of it."""
+    return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
 def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:

@@ -10,11 +10,11 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.population import Population
 
@@ -36,8 +36,9 @@ class Simulator(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
+        pi = checked_policy(problem, policy)
         try:
-            found = evaluate_policy(problem.simulator, policy, horizon=problem.horizon)
+            found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
         except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
         return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
@@ -81,15 +82,15 @@ class Oracle(ExactLimit):
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
-        if not isinstance(self.target, FiniteMDP):
-            raise ValueError(f"target must be a FiniteMDP; got {type(self.target).__name__}")
+        _checks.instance(self.target, FiniteMDP, "target")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
+        _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
-        pi = check_policy(policy, problem.simulator)
+        pi = checked_policy(problem, policy)
         ratio = true_ratio(self.target, problem.simulator)
         if self.evaluation == "monte_carlo":
             return product_estimate(

@@ -15,6 +15,7 @@ from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
 from oee_tabular.exact.systems import TINY, readable, unsigned
 from oee_tabular.exact.values import evaluate_policy
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import SHORT, steps_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +103,12 @@ def stack_models(models: Sequence[Model]) -> ModelStack:
     >>> evaluate_batch(stack_models([coin, coin]), [[[1.0]] * 2] * 2).value.round(6).tolist()
     [1.0, 1.0]
     """
-    try:
-        found = tuple(models)
-    except TypeError:
-        raise ValueError(f"models must be a FiniteMDP or a sequence of them; got {type(models).__name__}") from None
+    found = _checks.collection(models, "models", "a FiniteMDP or a sequence of them")
     if not found:
         raise ValueError("models must be at least one FiniteMDP; there is none")
     if set(map(type, found)) != {FiniteMDP}:
-        for model in found:
-            require_model(model)
+        for i, model in enumerate(found):
+            require_model(model, f"models[{i}]")
     rows = _each(found, "transitions")
     pointers, indices, data = (
         getattr(rows[0], name) if len(rows) == 1 else np.concatenate(_each(rows, name))
@@ -175,10 +173,9 @@ def evaluate_batch(
         stack, single = stack_models([models]), True
     else:
         stack, single = models if isinstance(models, ModelStack) else stack_models(models), False  # type: ignore[arg-type]
-    try:
-        count = len(policies)
-    except TypeError:
-        raise ValueError(f"policies must be a sequence of policies; got {type(policies).__name__}") from None
+    if not isinstance(policies, np.ndarray) or policies.ndim == 0:
+        policies = _checks.collection(policies, "policies", "a sequence of policies")
+    count = len(policies)
     if not single and count != len(stack):
         raise ValueError(f"policies must be as many as models ({len(stack)}); there are {count}")
     if count == 0:
@@ -188,6 +185,8 @@ def evaluate_batch(
     flat = None
     if stack.sizes.max() <= TINY and (steps is not None or stack.discounts.max() < 1.0):
         flat = _flat(policies, sizes, actions)
+    if flat is not None and steps is not None and steps > SHORT:
+        steps = max(steps_of(steps, model) for model in stack.models)
     if flat is None:
         return _one_by_one(stack.models * repeat, policies, steps)
     starts = _starts(sizes)

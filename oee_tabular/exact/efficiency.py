@@ -25,6 +25,7 @@ from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.values import policy_kernel, state_values
 from oee_tabular.exact.walks import forward_measure, require_mdp, walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 
 
 def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, horizon: int | None = None) -> float:
@@ -136,6 +137,7 @@ def ratio_of_ratios_variance(
     >>> round(ratio_of_ratios_variance(coin, coin, [[1.0]] * 2, data, data), 6)
     0.5
     """
+    _checks.boolean(independent_samples, "independent_samples")
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
     _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)
@@ -214,7 +216,7 @@ def trajectory_efficiency_bound(
     14.04
     """
     require_mdp(mdp)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = steps_of(horizon, mdp, kept=12 * mdp.n_states)
     _checks.one_of(model, "model", ("mdp", "tree", "stationary"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)

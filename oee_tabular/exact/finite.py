@@ -17,6 +17,7 @@ from oee_tabular._checks import Array
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable, unsigned
 from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import followed
 
 Cone: TypeAlias = tuple[Any, Any, Any, Any, Any, Array, Array]  # states, ends, indptr, indices, data, rewards, initial
 CACHED = 2**20  # bytes that a block of rows may have: half of what a core's second cache has today, or less
@@ -173,5 +174,5 @@ def policy_values_by_horizon(mdp: Model, policy: Any, *, horizon: int) -> Array:
     [0.0, 0.5, 0.75, 0.875]
     """
     require_model(mdp)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = followed(_checks.positive_integer(horizon, "horizon"), 1.0, work=mdp.transitions.nnz, kept=3)
     return values_by_horizon(mdp, policy_to_read(policy, mdp, steps), steps)

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.exact.finite import locked, rows_of
 from oee_tabular.exact.occupancy import occupancy
-from oee_tabular.exact.reweighted import Model
+from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
 from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import optional_steps
 
 
 def transition_gradient(
@@ -44,7 +44,14 @@ def transition_gradient(
     >>> transition_gradient(coin, [[1.0]] * 2).round(6).tolist()  # 0.5 V(s'), V = (0.5, 1.5), in each row
     [0.25, 0.75, 0.25, 0.75]
     """
-    steps = _checks.optional_horizon(horizon)
+    require_model(model, "model")
+    if values_of is not None:
+        require_model(values_of, "values_of")
+        if values_of.rewards.shape != model.rewards.shape:
+            raise ValueError(
+                f"values_of must have the model's states and actions, {model.rewards.shape}; it has {values_of.rewards.shape}"
+            )
+    steps = optional_steps(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of
     gamma = model.discount

@@ -85,6 +85,8 @@ def solve_policy_system(
     >>> solve_policy_system(kernel, np.array([0.5, 0.0]), 0.5, transpose=True).x.round(4).tolist()
     [0.6667, 0.3333]
     """
+    _checks.boolean(transpose, "transpose")
+    _checks.boolean(certify, "certify")
     rows, gamma = _checked(kernel), _checks.number_in(discount, "discount", 0.0, 1.0)
     right = _checks.float_array(b, "b", ndim=1)
     if len(right) != rows.shape[0]:

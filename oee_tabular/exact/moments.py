@@ -18,12 +18,14 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.linear import spectral_radius
+from oee_tabular.exact.finite import locked
+from oee_tabular.exact.linear import exponent, spectral_radius
 from oee_tabular.exact.walks import (
     Moments,
     Walk,
@@ -32,10 +34,12 @@ from oee_tabular.exact.walks import (
     infinite,
     per_decision,
     require_mdp,
+    scaled_moments,
     walk_of,
     weighted_kernel,
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import SHORT, followed
 
 KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
@@ -56,11 +60,13 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     Examples
     --------
     >>> import numpy as np
+    from scipy import sparse
     >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
     require_mdp(mdp)
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, mdp, horizon=steps)
     return _moments(walk_of(mdp, pi), "per_decision", steps, False, sources)
@@ -110,6 +116,8 @@ def weighted_return_moments(
     """
     require_mdp(simulator, "simulator")
     _checks.one_of(kind, "kind", KINDS)
+    _checks.boolean(self_normalized, "self_normalized")
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     pi = check_policy(policy, simulator, horizon=steps)
     return _moments(walk_of(simulator, pi, ratio=zeta), kind, steps, self_normalized, sources)
@@ -148,6 +156,8 @@ def policy_is_moments(
     """
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
+    _checks.boolean(self_normalized, "self_normalized")
+    _checks.boolean(sources, "sources")
     steps = _checks.optional_horizon(horizon)
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=steps)
     pi = check_policy(policy, mdp, horizon=steps)
@@ -157,16 +167,52 @@ def policy_is_moments(
 
 
 def _moments(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
+    shift = _exponent(walk)
+    scaled = walk if shift == 0 else replace(walk, pay=locked(np.ldexp(walk.pay, -shift)))
+    with np.errstate(over="ignore", invalid="ignore"):  # of weights: said below
+        return scaled_moments(_of_scaled(scaled, kind, steps, self_normalized, sources), shift)
+
+
+def _exponent(walk: Walk) -> int:
+    """That of the largest reward that is reached: others may be of any size."""
+    if exponent(walk.pay) == 0:
+        return 0
+    taken = walk.act.max(axis=0) > 0.0
+    row = np.repeat(np.arange(len(taken)), np.diff(walk.indptr.astype(np.int64)))
+    state, reached = np.arange(len(taken)) // (len(taken) // walk.n_states), walk.initial > 0.0
+    while True:
+        rows = taken & reached[state]
+        ahead = reached.copy()
+        ahead[walk.indices[rows[row]]] = True
+        if (ahead == reached).all():
+            return exponent(walk.pay[rows[row]] if walk.by_move else walk.pay[rows])
+        reached = ahead
+
+
+def _of_scaled(walk: Walk, kind: str, steps: int | None, self_normalized: bool, sources: bool) -> Moments:
     if steps is None:
         if kind == "trajectory" or self_normalized:
             what = "trajectory" if kind == "trajectory" else "self-normalised"
             raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
         return infinite(walk, sources)
+    steps = _followed(walk, steps, kind == "trajectory" or self_normalized, sources)
     if kind == "trajectory":
         return _trajectory(walk, steps, self_normalized, sources)
     if self_normalized:
         return _per_step_ratio(walk, steps, sources)
     return per_decision(walk, steps, sources=sources)
+
+
+def _followed(walk: Walk, steps: int, lasting: bool, sources: bool) -> int:
+    """The steps of a horizon that are carried out; weights that grow faster than the discount, or stay, keep all of them."""
+    if steps <= SHORT or len(walk.act) > 1:
+        return steps
+    rate = walk.discount
+    if not (bool(np.all(walk.u == 1.0)) and bool(np.all(walk.w == 1.0))):
+        first, second = (_radius(weighted_kernel(walk, power)) for power in (1, 2))
+        rate = 1.0 if lasting else max(rate, rate * first, rate**2 * second)
+    kept = 10.0 * walk.n_states if sources or lasting else 4.0
+    return followed(steps, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
 
 
 def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:
@@ -279,17 +325,23 @@ def doubly_robust_moments(
     (0.95, 0.95, 0.25, 0.3823)
     """
     require_mdp(simulator, "simulator")
+    _checks.boolean(action_baseline, "action_baseline")
+    _checks.boolean(sources, "sources")
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)
+    if baseline is None:
+        steps = _followed(walk, steps, False, True)
     u = values_to_go(walk_of(simulator, pi), steps) if baseline is None else _checks.float_array(baseline, "baseline")
     if u.shape != (steps + 1, simulator.n_states):
         raise ValueError(
             f"baseline must have shape {(steps + 1, simulator.n_states)}, values to go at t; it has {u.shape}"
         )
     _checks.require_finite(u, "baseline")
-    u = u.copy()
+    shift = exponent(np.concatenate([walk.pay, u.ravel()]))
+    u = np.ldexp(u, -shift)
     u[steps] = 0.0
+    walk = replace(walk, pay=locked(np.ldexp(walk.pay, -shift)))
     weighted = entries(walk, walk.prob * walk.w)
     paid = row_sums(weighted, weighted.data * walk.pay) if walk.by_move else walk.pay
     known = np.empty((steps, walk.act.shape[1]))  # all of the step that the baseline knows
@@ -298,8 +350,8 @@ def doubly_robust_moments(
     quiet = replace(walk, pay=np.zeros(len(walk.pay)))
     if action_baseline:
         mean = (walk.act * known).reshape(steps, simulator.n_states, -1).sum(axis=2)
-        return per_decision(quiet, steps, h=mean, k=u, sources=sources)
-    return per_decision(quiet, steps, c=known, k=u, sources=sources)
+        return scaled_moments(per_decision(quiet, steps, h=mean, k=u, sources=sources), shift)
+    return scaled_moments(per_decision(quiet, steps, c=known, k=u, sources=sources), shift)
 
 
 def values_to_go(walk: Walk, steps: int) -> Array:
@@ -338,8 +390,17 @@ def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator, horizon=steps)
     walk = walk_of(simulator, pi, ratio=zeta)
+    steps = followed(steps, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
     first, second = (forward_measure(walk, steps, power=power)[:, 0].sum(axis=1) for power in (1, 2))
     return first, second
+
+
+def _radius(matrix: sparse.csr_array) -> float:
+    if not np.isfinite(matrix.data).all():
+        return np.inf  # of squares beyond the largest float
+    if matrix.shape[0] <= 400:
+        return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
+    return spectral_radius(matrix)
 
 
 @one_thread
@@ -363,9 +424,5 @@ def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
     """
     require_mdp(simulator, "simulator")
     walk = walk_of(simulator, check_policy(policy, simulator), ratio=zeta)
-    matrix = weighted_kernel(walk, 2)
-    if matrix.shape[0] <= 400:
-        radius = float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
-        return float(np.log(radius)) if radius > 0 else -np.inf
-    radius = spectral_radius(matrix)
+    radius = _radius(weighted_kernel(walk, 2))
     return float(np.log(radius)) if radius > 0 else -np.inf

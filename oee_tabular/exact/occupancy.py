@@ -15,6 +15,7 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import optional_steps
 
 
 @overload
@@ -58,7 +59,7 @@ def occupancy(
     """
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, mdp, policy)
     pi = check_policy(policy, mdp) if steps is None else policy_to_read(policy, mdp, steps)
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")

@@ -7,7 +7,9 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.values import action_values
+from oee_tabular.exact.walks import require_mdp
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import followed
 from oee_tabular.mdp.policies import deterministic_policy
 
 
@@ -37,9 +39,11 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()  # but not when there is no time left
     [[1, 0], [0, 0], [0, 0]]
     """
+    require_mdp(mdp)
     steps = _checks.optional_horizon(horizon)
     if steps is not None:
-        return _backward_induction(mdp, steps)
+        size = mdp.rewards.size
+        return _backward_induction(mdp, followed(steps, 1.0, work=mdp.transitions.nnz, kept=size))
     states = np.arange(mdp.n_states)
     actions = np.argmax(mdp.rewards, axis=1)
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is

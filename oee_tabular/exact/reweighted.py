@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
@@ -97,10 +98,9 @@ class ReweightedModel:
     layout: Array | None = None
 
 
-def require_model(value: object) -> None:
+def require_model(value: object, name: str = "mdp") -> None:
     """A ValueError for what is neither a FiniteMDP nor a ReweightedModel."""
-    if not isinstance(value, FiniteMDP | ReweightedModel):
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(value).__name__}")
+    _checks.instance(value, (FiniteMDP, ReweightedModel), name, "FiniteMDP")
 
 
 def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
@@ -125,6 +125,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     >>> reweight(simulator, oee.true_ratio(target, simulator)).transitions.toarray().round(6).tolist()
     [[0.4, 0.6], [0.4, 0.6]]
     """
+    _checks.instance(mdp, FiniteMDP, "mdp")
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != mdp.transitions.shape:
         found = getattr(values, "shape", type(values).__name__)

@@ -6,6 +6,7 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +20,7 @@ from oee_tabular.exact.infinite import infinite_values, kernel_parts
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.systems import readable
 from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.horizons import optional_steps, steps_of
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,9 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     >>> found.values.round(6).tolist(), round(found.value, 6), found.error_bound < 1e-12
     ([0.5, 1.5], 1.0, True)
     """
-    require_model(model)
-    steps = _checks.optional_horizon(horizon)
+    require_model(model, "model")
+    _checks.boolean(certify, "certify")
+    steps = optional_steps(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if certify and steps is not None:
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
@@ -97,6 +100,13 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     else:
         found = PolicyValues(*infinite_values(model, pi, certify))
     return found if np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+
+
+def _said(values: Any) -> Any:
+    """The same values, with a warning where one is not finite."""
+    if not np.isfinite(values).all():
+        warnings.warn("a value is beyond the largest float: it is infinite, or not a number", stacklevel=3)
+    return values
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
@@ -117,7 +127,6 @@ def _backup(model: Model, value: Array) -> Array:
 def _normalise(model: Model, normalized: bool) -> float:
     if not normalized:
         return 1.0
-    require_model(model)
     if model.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     return 1.0 - model.discount
@@ -143,12 +152,12 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0
     """
-    factor = _normalise(mdp, normalized)
-    if horizon is None:
-        return factor * evaluate_policy(mdp, policy).value
     require_model(mdp)
-    steps = _checks.positive_integer(horizon, "horizon")
-    return factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)
+    factor = _normalise(mdp, _checks.boolean(normalized, "normalized"))
+    if horizon is None:
+        return float(_said(factor * evaluate_policy(mdp, policy).value))
+    steps = steps_of(horizon, mdp, policy)
+    return float(_said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 
 
 def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:
@@ -166,7 +175,8 @@ def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify
     >>> state_values(coin, [[1.0]] * 2).round(6).tolist(), state_values(coin, [[1.0]] * 2, horizon=2).tolist()
     ([0.5, 1.5], [0.25, 1.25])
     """
-    return evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values
+    require_model(mdp)
+    return np.asarray(_said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
 
 
 def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
@@ -185,7 +195,7 @@ def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Arr
     [[10.0, 18.0], [20.0, 20.0]]
     """
     require_model(mdp)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
-    return _backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))
+    return np.asarray(_said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))

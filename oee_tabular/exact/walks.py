@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _printing
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked
 from oee_tabular._threads import dot
@@ -48,11 +49,12 @@ class Moments:
     bias: float = 0.0
     by_step: Array | None = field(default=None, repr=False)
     by_state: Array | None = field(default=None, repr=False)
+    _deviation: float | None = field(default=None, repr=False)  # where the variance leaves the range of floats
 
     @property
     def standard_deviation(self) -> float:
-        """sqrt(variance)."""
-        return float(np.sqrt(self.variance))
+        """sqrt(variance), also where the variance is too large or too small for a float."""
+        return float(np.sqrt(self.variance)) if self._deviation is None else self._deviation
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
@@ -96,8 +98,7 @@ class Walk:
 
 def require_mdp(value: object, name: str = "mdp") -> None:
     """A ValueError for what is no FiniteMDP."""
-    if not isinstance(value, FiniteMDP):
-        raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+    _checks.instance(value, FiniteMDP, name)
 
 
 def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array | None = None) -> Walk:
@@ -132,6 +133,23 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
     by_move = mdp.reward_data is not None
     pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
     return Walk(*rows, locked(w), locked(act), locked(u), by_move, locked(pay), locked(mdp.initial), mdp.discount)
+
+
+def scaled_moments(found: Moments, shift: int) -> Moments:
+    """The moments of 2^shift X from those of X, with a warning where they are not finite."""
+    if shift != 0:
+        with np.errstate(over="ignore", under="ignore"):
+            deviation = float(np.ldexp(found.standard_deviation, shift))
+            mean, bias = (float(np.ldexp(x, shift)) for x in (found.mean, found.bias))
+            by_step, by_state = (None if x is None else np.ldexp(x, 2 * shift) for x in (found.by_step, found.by_state))
+            found = Moments(mean, float(np.ldexp(found.variance, 2 * shift)), bias, by_step, by_state, deviation)
+        if found.variance < np.finfo(float).tiny < deviation or found.variance == np.inf > deviation:
+            warnings.warn(
+                f"the variance {found.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4
+            )
+    if np.isinf([found.mean, found.standard_deviation]).any():
+        warnings.warn("a moment is beyond the largest float: the weights or the rewards are too large", stacklevel=4)
+    return found
 
 
 def per_decision(

@@ -24,6 +24,7 @@ from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.pairs import Sides, check_pair, forward_distributions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import followed, optional_steps
 
 _LONGEST, _NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
 
@@ -50,6 +51,7 @@ def unnormalised_bound(
     >>> round(unnormalised_bound(0.5, 1.0, 0.5, horizon=3), 12), unnormalised_bound(0.5, 1.0, 0.9)
     (0.5625, inf)
     """
+    _checks.boolean(rewards_on_moves, "rewards_on_moves")
     eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:
@@ -59,7 +61,7 @@ def unnormalised_bound(
     if steps is None:
         rest = 1.0 - gamma * (1.0 + eta)
         return bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest) if rest > 0.0 else math.inf
-    t = np.arange(steps)
+    t = np.arange(followed(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8))
     growth = (t + shift) * np.log1p(eta)
     with np.errstate(over="ignore"):
         return float(bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth)))
@@ -108,13 +110,14 @@ def normalised_bound(
     >>> normalised_bound(0.5, 1.0, 0.5, horizon=3), normalised_bound(0.5, 1.0, 1.0, horizon=10)
     (0.5, 15.0)
     """
+    _checks.boolean(rewards_on_moves, "rewards_on_moves")
     eta, bound, gamma, steps = _constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = _long(gamma) if steps is None else steps
+    length = _long(gamma) if steps is None else followed(steps, gamma, work=100.0, kept=8)
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:
@@ -169,7 +172,7 @@ def path_kl(target: FiniteMDP, model: Model, policy: Any, *, horizon: int, ratio
     """
     kernel = check_pair(target, model, ratio)
     _require_rows(kernel)
-    steps = _checks.positive_integer(horizon, "horizon")
+    steps = followed(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
     pi = check_policy(policy, target, horizon=steps)
     return _path_kl(kernel, pi, steps, _row_kl(target, kernel))
 
@@ -251,7 +254,7 @@ def kl_path_sides(
     _, bound, gamma = _measured(target, kernel)
     shift = int(_on_moves(target))
     rows = _row_kl(target, kernel)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
         return Sides(left, kl_path_bound(_path_kl(kernel, pi, steps, rows)[shift:][:steps], bound, gamma))

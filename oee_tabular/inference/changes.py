@@ -88,8 +88,7 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     >>> bool(0.2 < found.certain[s, a] <= found.estimated[s, a] <= 0.31)
     True
     """
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem; got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem")
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     evidence = gather(problem, uniform_policy(problem.simulator))
     matrix, starts, rows = evidence.model.transitions, evidence.indptr[:-1], evidence.rows

@@ -139,10 +139,12 @@ def compare_policies(
     recorded      6.8896        0.13     0.0%  -3.112 [-3.236, -2.988]
     values: discounted sum of rewards, not normalised; intervals at 95%
     """
+    _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if not isinstance(policies, Mapping) or len(policies) < 2:
         raise ValueError("policies must be a mapping of at least two names to (S, A) arrays")
+    _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(policies), "n_draws", n_draws)
     parts = {name: gather(problem, policy) for name, policy in policies.items()}
     names, evidences = list(parts), list(parts.values())
     values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])

@@ -32,6 +32,7 @@ from oee_tabular.inference.design_flow import certify, collection_mdp, flow_desi
 from oee_tabular.inference.design_plan import Outlook, Plan, greedy_pairs
 from oee_tabular.inference.design_programs import Design, evaluate, fill, free_design
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.programs import SolverStatusError
@@ -116,6 +117,8 @@ def plan_data_collection(
     >>> round(plan.expected_standard_error[1], 3), plan.next_pairs[:3]
     (0.106, ((4, 0), (0, 0), (8, 0)))
     """
+    _checks.boolean(optimistic, "optimistic")
+    _checks.boolean(restart_costs_a_move, "restart_costs_a_move")
     counts, mdp, steps = _known(problem, horizon)
     number = _checks.positive_integer(n, "n")
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
@@ -136,12 +139,12 @@ def plan_data_collection(
         horizon=steps,
         box=box,
         confidence=level,
-        optimistic=bool(optimistic),
+        optimistic=optimistic,
     )
     collection = None
     if sampling == "behavior":
         again = _restart(restart, mdp.discount, steps)
-        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=bool(restart_costs_a_move))
+        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
     base, costs = counts / number, found.table / number
     matters = np.flatnonzero(costs.max(axis=1) > 0.0)
     after, least, free = (np.zeros(len(pis)) for _ in range(3))
@@ -232,7 +235,7 @@ def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
 def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
-        return np.zeros(problem.n_states * problem.n_actions), problem, _checks.optional_horizon(horizon)
+        return np.zeros(problem.n_states * problem.n_actions), problem, optional_steps(horizon, problem)
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a Problem or a FiniteMDP; got {type(problem).__name__}")
     if horizon is not None:

@@ -128,8 +128,7 @@ def interval(
     >>> [round(interval(problem, pair.policy, method=method).width, 2) for method in ("likelihood", "delta", "robust")]
     [0.65, 0.65, 5.06]
     """
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem; got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", METHODS)
     _checks.one_of(radius, "radius", ("auto", "independent", "anytime"))
     _checks.one_of(ball, "ball", ("kl", "l1"))

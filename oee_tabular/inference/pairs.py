@@ -20,6 +20,7 @@ from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.horizons import optional_steps
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def simulation_lemma(
     (0.075, 0.075, 0.075)
     """
     kernel = check_pair(target, model, ratio)
-    steps = _checks.optional_horizon(horizon)
+    steps = optional_steps(horizon, kernel, policy, kept=kernel.n_states)
     pi = check_policy(policy, target, horizon=steps)
     difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
     first = _moved_value(target, kernel, pi, steps, measured=target, valued=kernel)
@@ -150,12 +151,9 @@ def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array
 
 def check_pair(target: object, model: object, ratio: Any = None) -> FiniteMDP | ReweightedModel:
     """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
-    if not isinstance(target, FiniteMDP):
-        raise ValueError(f"target must be a FiniteMDP; got {type(target).__name__}")
+    target = _checks.instance(target, FiniteMDP, "target")
     if ratio is not None:
-        if not isinstance(model, FiniteMDP):
-            raise ValueError(f"model must be a FiniteMDP (the simulator) with a ratio; got {type(model).__name__}")
-        model = reweight(model, ratio)
+        model = reweight(_checks.instance(model, FiniteMDP, "model", "FiniteMDP (the simulator) with a ratio"), ratio)
     if not isinstance(model, FiniteMDP | ReweightedModel):
         raise ValueError(f"model must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}")
     if target.transitions.shape != model.transitions.shape:

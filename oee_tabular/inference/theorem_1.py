@@ -163,7 +163,7 @@ def universal_constant_counterexample(
         raise ValueError(f"n must be at least 2; it is {samples}")
     right = estimation_bound(samples, mu, nu, confidence, 0.0, 1.0)
     unseen = math.exp(samples * math.log1p(-1.0 / samples))
-    return EstimationCounterexample((mu - 1.0) ** 2, right, unseen**2, unseen * (1.0 - unseen))
+    return EstimationCounterexample((mu - 1.0) * (mu - 1.0), right, unseen**2, unseen * (1.0 - unseen))
 
 
 def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float) -> float:
@@ -257,7 +257,7 @@ def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> S
     if bound < largest:
         raise ValueError(f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}")
     left = float(ps[ps > 0.0] @ (values - best) ** 2)
-    return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound**2 * risk)
+    return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound * bound * risk)
 
 
 def _same_length(g: Array, p: Array) -> None:

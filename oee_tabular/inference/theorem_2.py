@@ -18,6 +18,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.inference.pairs import Sides, check_box, check_pair, in_box
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import followed
 
 
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
@@ -36,9 +37,11 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
     >>> ratio_error_bound(0.01, 2.0, 0.5), ratio_error_bound(0.01, 2.0, 0.5, tight=True)
     (0.16, 0.1)
     """
+    _checks.boolean(tight, "tight")
     lower, upper = check_box(nu, mu)
     size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
-    return (upper + lower if tight else upper * (1.0 + lower * upper)) / lower**2 * size
+    square = lower**2
+    return (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size if square > 0.0 else math.inf
 
 
 def ratio_error_sides(
@@ -57,6 +60,7 @@ def ratio_error_sides(
     >>> round(ratio_error_sides([1.1], [0.9], [1.0], [1.0], mu=2.0, nu=0.5).ratio, 3)
     0.139
     """
+    _checks.boolean(tight, "tight")
     named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
     top, bottom, best_top, best_bottom = (in_box(value, name, *check_box(nu, mu)) for name, value in named.items())
     for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):
@@ -98,9 +102,10 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
     if bound == 0.0 or size == 0.0:
         return 0.0
-    t = np.arange(1.0, steps + 1.0)
+    last = followed(steps, min(1.0, gamma / lower), work=100.0, kept=8)
+    t = np.arange(1.0, last + 1.0)
     with np.errstate(over="ignore"):
-        return float(steps * (bound * size) ** 2 * np.sum(t * (gamma / lower) ** t))
+        return float(steps * (bound * size) * (bound * size) * np.sum(t * (gamma / lower) ** t))
 
 
 def value_error_sides(
@@ -120,12 +125,13 @@ def value_error_sides(
     0.023
     """
     kernel = check_pair(target, model, ratio)
+    steps = _checks.positive_integer(horizon, "horizon")
     if target.reward_data is not None:
         raise ValueError("target must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')")
     largest = float(np.abs(target.rewards).max())
     right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
-    values = [policy_value(mdp, policy, horizon=horizon + 1) for mdp in (target, kernel)]
-    return Sides((values[0] - values[1]) ** 2, right)
+    values = [policy_value(mdp, policy, horizon=steps + 1) for mdp in (target, kernel)]
+    return Sides((values[0] - values[1]) * (values[0] - values[1]), right)
 
 
 def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu: float) -> Sides:
@@ -165,9 +171,10 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     >>> round(corrected_value_error_bound(2, 1.0, 0.5, error=0.1), 6)
     0.015
     """
-    steps = _checks.positive_integer(horizon, "horizon")
     bound = _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf)
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     size = _checks.number_in(error, "error", 0.0, math.inf)
-    t = np.arange(1.0, steps + 1.0)
-    return float(2.0 * steps * (bound * size) ** 2 * np.sum(t * gamma ** (2.0 * t)))
+    steps = _checks.positive_integer(horizon, "horizon")
+    last = followed(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
+    t = np.arange(1.0, last + 1.0)
+    return float(2.0 * steps * (bound * size) * (bound * size) * np.sum(t * gamma ** (2.0 * t)))

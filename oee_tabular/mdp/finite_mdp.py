@@ -173,10 +173,13 @@ class FiniteMDP:
 
         Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
         """
-        matrix, n_states, n_actions = _transition_rows(new)
+        try:
+            matrix, n_states, n_actions = _transition_rows(new)
+        except ValueError as error:
+            raise ValueError(f"new {error}") from None
         if (n_states, n_actions) != (self.n_states, self.n_actions):
             raise ValueError(
-                f"transitions must be for {self.n_states} states and {self.n_actions} actions; "
+                f"new transitions must be for {self.n_states} states and {self.n_actions} actions; "
                 f"they are for {n_states} and {n_actions}"
             )
         rewards: Any = self.rewards
@@ -185,7 +188,7 @@ class FiniteMDP:
             if not defined.all():
                 moves = [name_move(matrix, k, n_actions) for k in np.flatnonzero(~defined)[:3]]
                 raise ValueError(
-                    f"transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
+                    f"new transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
                     f"the first: {'; '.join(moves)}"
                 )
             rewards = self.transition_rewards
@@ -393,7 +396,7 @@ def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]
 
 
 def _terminal_states(value: Any, n_states: int) -> IntArray:
-    array = np.array(value)
+    array = _checks.as_array(value, "terminal_state")
     if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
         raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
     bad = np.flatnonzero((array < 0) | (array >= n_states))

@@ -62,6 +62,9 @@ def displacements(mdp: FiniteMDP, *, layout: Any = None) -> tuple[Array, IntArra
     >>> displacements(oee.tasks.gridworld(3, slip=0.3))[0].tolist()  # staying, then the directions; none leaves the goal
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
     """
+    from oee_tabular.mdp.finite_mdp import FiniteMDP  # which imports the check of a layout
+
+    _checks.instance(mdp, FiniteMDP, "mdp")
     matrix = mdp.transitions
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)
     places = np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given

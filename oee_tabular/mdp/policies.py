@@ -26,6 +26,12 @@ class Sized(Protocol):
         """(S0,): its length is the number of the environment's own states."""
 
 
+def require_sized(mdp: object) -> None:
+    """A ValueError for what has no states and actions."""
+    if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
+        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+
+
 def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
     """``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
@@ -54,6 +60,8 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     Traceback (most recent call last):
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
+    require_sized(mdp)
+    _checks.instance(name, str, "name")
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
     shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
@@ -84,6 +92,7 @@ def uniform_policy(mdp: Sized) -> Array:
     >>> uniform_policy(oee.tasks.gridworld(2, slip=0.1))[0].tolist()
     [0.25, 0.25, 0.25, 0.25]
     """
+    require_sized(mdp)
     return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -90,7 +90,10 @@ class Conditional(Method):
     toward: float | None = 1.0
     solver: str = "dual"
 
+    HEEDS: ClassVar = frozenset({"values_of", "horizon"})
+
     def __post_init__(self) -> None:
+        _checks.instance(self.solver, str, "solver")
         if self.prior is None:
             plain = self.features is None and self.smoothness is None
             object.__setattr__(self, "prior", "average" if plain else "tilt")
@@ -103,7 +106,7 @@ class Conditional(Method):
     @property
     def uses(self) -> frozenset[str]:
         """The policies' values are directions of the average's tilts."""
-        return frozenset({"values_of", "horizon"}) if self.prior == "average" else frozenset()
+        return self.HEEDS if self.prior == "average" else frozenset()
 
     @property
     def refuses(self) -> str:
@@ -186,7 +189,7 @@ def _tilt(
 ) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
     """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
     smoothness = "evidence" if smoothness is None else smoothness
-    if smoothness not in ("evidence", np.inf):
+    if not (isinstance(smoothness, str | float) and smoothness in ("evidence", np.inf)):
         smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
     if features is None:
         whole = fit_default_tilt(observed, simulator, solver=solver)

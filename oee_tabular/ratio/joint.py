@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio import programs
 from oee_tabular.ratio.box import Box, check_box, check_ridge
@@ -126,11 +127,14 @@ class Joint(Method):
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: Any = field(default=None, repr=False)
 
+    HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
+
     @property
     def _name(self) -> str:
         return "joint"
 
     def __post_init__(self) -> None:
+        _checks.instance(self.solver, str, "solver")
         refuse_words(self.ridge, self._name)
         check_box(self.lower, self.upper, normalized=True)
         self._ratio_box()
@@ -138,11 +142,6 @@ class Joint(Method):
 
     def _ratio_box(self) -> Box:
         return check_box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
-
-    @property
-    def uses(self) -> frozenset[str]:
-        """What the simulator's data are, or how they are sampled."""
-        return frozenset({"simulator_data", "behavior_policy"})
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The program's ratio with exact rates on both sides."""

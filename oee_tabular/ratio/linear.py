@@ -207,6 +207,7 @@ class InClass(Method):
     solver: str = "dual"
 
     def __post_init__(self) -> None:
+        _checks.instance(self.solver, str, "solver")
         if isinstance(self.ridge, str):
             raise ValueError(
                 f"ridge must be a number or a function of n with method {self._name!r}; got {self.ridge!r}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -13,6 +13,7 @@ from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import aligned_counts
@@ -38,10 +39,12 @@ class Given:
 class Method:
     """A way from counts to zeta. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``."""
 
+    HEEDS: ClassVar[frozenset[str]] = frozenset()  # beside the log: values_of, horizon, simulator_data, behavior_policy
+
     @property
     def uses(self) -> frozenset[str]:
-        """What ``fit`` heeds beside the log, of "values_of", "horizon", "simulator_data", "behavior_policy"."""
-        return frozenset()
+        """What ``fit`` heeds beside the log with these options."""
+        return self.HEEDS
 
     @property
     def _name(self) -> str:
@@ -70,6 +73,7 @@ class Method:
 
         What the method has no use for is not looked at.
         """
+        _checks.instance(simulator, FiniteMDP, "simulator")
         behavior = None
         if behavior_policy is not None:
             behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
@@ -79,7 +83,7 @@ class Method:
             log=log_or_counts if isinstance(log_or_counts, Transitions) else None,
             discount=discount,
             policies=_policies(values_of, simulator),
-            horizon=_checks.optional_horizon(horizon),
+            horizon=optional_steps(horizon, simulator),
             simulator_data=simulator_data,
             behavior_policy=behavior,
             seed=seed,
@@ -113,8 +117,6 @@ def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
 
 def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) -> Array:
     """Counts on the simulator's entries, weighted by discount^timestep where a discount is given."""
-    if not isinstance(simulator, FiniteMDP):
-        raise ValueError(f"simulator must be a FiniteMDP; got {type(simulator).__name__}")
     if isinstance(log_or_counts, Transitions):
         counts = log_or_counts.counts(simulator.n_states, simulator.n_actions, discount=discount)
     elif sparse.issparse(log_or_counts):

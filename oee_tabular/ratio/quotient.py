@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -70,19 +70,19 @@ class Quotient(Method):
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: Any = field(default=None, repr=False)
 
+    HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
+
     @property
     def _name(self) -> str:
         return "ratio_of_ratios"
 
     def __post_init__(self) -> None:
+        _checks.boolean(self.normalized, "normalized")
+        if not isinstance(self.solver, str | Sgd):
+            raise ValueError(f"solver must be a name or Sgd(...); got {self.solver!r}")
         refuse_words(self.ridge, self._name)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
-
-    @property
-    def uses(self) -> frozenset[str]:
-        """What the simulator's data are, or how they are sampled."""
-        return frozenset({"simulator_data", "behavior_policy"})
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The quotient of the exact ratios; training is no part of it."""

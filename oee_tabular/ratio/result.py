@@ -12,6 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
+from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.neighbours import Factor
 from oee_tabular.ratio.segments import segment_sums, spread
@@ -70,9 +71,11 @@ class TransitionRatio:
 
     def on(self, simulator: FiniteMDP) -> Array:
         """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
+        _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}"
+                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}, "
+                "another simulator's"
             )
         zeta, stored = align(canonical(checked(self.values, "ratio"), drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
@@ -84,6 +87,7 @@ class TransitionRatio:
 
         Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
         """
+        _checks.boolean(normalize, "normalize")
         zeta = self.on(simulator)
         data = zeta * simulator.transitions.data
         sums = row_sums(simulator.transitions, data)
@@ -98,10 +102,12 @@ class TransitionRatio:
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
         """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
+        _checks.instance(simulator, FiniteMDP, "simulator")
         if self._influence is None:
             raise ValueError(
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
             )
+        self.on(simulator)  # or an error
         return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
 
     @one_thread
@@ -113,7 +119,11 @@ class TransitionRatio:
         as given; unvisited rows add only what they share with others (a tilt). The error that a wrong prior makes is not in
         it. None where no formula is known.
         """
-        return None if self._influence is None else self._influence.standard_error(gradient)
+        gradient = self._aligned(gradient)
+        if self._influence is None:
+            return None
+        shift = exponent(gradient)
+        return float(np.ldexp(self._influence.standard_error(np.ldexp(gradient, -shift)), shift))
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
@@ -123,7 +133,22 @@ class TransitionRatio:
         that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single move has none under its own frequencies.
         """
-        return None if self._influence is None else self._influence.one_step(gradient)
+        gradient = self._aligned(gradient)
+        if self._influence is None:
+            return None
+        shift = exponent(gradient)
+        step = self._influence.one_step(np.ldexp(gradient, -shift))
+        parts = step.change, step.standard_error, step.unseen, step.change_error
+        return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
+
+    def _aligned(self, gradient: Any) -> Array:
+        array = _checks.float_array(gradient, "gradient", ndim=1)
+        _checks.require_finite(array, "gradient")
+        if len(array) != self.values.nnz:
+            raise ValueError(
+                f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"
+            )
+        return array
 
 
 @dataclass(frozen=True)

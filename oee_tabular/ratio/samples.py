@@ -87,6 +87,11 @@ def density_ratio_samples(
     p, q = sample_points(x_p, "x_p"), sample_points(x_q, "x_q")
     if p.shape[1] != q.shape[1]:
         raise ValueError(f"x_p and x_q must have one dimension; they have {p.shape[1]} and {q.shape[1]}")
+    for points, name in ((p, "x_p"), (q, "x_q")):
+        if np.abs(points).max() > 1e150:
+            raise ValueError(
+                f"{name} must be below 1e150, so that floats hold its squares; it reaches {np.abs(points).max():g}"
+            )
     if features is not None and kernel is not None:
         raise ValueError("one of features and kernel must be given, not both")
     if features is not None:

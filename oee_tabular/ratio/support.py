@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
+
+LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
+LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
 
 
 def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log") -> None:
@@ -39,17 +43,17 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     Traceback (most recent call last):
     ValueError: target must stay where the simulator has probability: it gives probability 0 to 24 different moves...
     """
-    moves = checked(moves, what)
-    positive = moves.data > 0
-    _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
-    bad = np.flatnonzero(positive & ~stored)
+    moves, possible = _possible(moves, simulator, what)
+    bad = np.flatnonzero((moves.data > 0) & ~possible)
     if bad.size == 0:
         return
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
     named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
     share = moves.data[bad].sum()
+    least = align(simulator.transitions, moves)[0][bad].max()
+    faint = "0" if least == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
     raise ValueError(
-        f"{what} must stay where the simulator has probability: it gives probability 0 to {bad.size} different "
+        f"{what} must stay where the simulator has probability: it gives probability {faint} to {bad.size} different "
         f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "
         + _ways_out(moves, bad, simulator)
     )
@@ -94,20 +98,50 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
     >>> uncovered_share(target.transitions, simulator) > 0, uncovered_share(simulator.transitions, target)
     (True, 0.0)
     """
-    moves = checked(moves, "moves")
-    _, stored = find(simulator.transitions, row_of_entry(moves), moves.indices.astype(np.int64))
-    return float(moves.data[~stored].sum() / moves.data.sum())
+    moves, possible = _possible(moves, simulator)
+    total = moves.data.sum()
+    if not 0 < total < np.inf:
+        raise ValueError(f"moves must have a positive, finite sum; it is {total:g}")
+    return float(moves.data[~possible].sum() / total)
+
+
+def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sparse.csr_array, _checks.BoolArray]:
+    """The moves as csr, and which of them have a probability in the simulator that a ratio can be taken of."""
+    _checks.instance(simulator, FiniteMDP, "simulator")
+    matrix = simulator.transitions
+    if not sparse.issparse(moves) or moves.shape != matrix.shape:
+        raise ValueError(
+            f"{name} must be sparse of shape {matrix.shape}; got {getattr(moves, 'shape', type(moves).__name__)}"
+        )
+    rows = checked(moves, name)
+    position, stored = find(matrix, row_of_entry(rows), rows.indices.astype(np.int64))
+    return rows, stored & (matrix.data[position] >= LEAST_PROBABILITY)
+
+
+def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> sparse.csr_array:
+    """Counts as a canonical csr of the simulator's shape; errors for shape, sign and size that name the place."""
+    shape = simulator.transitions.shape
+    if not sparse.issparse(counts):
+        raise ValueError(f"{name} must be sparse, of shape {shape}; got {type(counts).__name__}")
+    if counts.shape != shape:
+        raise ValueError(f"{name} must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
+    if counts.dtype.kind not in "fiub":
+        raise ValueError(f"{name} must be real numbers; they are {counts.dtype}")
+    matrix = canonical(checked(counts, name), drop_zeros=True)
+    for fine, rule in (
+        (np.isfinite(matrix.data) & (matrix.data >= 0), "finite and nonnegative"),
+        (matrix.data <= LARGEST_COUNT, "at most 2**53"),
+    ):
+        if not fine.all():
+            k = int(np.flatnonzero(~fine)[0])
+            where = name_move(matrix, k, simulator.n_actions)
+            raise ValueError(f"{name} must be {rule}; at {where} there is {matrix.data[k]:g}")
+    return matrix
 
 
 def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
-    if counts.shape != simulator.transitions.shape:
-        raise ValueError(f"counts must have shape {simulator.transitions.shape}; they have shape {counts.shape}")
-    matrix = canonical(checked(counts, "counts"), drop_zeros=True)
-    bad = np.flatnonzero(~(np.isfinite(matrix.data) & (matrix.data >= 0)))
-    if bad.size:
-        where = name_move(matrix, int(bad[0]), simulator.n_actions)
-        raise ValueError(f"counts must be finite and nonnegative; at {where} there is {matrix.data[bad[0]]}")
+    matrix = checked_counts(counts, simulator)
     refuse_unsupported(matrix, simulator)
     return align(matrix, simulator.transitions)[0]
 
@@ -115,8 +149,7 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
 def require_pair(target: object, simulator: object) -> None:
     """Two MDPs with the same states and actions."""
     for value, name in ((target, "target"), (simulator, "simulator")):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+        _checks.instance(value, FiniteMDP, name)
     assert isinstance(target, FiniteMDP)
     assert isinstance(simulator, FiniteMDP)
     if target.transitions.shape != simulator.transitions.shape:

@@ -133,7 +133,7 @@ def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:
     if callable(tie):
         first, action = np.divmod(row_of_entry(matrix), simulator.n_actions)
         tie = tie(first, action, matrix.indices.astype(np.int64))
-    given = np.asarray(tie)
+    given = _checks.as_array(tie, "tie")
     if given.shape != (matrix.nnz,):
         raise ValueError(
             f"tie must have shape ({matrix.nnz},), a key for each entry of simulator.transitions; it has shape {given.shape}"

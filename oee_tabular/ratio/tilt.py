@@ -106,7 +106,10 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
     >>> action_displacement(line, [0, 1, 2]).ravel().tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
     [0.0, 1.0, 0.0, 1.0, 0.0]
     """
-    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2)).reshape(len(coordinates), -1)
+    _checks.instance(simulator, FiniteMDP, "simulator")
+    given = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(given, "coordinates")
+    places = given[:, None] if given.ndim == 1 else given
     if places.shape[0] != simulator.n_states:
         raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
     matrix = simulator.transitions

@@ -78,8 +78,12 @@ def method_named(name: str, **options: Any) -> Method:
         if _ANYWHERE.get(option, named) == value:
             del given[option]
         else:
-            raise ValueError(f"{option} must not be given with method {name!r}, which does not use it; got {value!r}")
+            raise ValueError(f"{option} {_refused(name)}; got {value!r}")
     return named.make(**{**named.settled, **given})
+
+
+def _refused(method: str) -> str:
+    return f"must not be given with method {method!r}, which does not use it"
 
 
 def transition_ratio(
@@ -139,6 +143,12 @@ def transition_ratio(
     >>> bool(abs(paper.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05)
     True
     """
+    beside = {
+        "values_of": values_of,
+        "horizon": horizon,
+        "simulator_data": simulator_data,
+        "behavior_policy": behavior_policy,
+    }
     if isinstance(method, Method):
         if options:
             raise TypeError(f"{next(iter(options))} must be given to the method object; the method is {method!r}")
@@ -146,13 +156,11 @@ def transition_ratio(
     else:
         if method == "conditional" and options.get("tie") is not None:
             method = "tied"
+        _checks.one_of(method, "method", tuple(METHODS))
+        for name, value in beside.items():
+            if value is not None and name not in METHODS[method].make.HEEDS:
+                raise ValueError(f"{name} {_refused(method)}; got {value!r}")
         chosen = method_named(method, **options)
-    beside = {
-        "values_of": values_of,
-        "horizon": horizon,
-        "simulator_data": simulator_data,
-        "behavior_policy": behavior_policy,
-    }
     for name, value in beside.items():
         if value is not None and name not in chosen.uses:
             raise ValueError(f"{name} {chosen.refuses}; got {value!r}")

@@ -126,7 +126,7 @@ def evaluate_continuous(
     told = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
     tables = {name: as_table(policy, made.model, name) for name, policy in policies.items()}
     functions = {tables[name].tobytes(): as_function(policy, made.model) for name, policy in policies.items()}
-    stream = np.random.SeedSequence(seed, spawn_key=(10**6,))
+    stream = _checks.seed_sequence(seed, (10**6,))
     episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
     mc = MonteCarloValue(simulator.task, functions, steps, episodes, discount, stream)
     rows = _rows(made, mc, kind, estimators)
@@ -176,9 +176,7 @@ def _made(
             model if floor == 0.0 else simulator.build(grid=settings.grid, at=numbered, floor=0.0, discount=discount)
         )
     counts = simulator.counts(model, numbered, outside=settings.outside)
-    encoded = model.encode_log(
-        numbered, seed=np.random.SeedSequence(seed, spawn_key=(10**6 + 1,)), outside=settings.outside
-    )
+    encoded = model.encode_log(numbered, seed=_checks.seed_sequence(seed, (10**6 + 1,)), outside=settings.outside)
     bag, episodes = encoded, None
     if task.reward_between(log.state[:1], columns["action"][:1], log.next_state[:1]) is not None:
         # rewards differ within a cell: no contradiction of the simulator's mean
@@ -266,8 +264,7 @@ def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array
 
 
 def _fits(log: ContinuousTransitions, task: ContinuousTask) -> None:
-    if not isinstance(log, ContinuousTransitions):
-        raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+    _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state != task.n_state:
         raise ValueError(
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "

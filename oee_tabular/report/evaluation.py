@@ -69,10 +69,15 @@ def evaluate(
     >>> report.sureness.sentences[0].split(":")[0]
     'The target differs from the simulator'
     """
+    _checks.boolean(normalized, "normalized")
+    _checks.boolean(guaranteed, "guaranteed")
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem(simulator, log, ...); got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    if target is not None:
+        _checks.instance(target, FiniteMDP, "target")
+    if facts is not None:
+        _checks.instance(facts, Mapping, "facts")
     if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
         raise ValueError(
             f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "
@@ -92,7 +97,7 @@ def evaluate(
     raw: list[Result] = []
     cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
     for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
-        stream = np.random.SeedSequence(seed, spawn_key=(i, j))
+        stream = _checks.seed_sequence(seed, (i, j))
         raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
     sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
@@ -166,9 +171,18 @@ def _chosen(
         names, left_out = default_names(problem)
         return named_estimators(names, target), left_out
     if isinstance(estimators, Mapping):
+        for name, estimator in estimators.items():
+            _checks.function(estimator, f"estimators[{name!r}]")
+        if not estimators:
+            raise ValueError("estimators must hold at least one; it is empty")
         return dict(estimators), []
     found: dict[str, Estimator] = {}
-    for item in [estimators] if isinstance(estimators, str) else estimators:
+    every = (
+        (estimators,)
+        if isinstance(estimators, str)
+        else _checks.collection(estimators, "estimators", "names or estimators")
+    )
+    for item in every:
         if isinstance(item, str):
             found |= named_estimators([item], target)
         elif callable(item):

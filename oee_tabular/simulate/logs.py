@@ -10,6 +10,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 
 
 def running_sums(data: Array, indptr: Any) -> Array:
@@ -66,7 +67,11 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     from oee_tabular.kernels import rollout
 
     n = _checks.positive_integer(n_episodes, "n_episodes")
+    _checks.require_memory(9.0 * n, "n_episodes", n)  # a row each, at least
+    _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.positive_integer(horizon, "horizon")
+    if steps > 10**6 / n:  # no log of a million moves is cut
+        steps = max(steps_of(horizon, mdp), 10**6 // n)
     pi = check_policy(policy, mdp)
     key = stream_key(seed)
     indptr = mdp.transitions.indptr.astype(np.int64)
@@ -109,7 +114,9 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     """
     from oee_tabular.kernels import rollout
 
+    _checks.instance(mdp, FiniteMDP, "mdp")
     size = _checks.positive_integer(n, "n")
+    _checks.require_memory(4.0 * size, "n", size)
     weights = _checks.float_array(distribution, "distribution", ndim=2)
     own = len(mdp.terminal_state)
     if weights.shape == (own, mdp.n_actions):  # of the environment's own shape: twins are not drawn from

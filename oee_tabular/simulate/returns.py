@@ -12,6 +12,7 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import steps_of
 from oee_tabular.simulate.logs import episode_log, stream_key
 
 if TYPE_CHECKING:
@@ -142,8 +143,10 @@ def sample_returns(
 
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
+    _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
-    steps = _checks.positive_integer(horizon, "horizon")
+    _checks.require_memory(9.0 * n, "n_episodes", n)
+    steps = steps_of(horizon, mdp)
     lanes = min(_checks.positive_integer(n_lanes, "n_lanes"), n)
     pi = check_policy(policy, mdp)
     ratio = np.zeros(0) if zeta is None else walk_of(mdp, pi, ratio=zeta).w

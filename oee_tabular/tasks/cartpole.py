@@ -161,4 +161,5 @@ def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy
     >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
     [[0.5, 0.5]]
     """
+    _checks.boolean(deterministic, "deterministic")
     return CartPolePolicy(delta, deterministic)

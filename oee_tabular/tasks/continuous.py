@@ -162,6 +162,7 @@ def check_states(task: ContinuousTask, states: Any, name: str = "states") -> Arr
 
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
+    _checks.function(policy, "policy")
     table = _checks.float_array(policy(states), "policy(states)")
     if table.shape != (len(states), n_actions):
         raise ValueError(

@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.data import ContinuousTransitions
+from oee_tabular.mdp.horizons import followed
 from oee_tabular.tasks.continuous import ContinuousTask, StatePolicy, check_probabilities, check_states
 
 CHUNK = 4096  # episodes of one random stream
@@ -78,8 +79,10 @@ def monte_carlo_value(
     >>> 0.62 < expert.value < 0.635  # the paper's figure has .63 here; 1 - .99^100 = .634 is the most there is
     True
     """
-    n, steps = _checks.positive_integer(n_episodes, "n_episodes"), _checks.positive_integer(horizon, "horizon")
-    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
+    _checks.instance(task, ContinuousTask, "task")
+    n, gamma = _checks.positive_integer(n_episodes, "n_episodes"), _checks.number_in(discount, "discount", 0.0, 1.0)
+    _checks.boolean(normalized, "normalized")
+    steps = followed(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
     if normalized and gamma == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     returns = []
@@ -135,6 +138,7 @@ def record(
     """
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")
+    _checks.instance(task, ContinuousTask, "task")
     steps = _checks.positive_integer(max_steps, "max_steps")
     if n_episodes is not None:
         wanted = _checks.positive_integer(n_episodes, "n_episodes")
@@ -152,6 +156,7 @@ def record(
 
 def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
     """Generators for CHUNK episodes each, spawned from ``seed``."""
+    _checks.require_memory(9.0 * n, "n_episodes", n)
     sizes = [min(CHUNK, n - low) for low in range(0, n, CHUNK)]
     children = _checks.generator(seed).spawn(len(sizes))
     return list(zip(children, sizes, strict=True))
@@ -209,6 +214,8 @@ def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = 
     >>> bool((pair.state == log.state).all()), bool((pair.next_state == log.next_state).all())
     (True, False)
     """
+    _checks.instance(task, ContinuousTask, "task")
+    _checks.instance(log, ContinuousTransitions, "log", "ContinuousTransitions")
     states = check_states(task, log.state, "log.state")
     moved = task.step(states, log.action_numbers(task.actions), _checks.generator(seed))
     return ContinuousTransitions(

@@ -142,6 +142,7 @@ class Discretization:
         ValueError
             A log with other dimensions than the task; actions or states that the task does not know.
         """
+        _checks.boolean(strict, "strict")
         kept, actions, ended = self._checked(log, outside, strict)
         rng = None if seed is None else _checks.generator(seed)
         draws = None if rng is None else rng.random((len(kept), 2))
@@ -164,6 +165,7 @@ class Discretization:
 
         The mean of ``encode_log(...).counts(...)`` over draws, without their noise. Arguments and errors as there.
         """
+        _checks.boolean(strict, "strict")
         kept, actions, ended = self._checked(log, outside, strict)
         n, n_states, n_actions = len(kept), self.mdp.n_states, self.task.n_actions
         start = sparse.csr_array(self._weights(kept.state, np.zeros(n, dtype=np.bool_)))
@@ -231,8 +233,7 @@ class Discretization:
         self, log: ContinuousTransitions, outside: str, strict: bool
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """The rows that can be encoded, their action numbers, and which end in the absorbing state."""
-        if not isinstance(log, ContinuousTransitions):
-            raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+        _checks.instance(log, ContinuousTransitions, "log")
         _checks.one_of(outside, "outside", OUTSIDE)
         if log.n_state != self.task.n_state:
             raise ValueError(

@@ -91,6 +91,7 @@ class GymnasiumTask(ContinuousTask):
         reward_between: Callable[[Array, IntArray, Array], Array] | None = None,
         parameters: dict[str, Any] | None = None,
     ) -> None:
+        _checks.boolean(terminates, "terminates")
         for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
             if not callable(function):
                 raise ValueError(f"{name} must be a function; got {type(function).__name__}")
@@ -116,7 +117,7 @@ class GymnasiumTask(ContinuousTask):
                 )
         self.feature_low, self.feature_high = ends
         self.periodic = (False,) * d if periodic is None else tuple(periodic)
-        self.terminates = bool(terminates)
+        self.terminates = terminates
         for number in range(len(self.actions)):
             if not self._env.action_space.contains(self._command(number)):
                 raise ValueError(

@@ -49,6 +49,7 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     FiniteMDP(100 states, 4 actions, 1576 transitions, rewards r(s, a, s'), discount 0.99)
     """
     n = _checks.positive_integer(size, "size")
+    _checks.require_memory(100.0 * n * n, "size", n)
     if n < 2:
         raise ValueError(f"size must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
@@ -92,6 +93,7 @@ def gridworld_expert(size: int) -> Array:
     [0, 0, 0, 0, 0, 0, 2, 2, 2]
     """
     n = _checks.positive_integer(size, "size")
+    _checks.require_memory(100.0 * n * n, "size", n)
     row = np.arange(n * n) // n
     return deterministic_policy(np.where(row < n - 1, 0, 2), 4)
 

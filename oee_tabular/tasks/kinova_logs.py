@@ -49,8 +49,7 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
     >>> found.state.round(3).tolist(), found.action.tolist()
     ([[0.457, 0.001, 0.434]], [[0.0, 0.0, 1.0]])
     """
-    if not isinstance(log, ContinuousTransitions):
-        raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+    _checks.instance(log, ContinuousTransitions, "log")
     columns: dict[str, Any] = log.columns()
     for name in ("state", "next_state"):
         columns[name] = _positions(columns[name], name)

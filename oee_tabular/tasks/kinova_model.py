@@ -294,8 +294,7 @@ def move_counts(model: Discretization, log: ContinuousTransitions, *, outside: s
     So a move is spread exactly as the simulator's rows spread theirs, and not once more for where in its box it began.
     ``outside`` "error": ValueError for states outside the grid; "drop": such moves are left out, with a warning. O(n).
     """
-    if not isinstance(log, ContinuousTransitions):
-        raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+    _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state not in (3, ARM_STATE):
         raise ValueError(
             f"log.state must be the position x, y, z, or the {ARM_STATE} coordinates of the arm (hand_log makes positions); it "

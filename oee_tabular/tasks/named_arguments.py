@@ -17,7 +17,9 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
     for part in _split(text):
         key, equals, value = part.partition("=")
         if equals and key.strip().isidentifier():
-            keywords[key.strip()] = _literal(value.strip())
+            if key.strip() in keywords:
+                raise ValueError(f"{key.strip()} must be given once; {text!r} has it twice")
+            keywords[key.strip()] = _literal(value.strip(), key.strip())
         else:
             positional.append(_literal(part.strip()))
     return positional, keywords
@@ -41,14 +43,16 @@ def _split(text: str) -> list[str]:
     return [part for part in [*parts, current] if part.strip()]
 
 
-def _literal(text: str) -> Any:
+def _literal(text: str, name: str = "an argument") -> Any:
     lowered = {"true": True, "false": False, "none": None}
     if text.lower() in lowered:
         return lowered[text.lower()]
     if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
         top, bottom = text.split("/", 1)
+        if int(bottom) == 0:
+            raise ValueError(f"{name} must be a finite number; {text!r} divides by 0")
         return int(top) / int(bottom)
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
         return text

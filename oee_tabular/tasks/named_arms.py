@@ -39,6 +39,7 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
     plain one, which is shown beside it; a smaller floor mixes the two); zeta with prior "simulator" and strength 0.1, not
     calibrated: on figure 3's two targets calibration did harm.
     """
+    _checks.boolean(tamed, "tamed")
     task = Reacher.tamed(**parameters) if tamed else Reacher(**parameters)
     return ContinuousSimulator(
         "reacher",

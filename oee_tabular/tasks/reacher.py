@@ -131,15 +131,14 @@ class Reacher(ContinuousTask):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_bodies", link_bodies(self.length, self.inertia))
-        if self.reward_length is not None and not 0.0 < self.reward_length < np.inf:
-            raise ValueError(f"reward_length must be None or positive and finite; it is {self.reward_length}")
+        if self.reward_length is not None:
+            _checks.number_in(self.reward_length, "reward_length", 0.0, np.inf, open_ends=True)
         place = _checks.float_array(self.target, "target")
         if place.shape != (2,) or not np.isfinite(place).all():
             raise ValueError(f"target must be two finite numbers (x, y); it is {self.target}")
         for name in ("gear", "damping", "armature", "drag"):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
-        if not 0.0 < self.timestep < np.inf:
-            raise ValueError(f"timestep must be positive and finite; it is {self.timestep}")
+        _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
         _checks.positive_integer(self.substeps, "substeps")
         fastest = 4.0 if self.damping > 0 else 40.0
         high = np.array([1.0, 1.0, STOP, fastest, fastest])

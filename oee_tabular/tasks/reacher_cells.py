@@ -214,8 +214,7 @@ def arm_cells(
     >>> arm.risk_minimising_weights().round(2).tolist()
     [0.0, 0.0, 0.0, 0.0, 1.0]
     """
-    if not isinstance(log, ContinuousTransitions):
-        raise ValueError(f"log must be ContinuousTransitions; got {type(log).__name__}")
+    _checks.instance(log, ContinuousTransitions, "log")
     numbers = {"n_cells": n_cells, "n_simulated": n_simulated, "n_stepped": n_stepped, "horizon": horizon}
     for name, value in numbers.items():
         _checks.positive_integer(value, name)

@@ -51,6 +51,7 @@ def record_episodes(
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")
     limit = None if n_transitions is None else _checks.positive_integer(n_transitions, "n_transitions")
+    _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
     n_states, n_actions = _sizes(env)
     pi = _checks.float_array(policy, "policy", ndim=2)

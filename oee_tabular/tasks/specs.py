@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
@@ -19,7 +20,7 @@ from oee_tabular.tasks.discretize import Discretization
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.named_arguments import arguments
 from oee_tabular.tasks.named_continuous import CONTINUOUS, continuous_simulator
-from oee_tabular.tasks.toy_text import environment_exists, make_environment
+from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     >>> named_task("FrozenLake-v1:is_slippery=False", discount=0.9).mdp
     FiniteMDP(16 states, 4 actions, 64 transitions, rewards r(s, a, s'), discount 0.9)
     """
+    _checks.instance(spec, str, "spec")
     if Path(spec).suffix.lower() == ".npz":
         mdp = FiniteMDP.load(spec)
         mdp = mdp if discount is None else mdp.with_discount(discount)
@@ -99,7 +101,5 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
     gamma = keywords.pop("discount", 0.99)
-    env = make_environment(name, **keywords)
-    mdp = FiniteMDP.from_gymnasium(env, discount=gamma)
-    env.close()
+    mdp = toy_text(name, discount=gamma, **keywords)
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
+from oee_tabular import _checks
 from oee_tabular.mdp import FiniteMDP
 
 
@@ -12,6 +13,7 @@ def environment_exists(identifier: str) -> None:
     """A ValueError with the nearest ids for an unknown one."""
     from gymnasium.envs.registration import registry
 
+    _checks.instance(identifier, str, "identifier")
     if identifier not in registry:
         near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
         hint = f"; near: {', '.join(near)}" if near else ""
@@ -44,10 +46,10 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
     environment_exists(identifier)
     try:
         return gymnasium.make(identifier, **kwargs)
-    except (TypeError, KeyError) as error:
-        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
     except gymnasium.error.Error as error:
         raise ValueError(f"environment {identifier!r} cannot be made: {error}") from None
+    except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
+        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
 
 
 def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
@@ -64,8 +66,12 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> Finit
     >>> toy_text("FrozenLake-v1", map_name="8x8", success_rate=0.6)
     FiniteMDP(64 states, 4 actions, 674 transitions, rewards r(s, a, s'), discount 0.99)
     """
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     env = make_environment(identifier, **kwargs)
     try:
-        return FiniteMDP.from_gymnasium(env, discount=discount)
+        return FiniteMDP.from_gymnasium(env, discount=gamma)
+    except ValueError as error:
+        said = f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}" if kwargs else ""
+        raise ValueError(f"environment {identifier!r}{said} is no finite MDP: {error}") from None
     finally:
         env.close()

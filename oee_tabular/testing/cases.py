@@ -277,6 +277,7 @@ def case(name: str) -> Case:
     >>> round(case("ragged").truth, 2), round(case("same ragged").truth, 2)
     (10.07, 10.07)
     """
+    _checks.instance(name, str, "name")
     bare = name.removeprefix("same ")
     _checks.one_of(bare, "name", CASES)
     found = _MADE[bare](bare)

@@ -62,7 +62,7 @@ def claims_of(estimator: Any, given: Iterable[str] | None = None) -> frozenset[s
     True
     """
     found: Any = given
-    name = "claims"
+    name = "given"
     if found is None:
         name = f"{type(estimator).__name__}.claims"
         try:

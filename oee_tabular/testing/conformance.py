@@ -190,6 +190,7 @@ def check_estimator(
     >>> verdicts.passed, verdicts["shift"].outcome, verdicts["unbiased"].outcome
     (True, 'holds', 'not claimed')
     """
+    _checks.boolean(from_pair, "from_pair")
     if not callable(estimator):
         raise ValueError(
             f"estimator must be callable as (problem, policy, *, seed=None); got {type(estimator).__name__}"

@@ -14,6 +14,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of, one_thread
 
@@ -174,6 +175,7 @@ def compare_with_oracle(
     (True, True)
     """
     simulator, target = _pair(pair)
+    _checks.function(estimator, "estimator")
     pi = check_policy(policy, simulator)
     size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
@@ -183,7 +185,7 @@ def compare_with_oracle(
     data: dict[str, Any]
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(target.discount, _checks.optional_horizon(horizon))
+        steps = rollout_horizon(target.discount, optional_steps(horizon, target))
         data = {"behavior_policy": behavior, "data_distribution": _visits(target, behavior, steps)}
         bound = _or_infinite(target, behavior, pi, steps)
     else:
@@ -196,7 +198,7 @@ def compare_with_oracle(
     values, reasons = [], []
     with one_thread():
         for k in range(times):
-            stream = np.random.SeedSequence(seed, spawn_key=(k,))
+            stream = _checks.seed_sequence(seed, (k,))
             if behavior is not None and steps is not None:
                 log = sample_episodes(target, behavior, size, steps, seed=stream)
             else:
@@ -225,8 +227,7 @@ def _pair(pair: Any) -> tuple[FiniteMDP, FiniteMDP]:
     except (TypeError, ValueError):
         raise ValueError(f"pair must be (simulator, target); got {type(pair).__name__}") from None
     for value, name in ((simulator, "pair[0], the simulator,"), (target, "pair[1], the target,")):
-        if not isinstance(value, FiniteMDP):
-            raise ValueError(f"{name} must be a FiniteMDP; got {type(value).__name__}")
+        _checks.instance(value, FiniteMDP, name)
     if simulator.transitions.shape != target.transitions.shape:
         raise ValueError(
             f"pair must have the same states and actions; their transitions have shapes {simulator.transitions.shape} and "

@@ -117,6 +117,7 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     ...     assert policy.shape == (2, 2) and policy.min() > 0
     >>> law()
     """
+    _checks.boolean(zeros, "zeros")
     return _policies(_require(mdp), list(range(mdp.n_actions)) if not zeros else [])
 
 
@@ -248,6 +249,7 @@ def logs(
     ...     assert 1 <= log.n_episodes <= 3 and (log.reward == log.state).all()
     >>> law()
     """
+    _checks.boolean(rewards, "rewards")
     model = _require(mdp)
     if kind is not None:
         _checks.one_of(kind, "kind", ("episodes", "transitions"))
@@ -315,9 +317,7 @@ def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
 
 
 def _require(mdp: Any) -> FiniteMDP:
-    if not isinstance(mdp, FiniteMDP):
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
-    return mdp
+    return _checks.instance(mdp, FiniteMDP, "mdp")
 
 
 def _sizes(low: Any, high: Any, low_name: str, high_name: str) -> tuple[int, int]:

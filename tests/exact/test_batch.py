@@ -76,7 +76,7 @@ def test_a_batch_of_none():
     [
         (3, [], r"models must be a FiniteMDP or a sequence of them; got int"),
         ([], [], r"models must be at least one FiniteMDP; there is none"),
-        (["grid", 4], [1, 2], r"mdp must be a FiniteMDP; got int"),
+        (["grid", 4], [1, 2], r"models\[1\] must be a FiniteMDP; got int"),
         (["grid"], 3, r"policies must be a sequence of policies; got int"),
         (["grid"], [[[1]], [[1]]], r"policies must be as many as models \(1\); there are 2"),
         (["grid", "grid"], ["uniform", [[0.5, 0.4, 0, 0]] * 4], r"policies\[1\]\[0\] must sum to 1 .* it sums to 0\.9"),

@@ -337,6 +337,7 @@ def test_rows_of_very_different_lengths_are_sorted_into_strips():
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:a moment is beyond the largest float")
 def test_variances_beyond_floats():
     """E[W_t^2] = 1.64^t: there is no finite variance, the mean keeps its digits, and nothing ends in an error of arithmetic."""
     simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.999) for p in (0.5, 0.9))

@@ -254,6 +254,7 @@ def test_what_is_no_mdp_is_said():
             call()
 
 
+@pytest.mark.filterwarnings("ignore:a value is beyond the largest float")
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
     """In a state that is never reached they do not matter to J, by any of the ways to it."""
     never = FiniteMDP([[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]], [0, 1, 1e308], [1, 0, 0], 0.99)
@@ -268,3 +269,13 @@ def test_values_beyond_floats_are_infinite_and_their_bound_is():
         assert batch.error_bound[0] == np.inf > batch.error_bound[1]
         assert exact.evaluate_batch(never, [policy] * 2, horizon=horizon).error_bound.tolist() == [np.inf, np.inf]
     assert oee.policy_value(FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy) == np.inf
+
+
+def test_a_gradient_of_another_mdp_s_values_is_refused():
+    """Compiled code would read beyond its arrays."""
+    small, large = (oee.tasks.gridworld(size, 0.1) for size in (2, 3))
+    for horizon in (None, 3):
+        with pytest.raises(
+            ValueError, match=r"values_of must have the model's states and actions, \(9, 4\); it has \(4, 4\)"
+        ):
+            exact.transition_gradient(large, oee.uniform_policy(large), horizon=horizon, values_of=small)

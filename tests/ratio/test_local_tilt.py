@@ -169,7 +169,7 @@ def test_one_tilt_however_far_is_not_called_many(slip):
 def test_enormous_counts(dense, monkeypatch):
     simulator, target = halves(4)
     monkeypatch.setattr(local_tilt, "DENSE", dense)
-    for size in (1e9, 1e15, 1e22):
+    for size in (1e9, 1e15, 8e15):
         zeta = oee.transition_ratio(sparse.csr_array(size * target.transitions), simulator, smoothness=5.0)
         assert_allclose(zeta.target_model(simulator).transitions.toarray(), target.transitions.toarray(), atol=1e-6)
         assert np.isfinite(zeta.gap)

@@ -67,7 +67,8 @@ DETAILS = {
     ),
     "quotient": (
         {"method": "ratio_of_ratios", "simulator_data": "exact"},
-        {"undetermined_moves", "share_at_the_box", "moves_only_in_log", "divergence_moves", "divergence_pairs"} | BETAS,
+        {"undetermined_moves", "share_at_the_box", "moves_only_in_log", "divergence_moves", "divergence_pairs", "beta"}
+        | BETAS,
     ),
     "joint": (
         {"method": "joint", "simulator_data": "exact"},

@@ -1,0 +1,129 @@
+"""A horizon is followed as far as the discount can show; the rest is said, or refused with its cost."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular.mdp.horizons import followed
+
+TARGET, SIMULATOR = (oee.tasks.gridworld(3, slip) for slip in (0.1, 0.3))
+POLICY = oee.uniform_policy(TARGET)
+ZETA = oee.true_ratio(TARGET, SIMULATOR)
+FAR = 10**9
+LOG = oee.sample_episodes(TARGET, POLICY, 20, 30, seed=0)
+PROBLEM = oee.Problem(SIMULATOR, LOG)
+
+FAR_AND_INFINITE = {
+    "policy_value": lambda horizon: oee.policy_value(TARGET, POLICY, horizon=horizon),
+    "state_values": lambda horizon: oee.state_values(TARGET, POLICY, horizon=horizon),
+    "action_values": lambda horizon: oee.action_values(TARGET, POLICY, horizon=horizon),
+    "occupancy": lambda horizon: oee.occupancy(TARGET, POLICY, horizon=horizon),
+    "evaluate_batch": lambda horizon: oee.exact.evaluate_batch(TARGET, [POLICY, POLICY], horizon=horizon).values,
+    "transition_gradient": lambda horizon: oee.exact.transition_gradient(TARGET, POLICY, horizon=horizon),
+    "variance": lambda horizon: oee.return_moments(TARGET, POLICY, horizon=horizon).variance,
+    "a limit": lambda horizon: oee.estimators.Simulator().limit(SIMULATOR, TARGET, POLICY, horizon=horizon),
+    "an estimate": lambda horizon: (
+        oee.estimators.ModelBased()(oee.Problem(SIMULATOR, LOG, horizon=horizon), POLICY).value
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAR_AND_INFINITE)
+def test_far_beyond_the_discount_is_the_infinite_sum(name):
+    made = FAR_AND_INFINITE[name]
+    with pytest.warns(UserWarning, match="horizon 1000000000 is followed to step 13803"):
+        far = made(FAR)
+    np.testing.assert_allclose(far, made(None), rtol=1e-11, atol=1e-13)
+
+
+def test_a_late_reward_is_not_cut_off():
+    n = 12_000  # a corridor: the only reward comes after 12 000 steps, .99^12000 = 4e-53
+    rows = sparse.csr_array((np.ones(n), (np.arange(n), np.minimum(np.arange(1, n + 1), n - 1))), shape=(n, n))
+    rewards = np.zeros(n)
+    rewards[-1] = 1.0
+    corridor = oee.FiniteMDP(rows, rewards, np.eye(1, n)[0], 0.99)
+    with pytest.warns(UserWarning, match="is followed to step"):
+        far = oee.policy_value(corridor, np.ones((n, 1)), horizon=FAR)
+    assert far == pytest.approx(0.99 ** (n - 1) / 0.01, rel=1e-9)
+
+
+def test_policies_that_change_with_time_are_followed_to_their_end():
+    steps = 10_500
+    changing = np.repeat(POLICY[None], steps, axis=0)
+    fast = TARGET.with_discount(0.5)
+    assert oee.policy_value(fast, changing, horizon=steps) == pytest.approx(oee.policy_value(fast, POLICY), rel=1e-12)
+
+
+def test_weights_that_outgrow_the_discount_are_not_cut():
+    expert = oee.tasks.gridworld_expert(3)
+    loop = oee.FiniteMDP(np.ones((1, 2, 1)), [[1.0, 0.0]], [1.0], 0.9)
+    with pytest.raises(ValueError, match=r"horizon must be one that can be carried out; 100000000000 steps take some"):
+        oee.policy_is_moments(loop, [[0.5, 0.5]], [[1.0, 0.0]], horizon=10**11)
+    with pytest.warns(UserWarning, match="is followed to step"):  # here the spectral radius is below 1
+        far = oee.weighted_return_moments(SIMULATOR, ZETA, expert, horizon=FAR)
+    assert far.variance == pytest.approx(oee.weighted_return_moments(SIMULATOR, ZETA, expert).variance, rel=1e-9)
+
+
+def test_at_discount_1_the_cost_is_said():
+    lasting = TARGET.with_discount(1.0)
+    for call in (oee.policy_value, oee.return_moments, oee.occupancy):
+        with pytest.raises(ValueError, match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)"):
+            call(lasting, POLICY, horizon=FAR)
+    with pytest.warns(UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"):
+        assert followed(20_000, 1.0, work=1.2e5) == 20_000
+
+
+@pytest.mark.parametrize("horizon", [2**63, 2**70])
+@pytest.mark.parametrize("call", [oee.policy_value, oee.return_moments, oee.optimal_policy, oee.occupancy])
+def test_beyond_64_bits(call, horizon):
+    arguments = (TARGET,) if call is oee.optimal_policy else (TARGET, POLICY)
+    with pytest.raises(ValueError, match=rf"horizon must be at most 2\*\*63 - 1; it is {horizon}"):
+        call(*arguments, horizon=horizon)
+
+
+def test_arrays_with_an_entry_for_each_step_must_fit():
+    for call in (
+        lambda: oee.optimal_policy(TARGET, horizon=FAR),
+        lambda: oee.exact.policy_values_by_horizon(TARGET, POLICY, horizon=FAR),
+    ):
+        with pytest.raises(ValueError, match="horizon must be one that can be carried out"):
+            call()
+    with pytest.raises(ValueError, match=r"horizon must be small enough .*; 1000000 needs 7.45e\+03 GiB"):
+        followed(10**6, 1.0, kept=10**6)
+
+
+def test_sampled_episodes():
+    with pytest.warns(UserWarning, match="is followed to step"):
+        log = oee.sample_episodes(TARGET, POLICY, 3, FAR, seed=0)
+    same = oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0)
+    np.testing.assert_array_equal(log.state, same.state)
+    endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.5)
+    assert (
+        len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000
+    )  # a log of a million moves is not cut
+
+
+def test_from_the_command_line(tmp_path):
+    LOG.save(tmp_path / "log.npz")
+    common = [
+        sys.executable,
+        "-m",
+        "oee_tabular",
+        "evaluate",
+        "--simulator",
+        "gridworld:3,slip=0.3",
+        "--log",
+        str(tmp_path / "log.npz"),
+        "--estimators",
+        "simulator",
+    ]
+    done = subprocess.run([*common, "--horizon", "1000000000"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "oee: warning: horizon 1000000000 is followed to step" in done.stderr
+    done = subprocess.run([*common, "--horizon", "99999999999999999999"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "horizon must be at most 2**63 - 1; it is 99999999999999999999" in done.stderr
