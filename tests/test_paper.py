@@ -81,7 +81,7 @@ def test_the_convex_program_as_printed(rng, normalized, lam):
     fit = oee.density_ratio(p, q, lower=nu, upper=mu, ridge=lam, normalized=normalized)
     assert_allclose(fit.objective, paper.risk(fit.ratio, p, q, lam), rtol=1e-12)
     assert_allclose(paper.risk(printed, p, q, lam), fit.objective, atol=1e-9)
-    assert_allclose(printed, fit.ratio, rtol=1e-6, atol=5e-6)
+    assert_allclose(printed, fit.ratio, atol=1e-4)  # g is as near as the square root of what the risk is
 
 
 @given(rngs)

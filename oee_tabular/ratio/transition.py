@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -75,7 +76,7 @@ def method_named(name: str, **options: Any) -> Method:
             raise TypeError(f"{option} must be an option of a method: {', '.join(sorted(known))}; got {value!r}")
         if option in named.options:
             continue
-        if _ANYWHERE.get(option, named) == value:
+        if option in _ANYWHERE and np.ndim(value) == 0 and value == _ANYWHERE[option]:
             del given[option]
         else:
             raise ValueError(f"{option} {_refused(name)}; got {value!r}")
