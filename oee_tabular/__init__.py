@@ -18,6 +18,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular import _forks  # noqa: F401  from here on, forks are noticed
+
 __version__ = "0.1.0"
 
 # name -> module; imported on first use, so that "import oee_tabular" and "oee --help" stay quick
