@@ -20,7 +20,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from oee_tabular._forks import forked
 
-_turns: threading.Lock = threading.Lock()
+_turns = threading.Lock()
 
 
 def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -60,14 +60,8 @@ def _one_caller() -> bool:
     return bool(numba.threading_layer() == "workqueue")
 
 
-def _in_child() -> None:
-    global _turns
-    global_compiler_lock.release()
-    _turns = threading.Lock()
-
-
 if hasattr(os, "register_at_fork"):
     # no other thread compiles while the process is copied: it would hold numba's lock in the copy, for ever
     os.register_at_fork(
-        before=global_compiler_lock.acquire, after_in_parent=global_compiler_lock.release, after_in_child=_in_child
+        before=global_compiler_lock.acquire, after_in_parent=global_compiler_lock.release, after_in_child=global_compiler_lock.release
     )
