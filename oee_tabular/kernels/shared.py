@@ -17,6 +17,7 @@ from typing import Any
 
 import numba
 from numba.core.compiler_lock import global_compiler_lock
+from numba.np.ufunc.parallel import threading_layer
 
 from oee_tabular._forks import forked
 
@@ -57,11 +58,10 @@ def _turn() -> AbstractContextManager[Any]:
 def _one_caller() -> bool:
     """Whether numba's threads take one caller at a time."""
     numba.get_num_threads()  # starts them: what they are is known from then on
-    return bool(numba.threading_layer() == "workqueue")
+    return bool(threading_layer() == "workqueue")
 
 
 if hasattr(os, "register_at_fork"):
     # no other thread compiles while the process is copied: it would hold numba's lock in the copy, for ever
-    os.register_at_fork(
-        before=global_compiler_lock.acquire, after_in_parent=global_compiler_lock.release, after_in_child=global_compiler_lock.release
-    )
+    _release = global_compiler_lock.release
+    os.register_at_fork(before=global_compiler_lock.acquire, after_in_parent=_release, after_in_child=_release)

@@ -39,9 +39,6 @@ def factory(fails=False):
 def useless():
     return 3
 
-def leaving():
-    sys.exit(3)
-
 class Fatal(Mine):
     claims = frozenset()
 
@@ -128,7 +125,6 @@ def test_an_estimator_that_exits_or_hangs_or_is_killed_breaks_the_law_and_the_ne
 @pytest.mark.parametrize(("what", "text"), [
     ("{}_leaves:Mine", "'{}_leaves:Mine' cannot be imported: the process ends, with exit code 0"),
     ("{}_sleeps:Mine", "'{}_sleeps:Mine' cannot be imported: no answer within 1 s (--timeout gives it more)"),
-    ("{}:leaving", "'{}:leaving' cannot be imported: the process ends, with exit code 3"),
 ])  # fmt: skip
 def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(capsys, here, what, text):
     code, out, err = run(capsys, what.replace("{}", here), "--timeout", "1")
@@ -149,7 +145,7 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
-    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, "),
+    ("{}:Yours", "'{}' has no object 'Yours' (it has Fatal, Holder, Mine, "),
     ("{}:number", "must be an estimator, or a class or function that makes one; it is a int"),
     ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
     ("{}:useless", "must make an estimator, callable as (problem, policy, *, seed=None); it makes a int"),
