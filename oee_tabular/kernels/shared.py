@@ -58,7 +58,7 @@ def _turn() -> AbstractContextManager[Any]:
 def _one_caller() -> bool:
     """Whether numba's threads take one caller at a time."""
     numba.get_num_threads()  # starts them: what they are is known from then on
-    return bool(threading_layer() == "workqueue")
+    return bool(threading_layer() == "workqueue")  # type: ignore[no-untyped-call]
 
 
 if hasattr(os, "register_at_fork"):
