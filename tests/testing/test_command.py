@@ -1,5 +1,9 @@
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
 
 import pytest
 
@@ -56,6 +60,12 @@ class Fatal(Mine):
         return super().__call__(problem, policy)
 
 fatal = Fatal()
+
+def starts_another(problem, policy, *, seed=None):
+    import subprocess
+    other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
+    open("started", "w").close()
+    other.wait()
 """
 
 
@@ -129,6 +139,21 @@ def test_an_estimator_that_exits_or_hangs_or_is_killed_breaks_the_law_and_the_ne
 def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(capsys, here, what, text):
     code, out, err = run(capsys, what.replace("{}", here), "--timeout", "1")
     assert (code, out, err) == (2, "", f"oee: {text.replace('{}', here)}\n")
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes on this system")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_nothing_goes_on_when_the_command_ends(here, how):
+    """Neither the process of the laws nor what the estimator has started: either would keep the pipe open."""
+    command = [sys.executable, "-m", "oee_tabular", "check", f"{here}:starts_another"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    for _ in range(600):
+        if os.path.exists("started"):
+            break
+        time.sleep(0.1)
+    process.send_signal(how)
+    process.communicate(timeout=20)
+    assert process.returncode != 0
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "1e300"])
