@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+import dependencies
+
 import oee_tabular
 
 project = "oee_tabular"
@@ -98,10 +100,9 @@ def public_names():
 
 
 def write_api(app):
-    """A page for each module, from the names that it exports."""
+    """A page for each module, from the names that it exports, and one of dependencies."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
-    pages = []
     for module, names in public_names().items():
         title = f"oee_tabular.{module}"
         text = [title, "=" * len(title), "", f".. automodule:: {title}", "   :no-members:", ""]
@@ -114,11 +115,14 @@ def write_api(app):
             else:
                 shown = repr(value) if len(repr(value)) < 300 else f"{type(value).__name__} of {len(value)}"
                 text += [f".. py:data:: {title}.{name}", "", f"   ``{shown}``", ""]
-        page = folder / f"{module}.rst"
-        content = "\n".join(text)
-        if not page.is_file() or page.read_text() != content:
-            page.write_text(content)
-        pages.append(module)
+        write(folder / f"{module}.rst", "\n".join(text))
+    write(folder / "dependencies.md", dependencies.page())
+
+
+def write(page, content):
+    """The page, which Sphinx reads again only where it has changed."""
+    if not page.is_file() or page.read_text() != content:
+        page.write_text(content)
 
 
 def setup(app):

@@ -135,9 +135,13 @@ def _defused(value: Any) -> Any:
 
 
 def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """An npz of plain arrays, marked with the kind of object that they make."""
+    """An npz of plain arrays, marked with the kind of object that they make; ValueError for arrays of objects."""
+    for name, array in arrays.items():
+        if array.dtype.hasobject:  # it would be a pickle, which numpy 2.0 cannot be told not to write
+            raise ValueError(f"{name} must be numbers or text; it is an array of objects")
     with whole_file(path, (".npz",)) as handle:
-        np.savez_compressed(handle, allow_pickle=False, **{KIND: np.array(kind)}, **dict(arrays))
+        stored: dict[str, Any] = {KIND: np.array(kind), **arrays}
+        np.savez_compressed(handle, **stored)
 
 
 def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:

@@ -1,5 +1,4 @@
 import os
-import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
 
@@ -13,9 +12,3 @@ settings.register_profile(  # no shrinking: a mutant is dead with its first fail
     "mutation", deadline=None, max_examples=15, derandomize=True, database=None, phases=[Phase.explicit, Phase.generate]
 )
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
-
-if "mutmut" in sys.modules:  # its workers are forks, which threads do not survive: compile the kernels without any
-    import numba
-
-    compiled = numba.njit
-    numba.njit = lambda *arguments, parallel=False, **options: compiled(*arguments, **options)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from oee_tabular.kernels.rollout import philox
+from oee_tabular.kernels.shared import threads_share
 
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs
@@ -227,4 +228,4 @@ def returns(
         )  # fmt: skip
 
 
-returns = njit(cache=True, parallel=True)(returns)
+returns = threads_share(returns)

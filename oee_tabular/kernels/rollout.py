@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from oee_tabular.kernels.shared import threads_share
+
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
@@ -86,7 +88,7 @@ def episode_lengths(
     return lengths
 
 
-episode_lengths = njit(cache=True, parallel=True)(episode_lengths)
+episode_lengths = threads_share(episode_lengths)
 
 
 def episodes(key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any) -> Any:
@@ -108,7 +110,7 @@ def episodes(key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indi
     return rows, entries
 
 
-episodes = njit(cache=True, parallel=True)(episodes)
+episodes = threads_share(episodes)
 
 
 def transitions(key: Any, n: Any, distribution: Any, indptr: Any, cumulative: Any) -> Any:
@@ -123,4 +125,4 @@ def transitions(key: Any, n: Any, distribution: Any, indptr: Any, cumulative: An
     return rows, entries
 
 
-transitions = njit(cache=True, parallel=True)(transitions)
+transitions = threads_share(transitions)

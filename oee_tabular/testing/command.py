@@ -10,24 +10,32 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from oee_tabular.testing.conformance import Verdicts, check_estimator
+from oee_tabular import _checks
+from oee_tabular.testing.apart import check_apart
+from oee_tabular.testing.conformance import Verdicts, check_numbers
+
+LONGEST = 1e6  # seconds; operating systems wait for little more
 
 
-def check(spec: str, *, seed: int = 0, repetitions: int = 8) -> Verdicts:
-    """Import an estimator, from the current directory or what is installed, and check it.
+def check(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0) -> Verdicts:
+    """Import an estimator, from the current directory or what is installed, in a process of its own, and check it there.
 
     Parameters
     ----------
     spec : "module:object"; the object is an estimator, or a class or function that makes one without arguments
     seed, repetitions : as in ``check_estimator``
+    timeout : seconds that a law may take, and the import; an estimator that takes longer, or ends its process, breaks the law
 
     Raises
     ------
     ValueError
-        A spec of another form, no such module or object, a module that cannot be imported, an object that is no estimator.
+        A spec of another form, no such module or object, a module that cannot be imported, or ends the process or takes longer
+        when it is, an object that is no estimator.
     """
-    with own_modules():
-        return check_estimator(own_estimator(spec), seed=seed, repetitions=repetitions)
+    check_numbers(seed, repetitions)
+    seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
+    module_and_path(spec, "the estimator", "my_package.mine:MyEstimator")
+    return check_apart(spec, seed, repetitions, seconds)
 
 
 @contextlib.contextmanager
@@ -46,14 +54,20 @@ def own_estimator(spec: str) -> Any:
     return _made(own_object(spec, "the estimator", "my_package.mine:MyEstimator"), spec)
 
 
-def own_object(spec: str, what: str, example: str) -> Any:
-    """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
+def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
+    """The two parts of "module:object"; nothing is imported."""
     module_name, colon, path = spec.partition(":")
     if not (colon and module_name and path):
         raise ValueError(f"{what} must be given as MODULE:OBJECT, {example}; got {spec!r}")
     if module_name.endswith(".py") or os.sep in module_name:
         hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
         raise ValueError(f"MODULE must be a module's name, not a file's; got {module_name!r} (try {hint}:{path})")
+    return module_name, path
+
+
+def own_object(spec: str, what: str, example: str) -> Any:
+    """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
+    module_name, path = module_and_path(spec, what, example)
     try:
         found = importlib.import_module(module_name)
     except ModuleNotFoundError as error:

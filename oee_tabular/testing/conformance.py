@@ -14,8 +14,6 @@ from oee_tabular.testing.calls import Broken, Subject, name_of, one_thread
 from oee_tabular.testing.cases import case
 from oee_tabular.testing.claims import claims_of
 
-OUTCOMES = ("holds", "fails", "raises", "not claimed")
-
 
 @dataclass(frozen=True)
 class Law:
@@ -60,7 +58,7 @@ class Verdict:
     Attributes
     ----------
     law : its name, a key of ``LAWS``
-    outcome : "holds", "fails", "raises" or "not claimed"
+    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended) or "hangs"
     text : the numbers found
     example : how to see it again
 
@@ -105,12 +103,13 @@ class Verdicts(Mapping[str, Verdict]):
     @property
     def passed(self) -> bool:
         """Whether every law that is owed or claimed holds."""
-        return all(verdict.outcome in ("holds", "not claimed") for verdict in self.verdicts.values())
+        return not self.broken
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """The laws that fail or raise."""
-        return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome in ("fails", "raises"))
+        """The laws that do not hold though they are owed or claimed."""
+        kept = ("holds", "not claimed")
+        return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
 
     def __getitem__(self, law: str) -> Verdict:
         return self.verdicts[law]
@@ -191,40 +190,54 @@ def check_estimator(
     (True, 'holds', 'not claimed')
     """
     _checks.boolean(from_pair, "from_pair")
-    if not callable(estimator):
-        raise ValueError(
-            f"estimator must be callable as (problem, policy, *, seed=None); got {type(estimator).__name__}"
-        )
+    chosen = list(LAWS) if laws is None else list(laws)
+    for name in chosen:
+        _checks.one_of(name, "laws", tuple(LAWS))
+    check_numbers(seed, repetitions)
+    with one_thread():
+        title, subject = subject_of(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
+        verdicts = {name: verdict_on(name, subject) for name in chosen}
+    return Verdicts(title, subject.claims, seed, verdicts)
+
+
+def check_numbers(seed: Any, repetitions: Any) -> None:
+    """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ValueError(f"seed must be an integer of at least 0; got {seed!r}")
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
-    chosen = list(LAWS) if laws is None else list(laws)
-    for name in chosen:
-        _checks.one_of(name, "laws", tuple(LAWS))
-    with one_thread():
-        if from_pair:
-            pair = case("ragged")
-            try:
-                first = estimator(pair.simulator, pair.target)
-            except Exception as error:
-                raise ValueError(
-                    f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
-                ) from error
-            make = estimator
-        else:
-            first = estimator
-
-            def make(simulator: Any, target: Any) -> Any:
-                return estimator
-
-        words = claims_of(first, claims)
-        subject = Subject(make, words, seed, repetitions, from_pair, callable(getattr(first, "limit", None)))
-        verdicts = {name: _verdict(name, subject) for name in chosen}
-    return Verdicts(name_of(first), words, seed, verdicts)
 
 
-def _verdict(name: str, subject: Subject) -> Verdict:
+def subject_of(
+    estimator: Any, seed: int, repetitions: int, *, claims: Iterable[str] | None = None, from_pair: bool = False
+) -> tuple[str, Subject]:
+    """The estimator's name, and what the laws are checked on; ValueError where it is no estimator."""
+    if not callable(estimator):
+        raise ValueError(
+            f"estimator must be callable as (problem, policy, *, seed=None); got {type(estimator).__name__}"
+        )
+    if from_pair:
+        pair = case("ragged")
+        try:
+            first = estimator(pair.simulator, pair.target)
+        except Exception as error:
+            raise ValueError(
+                f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
+            ) from error
+        make = estimator
+    else:
+        first = estimator
+
+        def make(simulator: Any, target: Any) -> Any:
+            return estimator
+
+    words = claims_of(first, claims)
+    has_limit = callable(getattr(first, "limit", None))
+    return name_of(first), Subject(make, words, seed, repetitions, from_pair, has_limit)
+
+
+def verdict_on(name: str, subject: Subject) -> Verdict:
+    """What becomes of one law."""
     law = LAWS[name]
     if name == "limit" and not subject.has_limit:
         return Verdict(name, "not claimed", "it has no limit of its own")

@@ -8,6 +8,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions, _files
+from oee_tabular._files import save_npz
 
 FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
 
@@ -131,3 +132,12 @@ def test_npz_files_never_are_pickles(tmp_path):
     np.savez(path, state=np.array([{"a": 1}], dtype=object))
     with pytest.raises(ValueError, match="must be an npz or npy file of plain arrays"):
         Transitions.load(path)
+
+
+def test_arrays_of_objects_are_not_saved(tmp_path):
+    """They would be pickles, which ``load`` refuses; an old file of that name stays."""
+    path = tmp_path / "old.npz"
+    path.write_bytes(b"old")
+    with pytest.raises(ValueError, match="names must be numbers or text; it is an array of objects"):
+        save_npz(path, "thing", {"fine": np.zeros(2), "names": np.array(["a", None])})
+    assert path.read_bytes() == b"old"

@@ -1,7 +1,5 @@
 """A standard error that the data do not identify is blank: never 0, and no interval of zero width stands on it."""
 
-import functools
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from oee_tabular.estimators.base import mean_and_error
 
 COIN = oee.FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), [1, 0], 0.9)
 ONLY = np.ones((2, 1))
-PLAIN = functools.partial(oee.transition_ratio, prior="none")
+PLAIN = oee.ratio.Conditional(prior="none")
 
 
 def log(next_state):

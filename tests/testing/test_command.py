@@ -1,10 +1,17 @@
+import os
+import re
+import signal
+import subprocess
 import sys
+import time
 
 import pytest
 
 from oee_tabular.cli import main
+from oee_tabular.testing.command import own_estimator, own_modules
 
 MINE = """
+import os, signal, sys, time
 import oee_tabular as oee
 from oee_tabular.estimators import Simulator
 
@@ -35,6 +42,30 @@ def factory(fails=False):
 
 def useless():
     return 3
+
+class Fatal(Mine):
+    claims = frozenset()
+
+    def __call__(self, problem, policy, *, seed=None):
+        frames, frame = set(), sys._getframe()
+        while frame:
+            frames.add(frame.f_code.co_name)
+            frame = frame.f_back
+        if "well_formed" in frames:
+            os._exit(0)
+        if "input_unchanged" in frames:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if "reproducible" in frames:
+            time.sleep(100)
+        return super().__call__(problem, policy)
+
+fatal = Fatal()
+
+def starts_another(problem, policy, *, seed=None):
+    import subprocess
+    other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
+    open("started", "w").close()
+    other.wait()
 """
 
 
@@ -45,6 +76,8 @@ def here(tmp_path, monkeypatch):
     (tmp_path / f"{name}.py").write_text(MINE)
     (tmp_path / f"{name}_broken.py").write_text("import no_such_module_at_all\n")
     (tmp_path / f"{name}_exits.py").write_text("raise SystemExit(5)\n")
+    (tmp_path / f"{name}_leaves.py").write_text("import os\nos._exit(0)\n")
+    (tmp_path / f"{name}_sleeps.py").write_text("import time\ntime.sleep(100)\n")
     monkeypatch.chdir(tmp_path)
     before = list(sys.path)
     yield name
@@ -61,22 +94,73 @@ def run(capsys, *arguments):
 
 
 @pytest.mark.parametrize("what", ["instance", "Mine", "factory", "Holder.inner"])
-def test_an_estimator_or_what_makes_one(capsys, here, what):
-    code, out, err = run(capsys, f"{here}:{what}", "--seed", "3")
+def test_an_estimator_or_what_makes_one(here, what):
+    with own_modules():
+        assert type(own_estimator(f"{here}:{what}")).__name__ == "Mine"
+
+
+def test_what_it_claims_holds(capsys, here):
+    code, out, err = run(capsys, f"{here}:Mine", "--seed", "3")
     assert (code, err) == (0, "")
     assert "passed (" in out.splitlines()[0]
     assert "seed 3" in out.splitlines()[0]
     assert "shift           holds" in out
     assert "consistent      not claimed" in out
+    assert out.splitlines()[-1] == "all laws hold"
+    assert here not in sys.modules
 
 
-@pytest.mark.parametrize("what", ["broken", "function"])
-def test_broken_laws_are_exit_code_1(capsys, here, what):
-    code, out, err = run(capsys, f"{here}:{what}")
+def test_broken_laws_are_exit_code_1(capsys, here):
+    code, out, err = run(capsys, f"{here}:broken")
     assert (code, err) == (1, "")
     assert "NOT PASSED" in out
     assert "fails" in out
     assert "see it: " in out
+    assert "all laws hold" not in out
+
+
+def test_an_estimator_that_exits_or_hangs_or_is_killed_breaks_the_law_and_the_next_one_is_looked_at(capsys, here):
+    code, out, err = run(capsys, f"{here}:fatal", "--timeout", "4")
+    assert (code, err) == (1, "")
+    assert "all laws hold" not in out
+    for line in (
+        "well_formed     exits       the process ends, with exit code 0",
+        "input_unchanged exits       the process is killed by SIGKILL",
+        "reproducible    hangs       no answer within 4 s (--timeout gives it more)",
+        "seeds           holds",
+    ):
+        assert line in out
+
+
+@pytest.mark.parametrize(("what", "text"), [
+    ("{}_leaves:Mine", "'{}_leaves:Mine' cannot be imported: the process ends, with exit code 0"),
+    ("{}_sleeps:Mine", "'{}_sleeps:Mine' cannot be imported: no answer within 1 s (--timeout gives it more)"),
+])  # fmt: skip
+def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(capsys, here, what, text):
+    code, out, err = run(capsys, what.replace("{}", here), "--timeout", "1")
+    assert (code, out, err) == (2, "", f"oee: {text.replace('{}', here)}\n")
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes on this system")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_nothing_goes_on_when_the_command_ends(here, how):
+    """Neither the process of the laws nor what the estimator has started: either would keep the pipe open."""
+    command = [sys.executable, "-m", "oee_tabular", "check", f"{here}:starts_another"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    for _ in range(600):
+        if os.path.exists("started"):
+            break
+        time.sleep(0.1)
+    process.send_signal(how)
+    process.communicate(timeout=20)
+    assert process.returncode != 0
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "1e300"])
+def test_a_time_limit_that_is_none(capsys, here, seconds):
+    code, _, err = run(capsys, f"{here}:Mine", "--timeout", seconds)
+    assert code == 2
+    assert err.startswith("oee: timeout must be ")
 
 
 @pytest.mark.parametrize(("spec", "text"), [
@@ -86,18 +170,23 @@ def test_broken_laws_are_exit_code_1(capsys, here, what):
     ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
-    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, "),
+    ("{}:Yours", "'{}' has no object 'Yours' (it has Fatal, Holder, Mine, "),
     ("{}:number", "must be an estimator, or a class or function that makes one; it is a int"),
     ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
     ("{}:useless", "must make an estimator, callable as (problem, policy, *, seed=None); it makes a int"),
     ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),
 ])  # fmt: skip
-def test_usage_errors_are_one_line_and_exit_code_2(capsys, here, spec, text):
-    code, out, err = run(capsys, spec.replace("{}", here))
+def test_usage_errors_say_what_is_wrong(here, spec, text):
+    with own_modules(), pytest.raises(ValueError, match=re.escape(text.replace("{}", here))):
+        own_estimator(spec.replace("{}", here))
+
+
+def test_usage_errors_are_one_line_and_exit_code_2(capsys, here):
+    code, out, err = run(capsys, f"{here}:number")
     assert (code, out) == (2, "")
     assert err.startswith("oee: ")
     assert err.count("\n") == 1
-    assert text.replace("{}", here) in err
+    assert "it is a int" in err
 
 
 def test_a_negative_seed_is_a_usage_error(capsys, here):

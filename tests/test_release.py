@@ -1,0 +1,83 @@
+"""What a release says of itself: one version everywhere, the lowest releases that are tried, the licences of what it needs."""
+
+import re
+import sys
+import tomllib
+from email.message import Message
+from pathlib import Path
+
+import pytest
+
+import oee_tabular
+
+ROOT = Path(__file__).parents[1]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = PYPROJECT["project"]
+
+
+@pytest.fixture
+def dependencies(monkeypatch):
+    """The site's module of that name."""
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    import dependencies
+
+    yield dependencies
+    sys.modules.pop("dependencies")
+
+
+def test_one_version():
+    version = PROJECT["version"]
+    assert oee_tabular.__version__ == version
+    assert f"version = {{{version}}}" in (ROOT / "README.md").read_text()
+    assert re.search(r"^## (\S+)", (ROOT / "notebooks" / "changes.md").read_text(), re.M)[1] == version
+
+
+def test_pythons_that_are_named_begin_with_the_lowest():
+    named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if ":: 3." in line]
+    assert PROJECT["requires-python"] == f">={named[0]}"
+    assert PYPROJECT["tool"]["mypy"]["python_version"] == named[0]
+    assert PYPROJECT["tool"]["ruff"]["target-version"] == f"py{named[0].replace('.', '')}"
+    table = (ROOT / "notebooks" / "versions.md").read_text()
+    for version in named:
+        assert re.search(rf"^\| [\d-]+ \| {re.escape(version)}\b", table, re.M), version
+
+
+def bounds(*requirements):
+    found = (re.match(r"([\w.-]+)(?:\[.*?\])?>=([\w.]+)", text) for text in requirements)
+    return {match[1]: match[2] for match in found if match}
+
+
+def test_the_lowest_releases_are_those_that_pyproject_names():
+    lines = (ROOT / "tests" / "lowest.txt").read_text().splitlines()
+    pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
+    extras = PROJECT["optional-dependencies"]
+    tested = [extra for extra in extras if f"{extra}," in extras["dev"][0] or f"{extra}]" in extras["dev"][0]]
+    needed = bounds(*PROJECT["dependencies"], *(line for extra in [*tested, "dev"] for line in extras[extra]))
+    assert set(pinned) == set(needed)
+    for name, bound in needed.items():
+        assert f"{pinned[name]}.".startswith(f"{bound}."), f"{name}>={bound} is tried with {pinned[name]}"
+
+
+def test_dependencies_have_licences(dependencies):
+    pytest.importorskip("packaging")
+    page = dependencies.page()
+    rows = {row.split(" | ")[0].removeprefix("| ").lower(): row for row in page.splitlines() if row.startswith("| ")}
+    for name in bounds(*PROJECT["dependencies"]):
+        assert re.search(r"\| \d[\w.]* \| .*\w.* \| .*oee-tabular", rows[name]), name
+    assert "llvmlite" in rows  # what is needed in turn
+    assert "hypothesis" not in rows  # an extra's
+    assert "not named" not in page
+
+
+@pytest.mark.parametrize(("fields", "expected"), [
+    ({"License-Expression": "MIT", "License": "something else"}, "MIT"),
+    ({"License": "BSD 3-Clause", "Classifier": "License :: OSI Approved :: BSD License"}, "BSD 3-Clause"),
+    ({"License": "Copyright (c)\nall of it", "Classifier": "License :: OSI Approved :: BSD License"}, "BSD License"),
+    ({"License": "\nThe MIT License\n\nall of it"}, "The MIT License"),
+    ({}, "not named"),
+])  # fmt: skip
+def test_the_licence_that_metadata_name(dependencies, fields, expected):
+    metadata = Message()
+    for name, value in fields.items():
+        metadata[name] = value
+    assert dependencies.licence(metadata) == expected
