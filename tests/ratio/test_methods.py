@@ -1,0 +1,143 @@
+"""Methods of ratios as objects: what a name stands for, what is refused, limits, and estimators that take them."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import dense
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.estimators import DoublyRobust, OffEnvironment
+from oee_tabular.ratio import Conditional, InClass, Joint, Quotient, Sgd, Tied, density_ratio
+
+SIMULATOR, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+POLICY = oee.tasks.gridworld_policy(3, 0.5)
+LOG = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 30, 20, seed=0)
+SHIFT = np.arange(SIMULATOR.transitions.nnz) % 3
+STATE = np.arange(9.0)
+SAME = {
+    "conditional": ({"prior": "simulator", "strength": 2.0}, Conditional(prior="simulator", strength=2.0)),
+    "tied": ({"tie": SHIFT, "strength": 1.0}, Tied(SHIFT, strength=1.0)),
+    "linear": ({"features": SHIFT.astype(float)}, InClass(features=SHIFT.astype(float))),
+    "kernel": ({"coordinates": STATE, "bandwidth": 2.0}, InClass(kernel="gaussian", coordinates=STATE, bandwidth=2.0)),
+    "ratio_of_ratios": ({"lower": 0.1, "simulator_data": "exact"}, Quotient(lower=0.1, data="exact")),
+    "joint": ({"upper": 5.0, "simulator_data": "exact"}, Joint(upper=5.0, data="exact")),
+}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_a_name_stands_for_an_object(name):
+    options, method = SAME[name]
+    named = oee.transition_ratio(LOG, SIMULATOR, method=name, seed=3, **options)
+    for found in (oee.transition_ratio(LOG, SIMULATOR, method=method, seed=3), method.fit(LOG, SIMULATOR, seed=3)):
+        assert_array_equal(found.values.data, named.values.data)
+        assert (found.method, found.gap) == (named.method, named.gap)
+
+
+def test_the_paper_s_quotient_is_two_ratios_apart():
+    """Without sum beta q = 1: eq. 3.7 as printed on both tables, then eq. 4.4."""
+    method = Quotient(normalized=False, toward=None, ridge=0.1, lower=0.05, upper=4.0, data="exact")
+    found = method.fit(LOG, SIMULATOR)
+    taken = LOG.counts(9, 4).toarray().reshape(9, 4, 9).sum(axis=2)
+    total = taken.sum(axis=1, keepdims=True)
+    behavior = np.where(total > 0, taken / np.maximum(total, 1), 0.25)
+    horizon = int(LOG.timestep.max()) + 1
+    q = (
+        oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=horizon, of="transition")
+        .toarray()
+        .reshape(9, 4, 9)
+    )
+    q[8] = 0.0  # logs stop at the goal
+    p = LOG.counts(9, 4).toarray().reshape(9, 4, 9)
+    options = {"lower": 0.05, "upper": 4.0, "ridge": 0.1, "normalized": False}
+    moves = density_ratio(p.ravel(), q.ravel(), **options).ratio.reshape(9, 4, 9)
+    pairs = density_ratio(p.sum(axis=2).ravel(), q.sum(axis=2).ravel(), **options).ratio.reshape(9, 4)
+    expected = np.where((p > 0) | (q > 0), moves / pairs[:, :, None], 1.0)
+    support = dense(SIMULATOR)[0] > 0
+    assert_allclose(found.values.toarray().reshape(9, 4, 9)[support], expected[support], rtol=1e-9)
+    assert found.row_sum_error > 0.01
+    model = oee.exact.reweight(SIMULATOR, found)
+    value = OffEnvironment(method)(oee.Problem(SIMULATOR, LOG), POLICY).value
+    assert_allclose(value, oee.policy_value(model, POLICY), rtol=1e-10)
+
+
+def test_algorithm_1_trains_both_tables():
+    """The same seed gives the same bits; both traces end near the exact programs."""
+    method = Quotient(normalized=False, solver=Sgd(step_size=0.1, batch_size=256), lower=0.1, upper=5.0, data="exact")
+    first, again, other = (method.fit(LOG, SIMULATOR, seed=seed) for seed in (1, 1, 2))
+    assert_array_equal(first.values.data, again.values.data)
+    assert np.abs(first.values.data - other.values.data).max() > 1e-6
+    exact = Quotient(normalized=False, lower=0.1, upper=5.0, data="exact").fit(LOG, SIMULATOR)
+    for trained, best in zip(first.details["beta"], exact.details["beta"], strict=True):
+        assert best.trace is None
+        assert trained.trace.excess[-1] < 0.3 * trained.trace.excess[0]
+        assert_allclose(trained.objective - best.objective, trained.trace.excess[-1], atol=1e-9)
+        assert trained.gap >= trained.trace.excess[-1] - 1e-12
+
+
+@pytest.mark.parametrize(
+    "method",
+    [Conditional(prior="simulator"), Quotient(lower=1e-3, upper=1e3), Joint(lower=1e-3, upper=1e3)],
+    ids=repr,
+)
+def test_with_infinite_data_every_method_finds_the_target(method):
+    limit = OffEnvironment(method).limit(SIMULATOR, TARGET, POLICY)
+    assert_allclose(limit, oee.policy_value(TARGET, POLICY), rtol=1e-6)
+    assert_allclose(
+        DoublyRobust(ratio=method).limit(SIMULATOR, TARGET, POLICY), oee.policy_value(TARGET, POLICY), rtol=1e-6
+    )
+
+
+def test_a_limit_knows_no_training():
+    exact = Quotient(normalized=False, lower=0.5, upper=2.0)
+    trained = Quotient(normalized=False, lower=0.5, upper=2.0, solver=Sgd(n_iterations=5))
+    assert OffEnvironment(trained).limit(SIMULATOR, TARGET, POLICY) == OffEnvironment(exact).limit(
+        SIMULATOR, TARGET, POLICY
+    )
+
+
+def test_an_estimator_passes_on_what_a_method_heeds():
+    """The policy to the average; nothing of it to a prior that has no use for it."""
+    problem = oee.Problem(SIMULATOR, LOG)
+    for method in (Conditional(), Conditional(prior="simulator")):
+        given = {"values_of": POLICY} if method.uses else {}
+        expected = oee.transition_ratio(LOG, SIMULATOR, method=method, **given)
+        found = OffEnvironment(method).fit(problem, POLICY, np.random.default_rng(0))
+        assert_array_equal(found.values.data, expected.values.data)
+
+
+zeta = functools.partial(oee.transition_ratio, LOG, SIMULATOR)
+WRONG = {
+    "an option that a class has not": (lambda: Quotient(tie=SHIFT), TypeError, "tie"),
+    "an option that no method has": (lambda: zeta(priors="tilt"), TypeError, "^priors must be an option of a method: "),
+    "options beside an object": (lambda: zeta(method=Joint(), lower=1.0),
+        TypeError, "^lower must be given to the method object"),
+    "a policy where it has no use": (
+        lambda: zeta(method=Joint(), values_of=POLICY), ValueError, "^values_of must not be given with method 'joint'",
+    ),
+    "a policy for a prior without": (
+        lambda: zeta(method=Conditional(prior="tilt"), values_of=POLICY),
+        ValueError, "^values_of must be left out with prior 'tilt'",
+    ),
+    "no features": (lambda: InClass(), ValueError, "^features must be given"),
+    "features and a kernel": (
+        lambda: InClass(features=STATE, kernel="gaussian", coordinates=STATE),
+        ValueError, "^features must be left out with a kernel",
+    ),
+    "no tie": (lambda: Tied(), ValueError, "^tie must be given"),
+    "a word for a ridge": (lambda: Quotient(ridge="loo"), ValueError, "^ridge must be a number or a function of n"),
+    "neither yes nor no": (lambda: Quotient(normalized="raw"), ValueError, "^normalized must be True or False"),
+    "no solver": (lambda: Quotient(solver=3), ValueError, r"^solver must be a name or Sgd\(...\); got 3"),
+    "training with a constraint": (
+        lambda: Quotient(solver=Sgd()).fit(LOG, SIMULATOR), ValueError, '^solver "sgd" must have normalized=False',
+    ),
+    "no method": (lambda: OffEnvironment(3), ValueError, "^ratio must be a method's name"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_calls(name):
+    call, kind, text = WRONG[name]
+    with pytest.raises(kind, match=text):
+        call()
