@@ -63,7 +63,7 @@ class Own:
         is_open = (P > 0).sum(axis=2) > 1
         self.seen = is_open & (self.counts.sum(axis=2) > 0)
         time = np.where(is_open, self.mdp.visits(policy), 0.0)
-        self.unseen = 8.0 * time[~self.seen].sum() / time.sum()
+        self.unseen = 4.0 * time[~self.seen].sum() / time.sum()
         self.rows, self.n = P[self.seen], self.counts[self.seen]
         self.kind = kinds_of(self.rows, self.n)
 
