@@ -70,7 +70,7 @@ def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArr
         if array.dtype.hasobject:  # it would be a pickle, which numpy 2.0 cannot be told not to write
             raise ValueError(f"{name} must be numbers or text; it is an array of objects")
     with whole_file(path, (".npz",)) as handle:
-        np.savez_compressed(handle, **{KIND: np.array(kind)}, **dict(arrays))
+        np.savez_compressed(handle, **{KIND: np.array(kind), **arrays})  # type: ignore[arg-type]
 
 
 def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:
