@@ -138,7 +138,7 @@ def _cell_rows(family: str, size: float, part: pd.DataFrame) -> list[dict[str, A
              "failed": int((~found).sum()), **_ratios(squares, name, identical),
              "over_bound": _over_bound(squares[name], first["bound"].to_numpy()[found]),
              "bias": float(errors[name].mean()), "covered": float(first["covered"].mean()), **interval,
-             "seconds": float(mine["seconds"].median())}
+             "seconds": float(mine["seconds"].dropna().median())}
         )  # fmt: skip
     return rows
 
