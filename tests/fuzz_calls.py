@@ -48,6 +48,8 @@ ALIASES = {  # words of the command line, which the same errors serve
     "log_or_counts": ("counts",),
 }
 LEFT_OUT = [
+    "Method",
+    "SgdTrace",
     "Estimate",
     "Interval",
     "Moments",
@@ -138,11 +140,23 @@ def functions(known):
         "TransitionRatio": oee.transition_ratio(known["log"], known["simulator"]),
         "Problem": known["problem"],
     }
+    for name in ("Conditional", "InClass", "Joint", "Quotient", "Tied"):
+        found[name] = fitted(getattr(oee.ratio, name), known)
     for holder, names in METHODS.items():
         found |= {f"{holder}.{name}": getattr(holders[holder], name) for name in names}
     found |= {f"{name}.__call__": getattr(oee.estimators, name)() for name in CALLED}
     found |= {f"{name}.limit": getattr(oee.estimators, name)().limit for name in CALLED}
     return found
+
+
+def fitted(method, known):
+    """A method's options, and its fit: what they are wrong for may show there alone."""
+
+    def fit(**options):
+        return method(**options).fit(known["log"], known["simulator"], seed=0)
+
+    fit.__signature__ = inspect.signature(method)
+    return fit
 
 
 def arguments_of(name, function, known):
@@ -252,6 +266,7 @@ def fuzz(seed, seconds, calls=None):
     context = multiprocessing.get_context("spawn")
     counts, wrong, k, end = Counter(), [], 0, float("inf")
     child = pipe = None
+    lost = 0  # children that died before a call
     while time.monotonic() < end and (calls is None or k < calls):
         if child is None:
             pipe, other = context.Pipe()
@@ -264,6 +279,7 @@ def fuzz(seed, seconds, calls=None):
                 kind = "hang"
                 raise EOFError
             _, k, shown = pipe.recv()
+            lost = 0
             end = min(end, time.monotonic() + seconds)  # imports are not counted
             if not pipe.poll(90):
                 kind = "hang"
@@ -272,7 +288,9 @@ def fuzz(seed, seconds, calls=None):
         except (EOFError, ConnectionError):
             child.kill()
             child.join()
-            child = None
+            child, lost = None, lost + (not shown)
+            if lost == 3:
+                raise RuntimeError("three processes died before their first call") from None
         counts[kind] += 1
         if kind in WRONG:
             wrong.append((kind, shown, text))

@@ -77,6 +77,12 @@ def own_values(known):
             "kernel": None,
             "behavior_policy": None,
         },
+        "InClass": {
+            "features": np.arange(known["simulator"].transitions.nnz) % 3.0,
+            "kernel": None,
+            "coordinates": None,
+        },
+        "Tied": {"tie": np.arange(known["simulator"].transitions.nnz) % 3},
         "density_ratio": {"kernel": None, "coordinates": None},
         "density_ratio_samples": {"kernel": None},
         "interval": {"n_bootstrap": 20},

@@ -116,7 +116,8 @@ def estimation_sides(
     values = in_box(g, "g", *check_box(nu, mu))
     _same_length(values, ps)
     right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
-    return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0])) ** 2, right)
+    with np.errstate(over="ignore"):  # a square beyond floats is infinite
+        return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0]) ** 2), right)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     Traceback (most recent call last):
     ValueError: target must stay where the simulator has probability: it gives probability 0 to 24 different moves...
     """
-    moves, possible = _possible(moves, simulator, what)
+    moves, possible = _possible(moves, simulator)
     bad = np.flatnonzero((moves.data > 0) & ~possible)
     if bad.size == 0:
         return

@@ -155,9 +155,9 @@ def transition_ratio(
             raise TypeError(f"{next(iter(options))} must be given to the method object; the method is {method!r}")
         chosen = method
     else:
+        _checks.one_of(method, "method", tuple(METHODS))
         if method == "conditional" and options.get("tie") is not None:
             method = "tied"
-        _checks.one_of(method, "method", tuple(METHODS))
         for name, value in beside.items():
             if value is not None and name not in METHODS[method].make.HEEDS:
                 raise ValueError(f"{name} {_refused(method)}; got {value!r}")
