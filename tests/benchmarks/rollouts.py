@@ -55,7 +55,7 @@ def padded(mdp, policy):
 def ours(mdp, policy, n):
     """Name -> a function that gives (transitions, returns or None); tables made before, as the peers' are, but in one row."""
     from oee_tabular.kernels import lanes, rollout
-    from oee_tabular.simulate.returns import _alias_table
+    from oee_tabular.simulate.sampler import alias_table
 
     indptr, indices = (x.astype(np.int64) for x in (mdp.transitions.indptr, mdp.transitions.indices))
     table = (
@@ -70,8 +70,8 @@ def ours(mdp, policy, n):
 
     def program(*, weighted=False, record=False, records=None):
         ratio = np.ones(mdp.transitions.nnz if weighted else 0)  # which ratio it is does not matter to the clock
-        made = _alias_table(mdp, policy, ratio, records=records)
-        sums, outcomes = np.empty((3, n)), np.empty((2, n), np.uint64)
+        made = alias_table(mdp, policy, ratio, records=records)
+        sums, outcomes = np.empty((4, n)), np.empty((2, n), np.uint64)
         path = np.zeros(n * HORIZON if record else 0, np.int64)
 
         def run():
@@ -149,10 +149,10 @@ def jax_scans(mdp, policy, sums, successors, paid, n):
     jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
 
-    from oee_tabular.simulate.returns import _alias_table
+    from oee_tabular.simulate.sampler import alias_table
 
     def alias(dtype):
-        made = _alias_table(mdp, policy, np.zeros(0))
+        made = alias_table(mdp, policy, np.zeros(0))
         code, entry = made.code[:-1].astype(np.int64), np.minimum(made.entry, mdp.transitions.nnz - 1)
         order = np.argsort(code)
         k = np.repeat(code[order] & 255, np.diff(code[order] >> 8, append=len(made.word))).astype(np.uint64)
