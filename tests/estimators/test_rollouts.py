@@ -153,9 +153,12 @@ def test_the_largest_weight_is_one_that_a_reward_carries(horizon, n):
     """Not that of an episode that is over, whatever is drawn beside it; W = 2^t, and 32 where the chain ends."""
     chain = survival_chain(0.9)
     zeta = ratio_with(chain, [2.0, 32.0, 1.0])
-    drawn = oee.sample_returns(chain, np.ones((2, 1)), n, horizon, seed=0)
+    drawn = oee.sample_returns(chain, np.ones((2, 1)), n, horizon, seed=0, zeta=zeta)
     found = product(chain, zeta, np.ones((2, 1)), horizon=horizon, n=n)
     assert found.diagnostics["largest_weight"] == 2.0 ** (drawn.lengths.max() - 1)
+    whole = product(chain, zeta, np.ones((2, 1)), horizon=horizon, n=n, kind="trajectory")
+    assert whole.diagnostics["largest_weight"] == drawn.weights.max()
+    assert n == 1 or drawn.weights.max() > 2.0 ** (horizon - 1)
 
 
 def test_products_that_overflow_say_so_without_a_warning():
