@@ -150,4 +150,5 @@ def sample_returns(
         starts, entries = episodes.moves(drawn.lengths)
         log = episode_log(mdp, row_of_entry(mdp.transitions)[entries], entries, starts, pi)
     values = drawn.returns if zeta is None else drawn.weighted if kind == "per_decision" else drawn.whole
-    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, drawn.final_state, log, kind)
+    final = episodes.states(drawn.last)
+    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, final, log, kind)

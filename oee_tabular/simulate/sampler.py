@@ -29,7 +29,7 @@ class Drawn:
     weights : that of the last of ``horizon`` steps; after the end of an episode it stands still
     largest : of the weights that the rewards carry
     lengths : steps
-    final_state : the state after the last step
+    last : the code, in the alias table, of the state after the last step: ``Sampler.states``
     """
 
     returns: Array
@@ -37,7 +37,7 @@ class Drawn:
     weights: Array
     largest: Array
     lengths: IntArray
-    final_state: IntArray
+    last: Any
 
     @property
     def whole(self) -> Array:
@@ -62,11 +62,9 @@ class Sampler:
         """Sums along each episode."""
         sums = np.empty((4, self.n))
         lengths, last = np.empty((2, self.n), dtype=np.uint64)
-        self._run(np.zeros(1, dtype=np.uint64), np.zeros(0, dtype=np.int64), sums, lengths, last)
-        by_code = np.argsort(self.table.code[:-1])
-        final = by_code[np.searchsorted(self.table.code[:-1], last, sorter=by_code)]
+        self._run(np.zeros(1, dtype=np.uint64), np.zeros(0, dtype=np.int64), len(self.ratio) > 0, sums, lengths, last)
         plain, weighted, weights, largest = sums
-        return Drawn(plain, weighted, weights, largest, lengths.astype(np.int64), final)
+        return Drawn(plain, weighted, weights, largest, lengths.astype(np.int64), last)
 
     def moves(self, lengths: IntArray) -> tuple[IntArray, IntArray]:
         """Where each episode starts, (n + 1,), and the entry of P that each step takes, in a row.
@@ -76,22 +74,28 @@ class Sampler:
         starts = np.concatenate([[0], np.cumsum(lengths)])
         _checks.require_memory(float(starts[-1]), "n_episodes", self.n)
         path = np.empty(int(starts[-1]), dtype=np.int64)
-        self._run(starts.astype(np.uint64), path, np.empty((4, self.n)), *np.empty((2, self.n), dtype=np.uint64))
+        lost = np.empty((2, self.n), dtype=np.uint64)
+        self._run(starts.astype(np.uint64), path, False, np.empty((4, self.n)), *lost)
         return starts, path
+
+    def states(self, codes: Any) -> IntArray:
+        """Of codes in the alias table."""
+        by_code = np.argsort(self.table.code[:-1])
+        return np.asarray(by_code[np.searchsorted(self.table.code[:-1], codes, sorter=by_code)])
 
     @property
     def powers(self) -> Array:
         """gamma^t of each step."""
         return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
 
-    def _run(self, places: Any, path: Any, sums: Array, lengths: Any, last: Any) -> None:
+    def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
         from oee_tabular.kernels.lanes import returns
 
         table = self.table
         chunk = max(16 * self.lanes, -(-self.n // 64))  # long enough to keep lanes busy, short enough for a few threads
         returns(
             self.key, self.n, chunk, np.uint64(self.horizon), self.lanes, table.arrays, table.most, table.code[-1],
-            table.over, self.powers, len(self.ratio) > 0, self.mdp.reward_data is not None, len(path) > 0, places, path,
+            table.over, self.powers, weighted, self.mdp.reward_data is not None, len(path) > 0, places, path,
             sums, lengths, last,
         )  # fmt: skip
 
