@@ -56,7 +56,7 @@ def product_estimate(
     n_rollouts: int,
     seed: Any,
 ) -> Estimate:
-    """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``."""
+    """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error
     _checks.require_memory(9.0 * n_rollouts, "n_rollouts", n_rollouts)
     rollouts = sampler(model, policy, n_rollouts, rollout_horizon(model.discount, horizon), seed=seed, zeta=ratio)

