@@ -96,8 +96,9 @@ class Estimator(Protocol):
 
 def effective_sample_size(weights: Array) -> float:
     """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much; 0 where all weights are 0."""
-    square = float(weights @ weights)
-    return float(weights.sum()) ** 2 / square if square > 0 else 0.0
+    scaled = np.ldexp(weights, -exponent(weights))  # squares of very large or small numbers leave the range of floats
+    square = float(scaled @ scaled)
+    return float(scaled.sum()) ** 2 / square if square > 0 else 0.0
 
 
 ROUNDING = 1e-12

@@ -9,9 +9,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align, find, row_of_entry, row_sums
+from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, identified, mean_and_error, without_divergence
 from oee_tabular.estimators.episodes import episode_limit, episode_terms
 from oee_tabular.estimators.limits import ExactLimit
@@ -32,7 +31,7 @@ from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
-from oee_tabular.simulate import sample_episodes
+from oee_tabular.simulate.sampler import Sampler, sampler
 
 DATA = ("transitions", "rollouts", "episodes")
 WEIGHTS = ("occupancy", "beta")
@@ -134,9 +133,11 @@ class DoublyRobust(ExactLimit):
 
     def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
         model = problem.model
+        zeta.on(model)  # or an error
+        _checks.require_memory(9.0 * self.n_rollouts, "n_rollouts", self.n_rollouts)
         steps = rollout_horizon(model.discount, problem.horizon)
-        rollouts = sample_episodes(model, policy, self.n_rollouts, steps, seed=generator)
-        values = _rollout_values(model, rollouts, zeta.on(model), _to_go(model, policy, problem.horizon, steps))
+        rollouts = sampler(model, policy, self.n_rollouts, steps, seed=generator, zeta=zeta)
+        values = _rollout_values(rollouts, _to_go(model, policy, problem.horizon, steps))
         value, error = mean_and_error(values)
         return Estimate(
             value,
@@ -167,32 +168,29 @@ class DoublyRobust(ExactLimit):
         return policy_value(people.simulator, people.policy, horizon=people.horizon) + change
 
 
-def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> Array:
-    """(T + 1, S) values to go; of the infinite sum the same at every step."""
+def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> list[Array]:
+    """What V is after each of T steps: nothing after the last; of the infinite sum the same before."""
     if horizon is None:
-        return np.tile(state_values(model, policy), (steps + 1, 1))
-    return values_to_go(walk_of(model, policy), steps)
+        return [state_values(model, policy)] * (steps - 1) + [np.zeros(model.n_states)]
+    return list(values_to_go(walk_of(model, policy), steps)[1:])
 
 
-def _rollout_values(model: FiniteMDP, rollouts: Transitions, zeta: Array, values: Array) -> Array:
+def _rollout_values(rollouts: Sampler, values: list[Array]) -> Array:
     """D_0 of each rollout, backward in time."""
-    starts, timestep = rollouts.episode_starts, rollouts.timestep
-    assert starts is not None
-    assert timestep is not None
-    rows = rollouts.state * model.n_actions + rollouts.action
-    position, _ = find(model.transitions, rows, rollouts.next_state)
-    weighted = zeta * model.transitions.data
-    entry_rows, columns = row_of_entry(model.transitions), model.transitions.indices
-    by_move = model.reward_data is not None
-    pay = model.reward_data if model.reward_data is not None else model.rewards.reshape(-1)[entry_rows]
-    ahead = np.zeros(len(starts) - 1)
-    last = int(timestep.max())
-    for t in range(last, -1, -1):
-        here = np.flatnonzero(timestep == t)
-        episode = np.searchsorted(starts, here, side="right") - 1
-        going = model.discount * (values[t + 1] if t < len(values) - 2 else np.zeros(model.n_states))
-        moved = (pay if by_move else 0.0) + going[columns]
-        known = row_sums(model.transitions, weighted * moved)[rows[here]]
-        left = model.discount * ahead[episode] - going[rollouts.next_state[here]]
-        ahead[episode] = (0.0 if by_move else pay[position[here]]) + known + zeta[position[here]] * left
+    from oee_tabular.kernels.episodes import control_variates
+
+    model, zeta, lengths = rollouts.mdp, rollouts.ratio, rollouts.sums().lengths
+    starts, path = rollouts.moves(lengths)
+    longest = np.argsort(-lengths, kind="stable")
+    begin, alive = starts[longest], np.searchsorted(-lengths[longest], -np.arange(len(values)), side="left")
+    rows, columns = row_of_entry(model.transitions), model.transitions.indices
+    kernel, by_move = zeta * model.transitions.data, model.reward_data is not None
+    pay = row_sums(model.transitions, kernel * model.reward_data) if by_move else model.rewards.reshape(-1)
+    ahead, last = np.zeros(len(lengths)), int(lengths.max())
+    for t in range(last - 1, -1, -1):
+        if t == last - 1 or values[t] is not values[t + 1]:
+            going = model.discount * values[t]
+            known = pay + row_sums(model.transitions, kernel * going[columns])
+        places = begin[: alive[t]] + t
+        control_variates(places, path, columns, rows, zeta, known, going, model.discount, ahead)
     return ahead

@@ -94,7 +94,7 @@ class ImportanceSampling(ExactLimit):
         gamma = problem.simulator.discount
         reward = gamma ** timestep[keep].astype(np.float64) * problem.rewards_of(log)[keep]
         value, error = combine(
-            Weighted(reward, weight, cut, timestep[keep], last),
+            Weighted(reward, weight, cut, last),
             self_normalized=self.self_normalized,
             keep_last=self.ragged == "pad",
             per_decision=self.kind == "per_decision",

@@ -51,7 +51,7 @@ class OffEnvironment(ExactLimit):
         paper's product of ratios on rollouts of the simulator)
     weighting : "per_decision" | "trajectory", for "monte_carlo"
     self_normalized : bool, for "monte_carlo": divide by the sum of the weights
-    n_rollouts : int, for "monte_carlo"
+    n_rollouts : int, for "monte_carlo": the episodes of ``sample_returns``, moments in ``weighted_return_moments``
 
     Notes
     -----

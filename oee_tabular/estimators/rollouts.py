@@ -14,19 +14,18 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import find
-from oee_tabular.data import Transitions
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio
-from oee_tabular.simulate import sample_episodes
+from oee_tabular.simulate.sampler import Drawn, Sampler, entry_rewards, sampler
 
 WEIGHTINGS = ("per_decision", "trajectory")
+OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
 @dataclass(frozen=True)
 class Weighted:
-    """Ragged episodes as flat rows: discounted reward, weight of each reward, where episodes start.
+    """Ragged episodes as flat rows, step by step: discounted reward, weight of each reward, where episodes start.
 
     ``kept`` is the weight that each episode has at steps after its last row (it is over, and pays nothing).
     """
@@ -34,7 +33,6 @@ class Weighted:
     reward: Array
     weight: Array
     starts: IntArray
-    timestep: IntArray
     kept: Array
 
 
@@ -58,27 +56,27 @@ def product_estimate(
     n_rollouts: int,
     seed: Any,
 ) -> Estimate:
-    """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``."""
-    steps = rollout_horizon(model.discount, horizon)
-    rollouts = sample_episodes(model, policy, n_rollouts, steps, seed=seed)
-    rows = rollouts.state * model.n_actions + rollouts.action
-    zeta = ratio.on(model)
-    position, _ = find(model.transitions, rows, rollouts.next_state)
-    weighted = _weights(model, rollouts, zeta[position], weighting, steps)
-    value, error = combine(
-        weighted, self_normalized=self_normalized, keep_last=True, per_decision=weighting == "per_decision"
-    )
-    last = weighted.kept
+    """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
+    ratio.on(model)  # or an error
+    _checks.require_memory(9.0 * n_rollouts, "n_rollouts", n_rollouts)
+    rollouts = sampler(model, policy, n_rollouts, rollout_horizon(model.discount, horizon), seed=seed, zeta=ratio)
+    drawn, per_decision = rollouts.sums(), weighting == "per_decision"
+    if self_normalized and per_decision:
+        value, error = _by_step(_weighted(rollouts, drawn), keep_last=True)
+    elif self_normalized:
+        value, error = _by_episode(drawn.whole, drawn.weights)
+    else:
+        value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
     return Estimate(
         value,
         error,
-        status=weight_status(value),
+        status=weight_status(value) if np.isfinite(value) or np.isfinite(drawn.weights).all() else OVERFLOW,
         diagnostics={
             "standard_error_of": "rollouts",
             "n_rollouts": n_rollouts,
-            "effective_sample_size": effective_sample_size(last),
-            "largest_weight": float(weighted.weight.max()),
-            "mean_weight": float(last.mean()),
+            "effective_sample_size": effective_sample_size(drawn.weights),
+            "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
+            "mean_weight": float(drawn.weights.mean()),
             "row_sum_error": ratio.row_sum_error,
         },
     )
@@ -91,25 +89,16 @@ def weight_status(value: float) -> str:
     return "ok"
 
 
-def _weights(model: FiniteMDP, rollouts: Transitions, zeta: Array, weighting: str, horizon: int) -> Weighted:
-    """W_t for r(s, a) and W_{t+1} for r(s, a, s'); after the end of an episode the product stands still."""
-    starts, timestep = rollouts.episode_starts, rollouts.timestep
-    assert starts is not None
-    assert timestep is not None
-    assert rollouts.reward is not None
-    after = segment_products(zeta, starts)
-    weight, lengths = after, np.diff(starts)
-    kept = after[starts[1:] - 1]
-    if model.transition_rewards is None:  # r(s, a): the weight before the move
-        weight = np.ones(len(after))
-        inner = np.ones(len(after), dtype=np.bool_)
-        inner[starts[:-1]] = False
-        weight[inner] = after[np.flatnonzero(inner) - 1]
-        kept = np.where(lengths < horizon, kept, weight[starts[1:] - 1])
-    if weighting == "trajectory":
-        weight = np.repeat(kept, lengths)
-    reward = model.discount ** timestep.astype(np.float64) * rollouts.reward
-    return Weighted(reward, weight, starts, timestep, kept)
+def _weighted(rollouts: Sampler, drawn: Drawn) -> Weighted:
+    """The same episodes, step by step."""
+    from oee_tabular.kernels import episodes
+
+    mdp = rollouts.mdp
+    starts, path = rollouts.moves(drawn.lengths)
+    weight, reward = np.empty((2, len(path)))
+    by_move = mdp.reward_data is not None
+    episodes.carried(starts, path, rollouts.ratio, entry_rewards(mdp), rollouts.powers, by_move, weight, reward)
+    return Weighted(reward, weight, starts, drawn.weights)
 
 
 def segment_products(values: Array, starts: IntArray) -> Array:
@@ -129,40 +118,43 @@ def combine(
 
     Plain: the mean over episodes of sum_t w_t r_t. Self-normalised: sum_i w_i r_i / sum_i w_i, step by step per decision
     (an ended episode has its kept weight if ``keep_last``, else weight 0), once trajectory-wise; its error is that of the
-    linearised ratio. nan where the weights to divide by are all 0.
+    linearised ratio. nan where the weights to divide by are all 0, or infinite.
     """
-    starts = weighted.starts
-    totals = np.add.reduceat(weighted.weight * weighted.reward, starts[:-1])
-    if not self_normalized:
-        return mean_and_error(totals)
-    n = len(totals)
-    kept = weighted.kept
-    if not per_decision:
-        mass = float(kept.sum())
-        if mass == 0.0:
-            return float("nan"), None
-        value = float(totals.sum()) / mass
-        influence = (totals - value * kept) * (n / mass)
-        return value, mean_and_error(influence, abs(value))[1]
-    lengths = np.diff(starts)
-    horizon = int(lengths.max())
-    step_mass = np.bincount(weighted.timestep, weights=weighted.weight, minlength=horizon)
-    if keep_last:
-        ended = np.bincount(lengths, weights=kept, minlength=horizon + 1)[:horizon]
-        step_mass = step_mass + np.cumsum(ended)
-    paid = np.bincount(weighted.timestep, weights=weighted.weight * weighted.reward, minlength=horizon)
-    if np.any(step_mass == 0.0):
+    if self_normalized and per_decision:
+        return _by_step(weighted, keep_last=keep_last)
+    totals = np.add.reduceat(weighted.weight * weighted.reward, weighted.starts[:-1])
+    return _by_episode(totals, weighted.kept) if self_normalized else mean_and_error(totals)
+
+
+def _by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
+    """sum_i X_i / sum_i W_i, with the error of that ratio."""
+    mass = float(weights.sum())
+    if not 0.0 < mass < np.inf:
         return float("nan"), None
-    step_value = paid / step_mass
-    value = float(step_value.sum())
-    # linearised: sum_t (w_it r_it - step_value_t w_it) n / step_mass_t, an ended episode counting with its kept weight
-    t = weighted.timestep
-    terms = (weighted.weight * weighted.reward - step_value[t] * weighted.weight) * (n / step_mass[t])
-    influence = np.add.reduceat(terms, starts[:-1])
+    value = float(totals.sum()) / mass
+    return value, mean_and_error((totals - value * weights) * (len(totals) / mass), abs(value))[1]
+
+
+def _by_step(weighted: Weighted, *, keep_last: bool) -> tuple[float, float | None]:
+    """sum_t sum_i w_it r_it / sum_i w_it, with the error of those ratios."""
+    from oee_tabular.kernels import episodes
+
+    rows, lengths = (weighted.starts, weighted.weight, weighted.reward), np.diff(weighted.starts)
+    n, horizon = len(lengths), int(lengths.max())
+    mass, paid, influence = np.zeros(horizon), np.zeros(horizon), np.empty(n)
+    episodes.step_sums(*rows, mass, paid)
     if keep_last:
-        tail = np.concatenate([np.cumsum((step_value * n / step_mass)[::-1])[::-1], [0.0]])
-        influence = influence - kept * tail[lengths]
-    return value, mean_and_error(influence, float(np.abs(step_value).sum()))[1]
+        mass += np.cumsum(np.bincount(lengths, weights=weighted.kept, minlength=horizon + 1)[:horizon])
+    if not np.all((mass > 0.0) & (mass < np.inf)):
+        return float("nan"), None
+    value, scale = paid / mass, n / mass
+    # linearised: sum_t (w_it r_it - value_t w_it) n / mass_t, an ended episode counting with its kept weight
+    episodes.linearised(*rows, value, scale, influence)
+    if keep_last:
+        tail = np.concatenate([np.cumsum((value * scale)[::-1])[::-1], [0.0]])
+        influence -= weighted.kept * tail[lengths]
+    total = float(value.sum())
+    return total, mean_and_error(influence, float(np.abs(value).sum()))[1]
 
 
 def check_rollout_options(weighting: str, n_rollouts: int) -> None:

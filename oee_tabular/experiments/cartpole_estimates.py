@@ -144,7 +144,7 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
     for delta in DELTAS:
         chosen = cartpole_policy(delta)(log.state[whole])[np.arange(len(action)), action]
         weight = segment_products(chosen / log.behavior_probability[whole], starts)  # type: ignore[index]
-        weighted = Weighted(reward, weight, starts, timestep, weight[starts[1:] - 1])
+        weighted = Weighted(reward, weight, starts, weight[starts[1:] - 1])
         found.append(combine(weighted, self_normalized=self_normalized, keep_last=True, per_decision=True)[0])
     return np.array(found)
 

@@ -83,7 +83,7 @@ def walk(
 ) -> None:  # fmt: skip
     """Lane i, step by step, up to the step ``until`` or the end of its episode (which has one step at least)."""
     word, following, reward, factor, entry = table
-    g, x, w = held[0], held[1], held[2]
+    g, x, w, largest = held[0], held[1], held[2], held[3]
     while t[i] < until and (now[i] < over or t[i] == _NONE):
         slot = settle(key, _MOVES, trajectory[i], t[i], now[i], word)
         now[i] = following[slot]
@@ -91,7 +91,9 @@ def walk(
         g[i] += pay
         if weighted:
             after = w[i] * factor[slot]
-            x[i] += pay * (after if by_move else w[i]) if pay != 0.0 else 0.0  # a weight may be infinite
+            carried = after if by_move else w[i]
+            x[i] += pay * carried if pay != 0.0 else 0.0  # a weight may be infinite
+            largest[i] = max(largest[i], carried)
             w[i] = after if by_move or t[i] + _ONE < horizon else w[i]
         if record:
             path[place + t[i]] = entry[slot]
@@ -107,16 +109,17 @@ def lanes_of(
 ) -> None:  # fmt: skip
     """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
 
-    sums (3, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole. An episode that is over
-    may take the rest of its pass: where it is, nothing is paid and weights stand still. What is left of a horizon after whole
-    passes is taken one trajectory at a time; so is a pass in which a word of 32 bits may not have decided.
+    sums (4, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole; the largest that a reward
+    has. An episode that is over may take the rest of its pass: where it is, nothing is paid and weights stand still. What is
+    left of a horizon after whole passes is taken one trajectory at a time; so is a pass in which a word of 32 bits may not
+    have decided.
     """
     word, following, reward, factor, entry = table
     words, codes = np.empty((4, n_lanes), np.uint64), np.empty((5, n_lanes), np.uint64)
-    held, before = np.empty((3, n_lanes)), np.empty((3, n_lanes))
+    held, before = np.empty((4, n_lanes)), np.empty((4, n_lanes))
     t, trajectory = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
     stopped, ends = np.empty(n_lanes, np.int64), np.zeros(n_lanes + 3, np.uint64)
-    g, x, w = held[0], held[1], held[2]
+    g, x, w, largest = held[0], held[1], held[2], held[3]
     now = codes[0]  # the other rows: after each step of a pass
     near = _ONE << (most + _SHIFT)
     active, waiting, n_stopped = 0, begin, 0
@@ -129,18 +132,18 @@ def lanes_of(
                 if t[i] < horizon and (now[i] < over or t[i] == _NONE):  # a call has many arguments
                     walk(key, horizon, horizon, table, over, discounts, weighted, by_move, record,
                          places[j] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
-                sums[0, j], sums[1, j], sums[2, j] = g[i], x[i], w[i]
+                sums[0, j], sums[1, j], sums[2, j], sums[3, j] = g[i], x[i], w[i], largest[i]
                 lengths[j], last[j] = t[i], now[i]
                 if waiting == end:
                     active -= 1
                     trajectory[i], t[i], now[i] = trajectory[active], t[active], now[active]
-                    g[i], x[i], w[i] = g[active], x[active], w[active]
+                    g[i], x[i], w[i], largest[i] = g[active], x[active], w[active], largest[active]
                     continue
             else:
                 i = active
                 active += 1
             trajectory[i], t[i] = waiting, _NONE
-            g[i], x[i], w[i] = 0.0, 0.0, 1.0
+            g[i], x[i], w[i], largest[i] = 0.0, 0.0, 1.0, 0.0 if weighted and by_move else 1.0
             several = start & _SIZE > _NONE
             now[i] = following[settle(key, _FIRST, trajectory[i], t[i], start, word) if several else start >> _PLACE]
             waiting += 1
@@ -154,7 +157,7 @@ def lanes_of(
             before[0, i] = g[i]
         if weighted:
             for i in range(active):
-                before[1, i], before[2, i] = x[i], w[i]
+                before[1, i], before[2, i], before[3, i] = x[i], w[i], largest[i]
         nearest = ~_NONE
         for k in (0, 2):  # two steps at a time: fewer loads and stores of what lanes hold
             one, two, here, between, there = words[k], words[k + 1], codes[k], codes[k + 1], codes[k + 2]
@@ -166,12 +169,16 @@ def lanes_of(
                     slot, first = choose(here[i], one[i], word, near)
                     middle = following[slot]
                     pay, after = scale[at] * reward[slot], w[i] * factor[slot]
-                    paid, sum_x = g[i] + pay, x[i] + (pay * (after if by_move else w[i]) if pay != 0.0 else 0.0)
+                    carried = after if by_move else w[i]
+                    top = max(largest[i], carried if by_move or here[i] < over else 0.0)
+                    paid, sum_x = g[i] + pay, x[i] + (pay * carried if pay != 0.0 else 0.0)
                     slot, second = choose(middle, two[i], word, near)
                     nearest = min(nearest, min(first, second))
                     between[i], there[i] = middle, following[slot]
                     pay, last_w = next_scale[at] * reward[slot], after * factor[slot]
-                    g[i], x[i] = paid + pay, sum_x + (pay * (last_w if by_move else after) if pay != 0.0 else 0.0)
+                    carried = last_w if by_move else after
+                    largest[i] = max(top, carried if by_move or middle < over else 0.0)
+                    g[i], x[i] = paid + pay, sum_x + (pay * carried if pay != 0.0 else 0.0)
                     w[i] = after if at == final else last_w
             else:
                 for i in range(active):
@@ -187,7 +194,7 @@ def lanes_of(
             for i in range(active):
                 g[i] = before[0, i]
                 if weighted:
-                    x[i], w[i] = before[1, i], before[2, i]
+                    x[i], w[i], largest[i] = before[1, i], before[2, i], before[3, i]
                 walk(key, horizon, t[i] + _PASS, table, over, discounts, weighted, by_move, record,
                      places[trajectory[i]] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
         else:

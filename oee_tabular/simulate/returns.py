@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,11 +12,8 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import steps_of
-from oee_tabular.simulate.logs import episode_log, stream_key
-
-if TYPE_CHECKING:
-    from oee_tabular.kernels.alias import AliasTable
+from oee_tabular.simulate.logs import episode_log
+from oee_tabular.simulate.sampler import sampler
 
 KINDS = ("per_decision", "trajectory")
 
@@ -138,52 +135,20 @@ def sample_returns(
     >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
     -197.914
     """
-    from oee_tabular.exact.walks import require_mdp, walk_of  # not at import: logs do without
-    from oee_tabular.kernels.lanes import returns as sample
+    from oee_tabular.exact.walks import require_mdp  # not at import: logs do without
 
     require_mdp(mdp)
     _checks.one_of(kind, "kind", KINDS)
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
-    _checks.require_memory(9.0 * n, "n_episodes", n)
-    steps = steps_of(horizon, mdp)
-    lanes = min(_checks.positive_integer(n_lanes, "n_lanes"), n)
+    lanes = _checks.positive_integer(n_lanes, "n_lanes")
     pi = check_policy(policy, mdp)
-    ratio = np.zeros(0) if zeta is None else walk_of(mdp, pi, ratio=zeta).w
-    table = _alias_table(mdp, pi, ratio)
-    sums = np.empty((3, n))
-    lengths, last = np.empty((2, n), dtype=np.uint64)
-    chunk = max(16 * lanes, -(-n // 64))  # long enough to keep lanes busy to its end, short enough for a few threads
-
-    powers = mdp.discount ** np.arange(steps, dtype=np.float64)
-
-    def run(places: Any, path: Any) -> None:
-        sample(
-            stream, n, chunk, np.uint64(steps), lanes, table.arrays, table.most, table.code[-1], table.over, powers,
-            zeta is not None, by_move, len(path) > 0, places, path, sums, lengths, last,
-        )  # fmt: skip
-
-    stream, by_move = stream_key(seed), mdp.reward_data is not None
-    run(np.zeros(1, dtype=np.uint64), np.zeros(0, dtype=np.int64))
+    episodes = sampler(mdp, pi, n, horizon, seed=seed, zeta=zeta, lanes=lanes)
+    drawn = episodes.sums()
     log = None
     if record:
-        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint64)
-        entries = np.empty(int(starts[-1]), dtype=np.int64)
-        run(starts, entries)  # the same episodes again, now that their lengths are known
-        log = episode_log(mdp, row_of_entry(mdp.transitions)[entries], entries, starts.astype(np.int64), pi)
-    by_code = np.argsort(table.code[:-1])
-    final = by_code[np.searchsorted(table.code[:-1], last, sorter=by_code)]
-    plain, per_decision, weights = sums
-    values = plain if zeta is None else per_decision if kind == "per_decision" else weights * plain
-    return SampledReturns(values, plain, weights, lengths.astype(np.int64), final, log, kind)
-
-
-def _alias_table(mdp: FiniteMDP, policy: Array, ratio: Array, *, records: bool | None = None) -> AliasTable:
-    """Of every state's (a, s') under the policy, and of the first state."""
-    from oee_tabular.kernels import alias
-
-    matrix = mdp.transitions
-    pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data
-    return alias.build(
-        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(), records=records
-    )
+        starts, entries = episodes.moves(drawn.lengths)
+        log = episode_log(mdp, row_of_entry(mdp.transitions)[entries], entries, starts, pi)
+    values = drawn.returns if zeta is None else drawn.weighted if kind == "per_decision" else drawn.whole
+    final = episodes.states(drawn.last)
+    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, final, log, kind)

@@ -548,7 +548,7 @@ def test_a_product_is_the_mean_over_its_rollouts(form, weighting, horizon):
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.1)
     steps = horizon or rollout_horizon(0.9, None)
-    log = oee.sample_episodes(simulator, POLICY, 40, steps, seed=np.random.default_rng(5))
+    log = oee.sample_returns(simulator, POLICY, 40, steps, seed=np.random.default_rng(5), record=True).log
     table = zeta.values.toarray().reshape(4, 2, 4)
     totals, lasts, every = [], [], []
     for moves, _ in plain_episodes(log):
@@ -633,7 +633,7 @@ def test_doubly_robust_on_rollouts_move_by_move(form, horizon):
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.1)
     steps = horizon or rollout_horizon(0.9, None)
-    log = oee.sample_episodes(simulator, POLICY, 25, steps, seed=np.random.default_rng(7))
+    log = oee.sample_returns(simulator, POLICY, 25, steps, seed=np.random.default_rng(7), record=True).log
     table = zeta.values.toarray().reshape(4, 2, 4)
     transitions, rewards = dense(simulator)
     values = [

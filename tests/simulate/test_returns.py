@@ -10,6 +10,7 @@ from scipy import sparse, stats
 import oee_tabular as oee
 from oee_tabular.kernels import alias, lanes, rollout
 from oee_tabular.simulate.logs import stream_key
+from oee_tabular.simulate.sampler import sampler
 
 FIELDS = ("values", "returns", "weights", "lengths", "final_state")
 GRID = oee.tasks.gridworld(4, 0.3)
@@ -92,15 +93,22 @@ def test_where_a_words_32_bits_do_not_decide_32_more_do(horizon, k, first, weigh
         ]  # fmt: skip
         for other in drawn[1:]:
             same(drawn[0], other)
+        weights = [
+            sampler(mdp, policy, 70, horizon, seed=5, lanes=n, zeta=zeta if weighted else None).sums().largest
+            for n in (1, 8, 64)
+        ]
+        assert_array_equal(weights, [weights[0]] * 3)
         states = path if first else [0, *path]
         assert drawn[0].final_state[trajectory] == states[-1]
-        value, weight, whole = 0.0, 1.0, 1.0
+        value, weight, whole, largest = 0.0, 1.0, 1.0, 0.0
         for t, state in enumerate(states[:-1]):
+            largest = max(largest, weight)
             value += 0.5**t * weight * mdp.rewards[state, 0]
             whole = weight if t == horizon - 1 else weight * (zeta[[state], :][:, [states[t + 1]]].toarray().item())
             weight = whole if weighted else 1.0
         assert_allclose(drawn[0].values[trajectory], value, rtol=1e-14)
         assert_allclose(drawn[0].weights[trajectory], whole if weighted else 1.0, rtol=1e-14)
+        assert_allclose(weights[0][trajectory], largest, rtol=1e-14)
         if record:
             rows = drawn[0].log.episode_starts[trajectory] + np.arange(horizon)
             assert drawn[0].log.next_state[rows].tolist() == states[1:]
@@ -157,7 +165,9 @@ def test_sums_along_the_recorded_paths(rng):
     policy, horizon = random_policy(rng, mdp), int(rng.integers(1, 14))
     zeta = oee.true_ratio(model, mdp)
     for kind in ("per_decision", "trajectory"):
-        drawn = oee.sample_returns(mdp, policy, 17, horizon, seed=rng, zeta=zeta, kind=kind, n_lanes=3, record=True)
+        key = int(rng.integers(1 << 30))
+        largest = sampler(mdp, policy, 17, horizon, seed=key, zeta=zeta, lanes=3).sums().largest
+        drawn = oee.sample_returns(mdp, policy, 17, horizon, seed=key, zeta=zeta, kind=kind, n_lanes=3, record=True)
         log, over, by_move = drawn.log, mdp.absorbing(), mdp.transition_rewards is not None
         starts = log.episode_starts
         assert_array_equal(np.diff(starts), drawn.lengths)
@@ -168,16 +178,18 @@ def test_sums_along_the_recorded_paths(rng):
         ratio = zeta.values.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
         for i in range(17):
             plain = weighted = 0.0
-            w, whole = 1.0, 1.0
+            w, whole, top = 1.0, 1.0, 0.0
             for t, row in enumerate(range(starts[i], starts[i + 1])):
                 s, a, following = log.state[row], log.action[row], log.next_state[row]
                 after = w * (1.0 if over[s] else ratio[s, a, following])
                 plain += mdp.discount**t * log.reward[row]
                 weighted += mdp.discount**t * (after if by_move else w) * log.reward[row]
                 whole = w if not by_move and t == horizon - 1 else after
+                top = max(top, after if by_move else w)
                 w = after
             assert_allclose(drawn.returns[i], plain, rtol=1e-12, atol=1e-12)
             assert_allclose(drawn.weights[i], whole, rtol=1e-12)
+            assert_allclose(largest[i], top, rtol=1e-12)
             expected = weighted if kind == "per_decision" else whole * plain
             assert_allclose(drawn.values[i], expected, rtol=1e-12, atol=1e-12)
 

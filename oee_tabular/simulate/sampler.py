@@ -1,0 +1,132 @@
+"""The one engine of rollouts (4.2): a policy's episodes by alias tables, as sums along them or as the moves that they take.
+
+10^4 rollouts of 50 steps with products of ratios take 5 ms, 24 times less than through written episodes; self-normalised
+12 ms, 11 times less (tests/benchmarks/products.py). The same seed gives the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.simulate.logs import stream_key
+
+if TYPE_CHECKING:
+    from oee_tabular.kernels.alias import AliasTable
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What is summed along each of n episodes; all (n,).
+
+    Attributes
+    ----------
+    returns : G = sum_t gamma^t r_t
+    weighted : sum_t gamma^t W r_t, W the weight that r_t carries: W_t = zeta_1 ... zeta_t, or W_{t+1} for r(s, a, s')
+    weights : that of the last of ``horizon`` steps; after the end of an episode it stands still
+    largest : of the weights that the rewards carry
+    lengths : steps
+    last : the code, in the alias table, of the state after the last step: ``Sampler.states``
+    """
+
+    returns: Array
+    weighted: Array
+    weights: Array
+    largest: Array
+    lengths: IntArray
+    last: Any
+
+    @property
+    def whole(self) -> Array:
+        """W G; a return of 0 is 0 under any weight, even an infinite one."""
+        with np.errstate(over="ignore"):
+            return np.multiply(self.weights, self.returns, out=np.zeros_like(self.returns), where=self.returns != 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """Draws the same ``n`` episodes of at most ``horizon`` steps whenever it is asked; see ``sampler``."""
+
+    mdp: FiniteMDP
+    table: AliasTable
+    ratio: Array
+    key: np.uint64
+    n: int
+    horizon: int
+    lanes: int
+
+    def sums(self) -> Drawn:
+        """Sums along each episode."""
+        sums = np.empty((4, self.n))
+        lengths, last = np.empty((2, self.n), dtype=np.uint64)
+        self._run(np.zeros(1, dtype=np.uint64), np.zeros(0, dtype=np.int64), len(self.ratio) > 0, sums, lengths, last)
+        plain, weighted, weights, largest = sums
+        return Drawn(plain, weighted, weights, largest, lengths.astype(np.int64), last)
+
+    def moves(self, lengths: IntArray) -> tuple[IntArray, IntArray]:
+        """Where each episode starts, (n + 1,), and the entry of P that each step takes, in a row.
+
+        ``lengths`` are those of ``sums``: the episodes are drawn again, now that their places are known.
+        """
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        _checks.require_memory(float(starts[-1]), "n_episodes", self.n)
+        path = np.empty(int(starts[-1]), dtype=np.int64)
+        lost = np.empty((2, self.n), dtype=np.uint64)
+        self._run(starts.astype(np.uint64), path, False, np.empty((4, self.n)), *lost)
+        return starts, path
+
+    def states(self, codes: Any) -> IntArray:
+        """Of codes in the alias table."""
+        by_code = np.argsort(self.table.code[:-1])
+        return np.asarray(by_code[np.searchsorted(self.table.code[:-1], codes, sorter=by_code)])
+
+    @property
+    def powers(self) -> Array:
+        """gamma^t of each step."""
+        return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
+
+    def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
+        from oee_tabular.kernels.lanes import returns
+
+        table = self.table
+        chunk = max(16 * self.lanes, -(-self.n // 64))  # long enough to keep lanes busy, short enough for a few threads
+        returns(
+            self.key, self.n, chunk, np.uint64(self.horizon), self.lanes, table.arrays, table.most, table.code[-1],
+            table.over, self.powers, weighted, self.mdp.reward_data is not None, len(path) > 0, places, path,
+            sums, lengths, last,
+        )  # fmt: skip
+
+
+def sampler(
+    mdp: FiniteMDP, policy: Array, n: int, horizon: int, *, seed: Any, zeta: Any = None, lanes: int = 64
+) -> Sampler:
+    """The engine for a checked policy; ``zeta`` as in ``sample_returns``, None: no weights."""
+    from oee_tabular.exact.walks import walk_of  # not at import: logs do without
+
+    _checks.require_memory(9.0 * n, "n_episodes", n)
+    steps = steps_of(horizon, mdp)
+    ratio = np.zeros(0) if zeta is None else walk_of(mdp, policy, ratio=zeta).w
+    return Sampler(mdp, alias_table(mdp, policy, ratio), ratio, stream_key(seed), n, steps, min(lanes, n))
+
+
+def alias_table(mdp: FiniteMDP, policy: Array, ratio: Array, *, records: bool | None = None) -> AliasTable:
+    """Of every state's (a, s') under the policy, and of the first state."""
+    from oee_tabular.kernels import alias
+
+    matrix = mdp.transitions
+    pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data
+    return alias.build(
+        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(), records=records
+    )
+
+
+def entry_rewards(mdp: FiniteMDP) -> Array:
+    """What each entry of P pays: r(s, a, s'), or r(s, a)."""
+    return mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)] if mdp.reward_data is None else mdp.reward_data
