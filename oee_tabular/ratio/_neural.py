@@ -1,12 +1,14 @@
 """Algorithm 1 on a network, in jax: the only file that imports the extra ``neural``.
 
-Double precision, batches from numpy's generator, no threads inside an operation: the same seed gives the same bits.
+Double precision, batches from numpy's generator, one thread: the same seed gives the same bits. jax sums in an order that
+depends on its number of threads, which is settled where a process first uses jax: one that has used it before keeps its own.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +23,6 @@ from oee_tabular.ratio.network import Network, Training
 
 EVERY = 100  # iterations between two looks at the held-out risk
 _AT_ONCE = 2**16  # cells evaluated together
-_COMPILED = {"compiler_options": {"xla_cpu_multi_thread_eigen": False}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Trained:
     held_out: Array
 
 
-class Perceptron(eqx.Module):
+class Perceptron(eqx.Module):  # type: ignore[misc]
     """g on cells. The first layer is one table an input: a one-hot vector times a matrix is a row of it."""
 
     tables: list[jax.Array]
@@ -80,7 +81,7 @@ def _optimizer(name: str, step_size: float, n_iterations: int) -> optax.Gradient
     return optax.adam(steps) if name == "adam" else optax.sgd(steps)
 
 
-@functools.partial(eqx.filter_jit, **_COMPILED)
+@eqx.filter_jit  # type: ignore[untyped-decorator]
 def _iterate(
     model: Any, state: Any, optimizer: Any, places: Any, cells: Any, ridge: Any, toward: Any, batches: Any
 ) -> Any:
@@ -102,14 +103,27 @@ def _iterate(
     return eqx.combine(moving, fixed), state, values
 
 
-@functools.partial(eqx.filter_jit, **_COMPILED)
+@eqx.filter_jit  # type: ignore[untyped-decorator]
 def _ratio(model: Any, places: Any, cells: Any) -> Any:
     return jnp.exp(model.log_ratio(places, cells))
 
 
+@functools.cache
+def _cpu() -> Any:
+    """The processor, as a device with one thread (the variable is read where the device is made)."""
+    before = os.environ.get("PJRT_NPROC")
+    os.environ["PJRT_NPROC"] = "1"
+    try:
+        return jax.devices("cpu")[0]
+    finally:
+        os.environ.pop("PJRT_NPROC")
+        if before is not None:
+            os.environ["PJRT_NPROC"] = before
+
+
 def train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
     """Algorithm 1; the parameters of least held-out risk, or the last."""
-    with jax.enable_x64(True):
+    with jax.default_device(_cpu()), jax.enable_x64(True):
         return _train(network, training, generator)
 
 
@@ -145,7 +159,7 @@ def _everywhere(model: Perceptron, places: Any, cells: tuple[Any, ...]) -> Array
         np.asarray(_ratio(model, places, tuple(column[low : low + _AT_ONCE] for column in cells)))
         for low in range(0, len(cells[0]), _AT_ONCE)
     ]
-    return np.clip(np.concatenate(parts), *np.exp(model.span))
+    return np.asarray(np.clip(np.concatenate(parts), *np.exp(model.span)))
 
 
 def _batches(network: Network, training: Training, generator: np.random.Generator) -> Any:

@@ -51,9 +51,9 @@ class Network:
     Notes
     -----
     The risk is convex in g, not in theta: what training finds has no certificate in its class. The gap of its ``RatioFit`` is
-    to the optimum over all functions in the box, which contains the class. The same seed gives the same bits with any
-    number of threads. Cost: O(n_iterations batch_size sum of the products of consecutive widths); about 0.5 ms an iteration
-    for (64, 64) and batches of 128.
+    to the optimum over all functions in the box, which contains the class. The same seed gives the same bits: one thread,
+    unless the process has used jax before, with its own. Cost: O(n_iterations batch_size sum of the products of consecutive
+    widths); about 0.5 ms an iteration for (64, 64) and batches of 128.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class Network:
     optimizer: str = "adam"
 
     def __post_init__(self) -> None:
-        widths = _checks.collection(self.layers, "layers", "widths of hidden layers")
+        widths = _checks.collection(self.layers, "layers", "a collection of widths of hidden layers")
         object.__setattr__(
             self, "layers", tuple(_checks.positive_integer(w, f"layers[{k}]") for k, w in enumerate(widths))
         )
@@ -118,7 +118,7 @@ def check_network(
     network: Any, *, lower: Any, upper: Any, ridge: Any, toward: Any, normalized: bool, solver: Any
 ) -> None:
     """What eq. 3.7 over a network can't have: a ValueError, at the making of the method."""
-    _checks.instance(network, Network, "functions", "a Network(...)")
+    _checks.instance(network, Network, "functions", "Network(...)")
     if normalized:
         raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
     if solver != "dual":
