@@ -58,7 +58,8 @@ class Network:
     Examples
     --------
     >>> Network((32, 32), "tanh", n_iterations=500)
-    Network(layers=(32, 32), activation='tanh', step_size=0.001, batch_size=128, n_iterations=500, held_out=0.1, ...)
+    Network(layers=(32, 32), activation='tanh', step_size=0.001, batch_size=128, n_iterations=500, held_out=0.1,
+            patience=20, optimizer='adam')
     """
 
     layers: tuple[int, ...] = (64, 64)
