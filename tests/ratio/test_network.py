@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.ratio import Network, Quotient
+from oee_tabular.ratio.network import _split
 
 trained = pytest.mark.skipif(find_spec("equinox") is None, reason="the extra neural is not installed")
 BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}
@@ -68,6 +69,17 @@ def test_batches_and_early_stopping_come_near(logs):
     held = moves.details["held_out_risk"]
     assert moves.details["kept"] == moves.trace.iteration[np.argmin(held)]
     assert np.abs(moves.ratio - table.ratio).mean() == pytest.approx(moves.trace.error[np.argmin(held)])
+
+
+def test_the_moves_held_out_are_the_logs_and_no_others():
+    weights = np.array([0.0, 5.0, 20.0, 75.0])
+    train, held = _split(weights, "p", 0.1, np.random.default_rng(0))
+    assert_allclose(90 * train + 10 * held, weights, atol=1e-12)
+    assert_allclose([train.sum(), held.sum()], 1.0)
+    assert_array_equal(10 * held, np.round(10 * held))
+    whole, none = _split(weights, "p", 0.0, np.random.default_rng(0))
+    assert_allclose(whole, weights / 100)
+    assert none is None
 
 
 @trained
