@@ -71,7 +71,8 @@ class Experiment:
     caption : what the figure shows, what its bands are, in which units
     paper : summary -> the paper's number for each of its rows (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous"
-    requires : modules that the cells import and that an installation may lack
+    requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
+        called as the module is
     """
 
     id: str
@@ -88,6 +89,7 @@ class Experiment:
     paper: Callable[[pd.DataFrame], Any] | None = None
     group: str = "gridworld"
     requires: tuple[str, ...] = ()
+    extra: str = ""
 
     def __post_init__(self) -> None:
         for name, values in self.smoke.items():

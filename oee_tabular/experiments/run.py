@@ -74,7 +74,8 @@ def require_modules(experiment: Experiment) -> None:
     if missing:
         extra = ", ".join(missing)
         raise ImportError(
-            f"{experiment.id} needs {extra}, which is not installed: pip install 'oee-tabular[{missing[0]}]'"
+            f"{experiment.id} needs {extra}, which is not installed: "
+            f"pip install 'oee-tabular[{experiment.extra or missing[0]}]'"
         )
 
 

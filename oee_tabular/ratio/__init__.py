@@ -7,6 +7,7 @@ from oee_tabular.ratio.features import gaussian
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method
+from oee_tabular.ratio.network import Network
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sample_result import SampleRatio
@@ -23,6 +24,7 @@ __all__ = [
     "InClass",
     "Joint",
     "Method",
+    "Network",
     "Quotient",
     "RatioFit",
     "SampleRatio",

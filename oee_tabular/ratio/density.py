@@ -161,7 +161,7 @@ def density_ratio(
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     _checks.one_of(loss, "loss", ("kl", "chi2"))
-    _checks.instance(solver, (str, Sgd), "solver")
+    _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     box = check_box(lower, upper, normalized=normalized)
     with np.errstate(over="ignore"):
         totals = [float(w.sum()) for w in weights]

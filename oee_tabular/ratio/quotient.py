@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
@@ -18,6 +18,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.method import Given, Method, SimulatorData
+from oee_tabular.ratio.network import Network, check_network, fit_network
 from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.result import TransitionRatio, make_result
 from oee_tabular.ratio.sgd import Sgd
@@ -45,11 +46,14 @@ class Quotient(Method):
     data : a log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         the seed of ``fit``; "exact": the simulator's exact occupancy under that policy
     behavior_policy : (S, A), instead of the estimated one
+    functions : None (tables: one number a cell), or ``Network(layers, ...)``: each beta is a network, trained by Algorithm 1
+        with the network's own settings; needs normalized=False, and solver left out
 
     Notes
     -----
-    Limit: the box-clipped quotient of the exact ratios, whatever the solver. Where a move was seen on neither side, 0/0, zeta
-    is 1. ``details["beta"]``: the fits of (s, a, s') and (s, a), with the traces of ``Sgd``.
+    Limit: the box-clipped quotient of the exact ratios, whatever the solver or the functions. Where a move was seen on neither
+    side, 0/0, zeta is 1 for tables; a network has a value there. ``details["beta"]``: the fits of (s, a, s') and (s, a), with
+    the traces of ``Sgd`` or of the network.
 
     Examples
     --------
@@ -69,6 +73,7 @@ class Quotient(Method):
     solver: str | Sgd = "dual"
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: Any = field(default=None, repr=False)
+    functions: Network | None = None
 
     HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
@@ -83,10 +88,16 @@ class Quotient(Method):
         refuse_words(self.ridge, self._name)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
+        if self.functions is not None:
+            check_network(
+                self.functions, lower=self.lower, upper=self.upper, ridge=self.ridge, toward=self.toward,
+                normalized=self.normalized, solver=self.solver,
+            )  # fmt: skip
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The quotient of the exact ratios; training is no part of it."""
-        exact = replace(self, solver="dual", data=None) if isinstance(self.solver, Sgd) else replace(self, data=None)
+        trained = isinstance(self.solver, Sgd)
+        exact = replace(self, solver="dual" if trained else self.solver, data=None, functions=None)
         return super(Quotient, exact).limit(population)
 
     def _fit(self, given: Given) -> TransitionRatio:
@@ -96,15 +107,15 @@ class Quotient(Method):
         observed, pattern = given.observed, given.simulator.transitions
         expected = simulator_weights(given, self.data, self.behavior_policy)
 
-        def fit(p: Array, q: Array) -> RatioFit:
-            return density_ratio(
-                p, q, lower=self.lower, upper=self.upper, ridge=self.ridge, toward=self.toward,
-                normalized=self.normalized, solver=self.solver, seed=given.seed,
-            )  # fmt: skip
-
-        moves, pairs = fit(observed, expected), fit(row_sums(pattern, observed), row_sums(pattern, expected))
-        below = pairs.ratio[row_of_entry(pattern)]
+        row = row_of_entry(pattern)
+        moves = self._beta(observed, expected, (row, pattern.indices), given)
+        pairs = self._beta(
+            row_sums(pattern, observed), row_sums(pattern, expected), (np.arange(pattern.shape[0]),), given
+        )
+        below = pairs.ratio[row]
         undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
+        if self.functions is not None:  # a network has a value everywhere
+            undetermined[:] = False
         zeta = np.where(undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0))
         lowest, highest = self.lower or 0.0, np.inf if self.upper is None else self.upper
         details = {
@@ -119,6 +130,17 @@ class Quotient(Method):
         }
         gap = max(moves.gap, pairs.gap)
         return make_result(given.simulator, zeta, self._name, gap, observed, details)
+
+    def _beta(self, p: Array, q: Array, cells: tuple[IntArray, ...], given: Given) -> RatioFit:
+        """Eq. 3.7 on the cells, whose columns are the row and, for moves, s'."""
+        options: dict[str, Any] = {
+            "lower": self.lower, "upper": self.upper, "ridge": self.ridge, "toward": self.toward, "seed": given.seed
+        }  # fmt: skip
+        if self.functions is None:
+            return density_ratio(p, q, normalized=self.normalized, solver=self.solver, **options)
+        n_actions = given.simulator.n_actions
+        columns = (*np.divmod(cells[0], n_actions), *cells[1:])
+        return fit_network(self.functions, p, q, columns, (given.simulator.n_states, n_actions), **options)
 
 
 def refuse_words(ridge: Any, method: str) -> None:

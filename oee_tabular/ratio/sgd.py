@@ -23,7 +23,21 @@ from oee_tabular.ratio.program_types import LinearProgram
 
 @dataclass(frozen=True)
 class Sgd:
-    """Algorithm 1's settings: ``step_size`` > 0 (eta), ``batch_size`` (N), ``n_iterations``."""
+    """Algorithm 1's settings, on tables.
+
+    Parameters
+    ----------
+    step_size : eta > 0
+    batch_size : N, draws from each side at an iteration
+    n_iterations : all of them are done
+
+    Examples
+    --------
+    >>> from oee_tabular.ratio import Sgd, density_ratio
+    >>> fit = density_ratio([3, 1], [2, 2], lower=0.1, upper=9.0, normalized=False, solver=Sgd(0.01), seed=0)
+    >>> fit.ratio.round(1).tolist(), bool(fit.trace.excess[-1] < 0.01)
+    ([1.5, 0.5], True)
+    """
 
     step_size: float = 0.1
     batch_size: int = 64
@@ -37,7 +51,20 @@ class Sgd:
 
 @dataclass(frozen=True, eq=False)
 class SgdTrace:
-    """After ``iteration`` steps: ``excess``, the program's value less its optimum, and ``error``, the mean |g - g*|."""
+    """The way to the optimum, at a few iterations.
+
+    Attributes
+    ----------
+    iteration : how many steps had been made
+    excess : the program's value less its optimum (nats)
+    error : the mean |g - g*|
+
+    Examples
+    --------
+    >>> trace = SgdTrace(np.array([1, 10]), np.array([0.1, 0.01]), np.array([0.3, 0.1]))
+    >>> float(trace.excess[-1])
+    0.01
+    """
 
     iteration: IntArray
     excess: Array

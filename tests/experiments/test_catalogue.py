@@ -20,6 +20,8 @@ IDS = [experiment.id for experiment in EXPERIMENTS if experiment.group != "conti
 @pytest.mark.parametrize("name", IDS)
 def test_a_smoke_cell(name):
     experiment = EXPERIMENTS[name]
+    for module in experiment.requires:
+        pytest.importorskip(module)
     settings = experiment.settings(smoke=True, repetitions=1)
     cell = settings.cells()[0]
     rows = run_cell(experiment.run, settings, cell, code_version())

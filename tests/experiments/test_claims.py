@@ -66,6 +66,37 @@ def test_figure_1a_computed():
     assert error[LIKELIHOOD, 10_000] < 0.6 * error[LIKELIHOOD, 1000]
 
 
+# ---- networks ----------------------------------------------------------------------------------------------------------
+
+
+def test_our_networks_reach_the_published_curve():
+    table = saved("networks")
+    trained = table[table.fit.str.startswith("network, trained")]
+    error = trained.pivot_table(index="n", columns="simulator", values="error")
+    share = error.div(
+        [paper.at("fig1a", "grid=10", "mean_absolute_error_of_zeta", float(n)) for n in error.index], axis=0
+    )
+    afresh, recorded = share["sampled afresh"], share["a log of n moves"]
+    assert (
+        f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published one up to n = 10^5 and "
+        f"{afresh.iloc[-1]:.2f} times at the last point"
+    ) in README
+    assert f"with a log of n simulated moves {span(recorded, '.2f')} times" in README
+    assert (share < 1.5).all(axis=None)
+
+
+def test_the_parts_of_the_networks_error():
+    """Each part is nonnegative within its standard error, and that of sampling falls with n."""
+    parts = saved("networks").dropna(subset="sampling").groupby(["simulator", "n"])
+    for name in ("approximation", "sampling", "optimisation"):
+        assert (parts[name].mean() >= -parts[name].sem()).all()
+    sampling = parts.sampling.mean().reset_index().pivot_table(index="simulator", columns="n", values="sampling")
+    assert (sampling.diff(axis=1).iloc[:, 1:] < 0).all(axis=None)
+    assert parts.approximation.max().max() < 1e-20
+    total = parts[["approximation", "sampling", "optimisation"]].mean().sum(axis=1)
+    assert (parts.excess.mean() < total).all()
+
+
 # ---- figure 1b, c, d ---------------------------------------------------------------------------------------------------
 
 

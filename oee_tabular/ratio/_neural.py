@@ -1,0 +1,222 @@
+"""Algorithm 1 on a network, in jax: the only file that imports the extra ``neural``.
+
+Double precision, batches from numpy's generator, one thread: the same seed gives the same bits. jax sums in an order that
+depends on its number of threads, which is settled where a process first uses jax: one that has used it before keeps its own.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.ratio.network import Network, Training
+
+EVERY = 100  # iterations between two looks at the held-out risk
+_AT_ONCE = 2**16  # cells evaluated together
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """The ratio kept, of iteration ``kept``; at each ``iteration`` checked the ratio and the held-out risk (nan without)."""
+
+    ratio: Array
+    kept: int
+    iteration: IntArray
+    checked: list[Array]
+    held_out: Array
+
+
+class Perceptron(eqx.Module):  # type: ignore[misc]
+    """g on cells. The first layer is one table an input: a one-hot vector times a matrix is a row of it."""
+
+    tables: list[jax.Array]
+    bias: jax.Array
+    rest: list[eqx.nn.Linear]
+    activation: str = eqx.field(static=True)
+    span: tuple[float, float] = eqx.field(static=True)
+
+    def __init__(self, network: Network, training: Training, key: jax.Array):
+        n_states, n_actions = training.sizes
+        of_state = n_states if training.places is None else training.places.shape[1]
+        inputs = [of_state, n_actions, of_state][: len(training.cells)]
+        widths = [*network.layers, 1]
+        keys = jax.random.split(key, len(inputs) + len(widths))
+        scale = 1.0 / math.sqrt(len(inputs) if training.places is None else sum(inputs))
+        first = 0.0 if len(widths) == 1 else scale
+        self.tables = [first * jax.random.normal(k, (n, widths[0])) for k, n in zip(keys, inputs, strict=False)]
+        self.bias = jnp.zeros(widths[0])
+        self.rest = [
+            eqx.nn.Linear(n, m, key=k) for n, m, k in zip(widths[:-1], widths[1:], keys[len(inputs) :], strict=False)
+        ]
+        if self.rest:  # g = 1 at the start
+            self.rest[-1] = jax.tree.map(jnp.zeros_like, self.rest[-1])
+        self.activation = network.activation
+        self.span = (math.log(training.lower), math.log(training.upper))
+
+    def log_ratio(self, places: jax.Array | None, cells: tuple[jax.Array, ...]) -> jax.Array:
+        """log g at the cells."""
+        h = self.bias
+        for k, (table, index) in enumerate(zip(self.tables, cells, strict=True)):
+            h = h + (table if places is None or k == 1 else places @ table)[index]
+        for layer in self.rest:
+            h = jax.vmap(layer)(getattr(jax.nn, self.activation)(h))
+        low, high = self.span
+        start = math.log(-low / high) if low < 0.0 < high else 0.0
+        return low + (high - low) * jax.nn.sigmoid(h[:, 0] + start)
+
+
+@functools.lru_cache(maxsize=16)
+def _optimizer(name: str, step_size: float, n_iterations: int) -> optax.GradientTransformation:
+    steps = optax.cosine_decay_schedule(step_size, n_iterations)
+    return optax.adam(steps) if name == "adam" else optax.sgd(steps)
+
+
+@eqx.filter_jit  # type: ignore[untyped-decorator]
+def _iterate(
+    model: Any, state: Any, optimizer: Any, places: Any, cells: Any, ridge: Any, toward: Any, batches: Any
+) -> Any:
+    """The iterations of ``batches`` (each indices of cells with weights), and the risk of each batch."""
+    moving, fixed = eqx.partition(model, eqx.is_array)
+
+    def risk(moving: Any, index: Any, p: Any, q: Any) -> Any:
+        log_g = eqx.combine(moving, fixed).log_ratio(places, tuple(column[index] for column in cells))
+        g = jnp.exp(log_g)
+        return jnp.sum(q * (g + ridge / 2 * (g - toward) ** 2) - p * log_g)
+
+    def step(carry: Any, batch: Any) -> Any:
+        moving, state = carry
+        value, slope = jax.value_and_grad(risk)(moving, *batch)
+        change, state = optimizer.update(slope, state)
+        return (optax.apply_updates(moving, change), state), value
+
+    (moving, state), values = jax.lax.scan(step, (moving, state), batches)
+    return eqx.combine(moving, fixed), state, values
+
+
+@eqx.filter_jit  # type: ignore[untyped-decorator]
+def _ratio(model: Any, places: Any, cells: Any) -> Any:
+    return jnp.exp(model.log_ratio(places, cells))
+
+
+@functools.cache
+def _cpu() -> Any:
+    """The processor, as a device with one thread (the variable is read where the device is made)."""
+    before = os.environ.get("PJRT_NPROC")
+    os.environ["PJRT_NPROC"] = "1"
+    try:
+        return jax.devices("cpu")[0]
+    finally:
+        os.environ.pop("PJRT_NPROC")
+        if before is not None:
+            os.environ["PJRT_NPROC"] = before
+
+
+def train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
+    """Algorithm 1; the parameters of least held-out risk, or the last."""
+    with jax.default_device(_cpu()), jax.enable_x64(True):
+        return _train(network, training, generator)
+
+
+def _train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
+    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
+
+    model = Perceptron(network, training, jax.random.key(int(generator.integers(2**31))))
+    optimizer = _optimizer(network.optimizer, float(network.step_size), network.n_iterations)
+    state = optimizer.init(eqx.filter(model, eqx.is_array))
+    places = None if training.places is None else jnp.asarray(training.places)
+    cells = tuple(jnp.asarray(column) for column in training.cells)
+    draw = _batches(network, training, generator)
+    watch = _Watch(network, training)
+    done = 0
+    bar = tqdm(total=network.n_iterations, desc="training", disable=None, delay=1.0, leave=False)
+    watch.look(0, _everywhere(model, places, cells))
+    while done < network.n_iterations and not watch.over:
+        count = min(EVERY, network.n_iterations - done)
+        model, state, values = _iterate(
+            model, state, optimizer, places, cells, training.ridge, training.toward, draw(count)
+        )
+        watch.refuse_divergence(done, np.asarray(values))
+        done += count
+        watch.look(done, _everywhere(model, places, cells))
+        bar.update(count)
+    bar.close()
+    return watch.found()
+
+
+def _everywhere(model: Perceptron, places: Any, cells: tuple[Any, ...]) -> Array:
+    """g on all cells."""
+    parts = [
+        np.asarray(_ratio(model, places, tuple(column[low : low + _AT_ONCE] for column in cells)))
+        for low in range(0, len(cells[0]), _AT_ONCE)
+    ]
+    return np.asarray(np.clip(np.concatenate(parts), *np.exp(model.span)))
+
+
+def _batches(network: Network, training: Training, generator: np.random.Generator) -> Any:
+    """count -> (index, p, q), each (count, draws): N draws of each side, or every cell with its shares."""
+    n = len(training.p)
+    if network.batch_size is None:
+        whole = tuple(jnp.asarray(x)[None] for x in (np.arange(n), training.p, training.q))
+        return lambda count: tuple(jnp.repeat(x, count, axis=0) for x in whole)
+    size = network.batch_size
+    sums = [np.cumsum(weights) for weights in (training.p, training.q)]
+    of_p = np.repeat([1.0 / size, 0.0], size)
+
+    def draw(count: int) -> Any:
+        drawn = [np.searchsorted(s, generator.random((count, size)) * s[-1], side="right") for s in sums]
+        index = np.minimum(np.concatenate(drawn, axis=1), n - 1)
+        p, q = (jnp.asarray(np.broadcast_to(side, index.shape)) for side in (of_p, of_p[::-1]))
+        return jnp.asarray(index), p, q
+
+    return draw
+
+
+class _Watch:
+    """Looks at the held-out risk, keeps the best, says when to stop."""
+
+    def __init__(self, network: Network, training: Training):
+        self._network, self._training = network, training
+        self._iteration: list[int] = []
+        self._checked: list[Array] = []
+        self._risk: list[float] = []
+        self._start = training.risk(np.ones(len(training.p)), training.p, training.q)
+
+    @property
+    def over(self) -> bool:
+        """No new least held-out risk for ``patience`` checks."""
+        if self._training.held_p is None:
+            return False
+        return len(self._risk) - 1 - int(np.argmin(self._risk)) >= self._network.patience
+
+    def look(self, iteration: int, ratio: Array) -> None:
+        """A check."""
+        held_p, held_q = self._training.held_p, self._training.held_q
+        self._iteration.append(iteration)
+        self._checked.append(ratio)
+        self._risk.append(np.nan if held_p is None or held_q is None else self._training.risk(ratio, held_p, held_q))
+
+    def refuse_divergence(self, done: int, values: Array) -> None:
+        """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat above that of g = 1."""
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size or values.mean() > self._start + 1.0:
+            at, value = (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
+            raise RuntimeError(
+                f"training must not diverge; at iteration {done + at + 1} the risk is {value:.4g}, at the start it was "
+                f"{self._start:.4g}: give a smaller step_size than {self._network.step_size:g}"
+            )
+
+    def found(self) -> Trained:
+        """The parameters' ratio that is kept."""
+        held = np.array(self._risk)
+        kept = len(held) - 1 if self._training.held_p is None else int(np.argmin(held))
+        return Trained(self._checked[kept], self._iteration[kept], np.array(self._iteration), self._checked, held)

@@ -1,0 +1,90 @@
+"""Algorithm 1 from end to end: both tables, their quotient, and how far from the optimum of eq. 3.7 its trace says it is.
+
+The risk is p / mu^2 strongly convex in each cell, so sum p (g - g*)^2 <= 2 mu^2 (risk(g) - risk(g*)).
+"""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import paper
+from oee_tabular.ratio import Quotient, Sgd
+
+NU, MU = 0.2, 5.0
+BOX = {"lower": NU, "upper": MU, "normalized": False}
+SGD = Sgd(step_size=0.02, batch_size=128, n_iterations=20_000)
+START_EXCESS = 0.05  # nats: what g = 1 lacks at least
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """3 states, 2 actions, every move possible; 3000 moves of the target and of the simulator, uniform (s, a)."""
+    rng = np.random.default_rng(0)
+    simulator, target = (
+        oee.FiniteMDP(rng.dirichlet(np.full(3, 2.0), (3, 2)), np.zeros(3), np.eye(3)[0], 0.9) for _ in range(2)
+    )
+    shares = rng.dirichlet(np.full(6, 2.0)).reshape(3, 2)  # the target is recorded elsewhere: neither ratio is 1
+    return simulator, *(
+        oee.sample_transitions(mdp, of, 3000, seed=k)
+        for k, (mdp, of) in enumerate([(target, shares), (simulator, np.full((3, 2), 1 / 6))])
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(logs):
+    simulator, te, tr = logs
+    return Quotient(**BOX, solver=SGD, data=tr).fit(te, simulator, seed=1)
+
+
+def shares(log):
+    """p or q of (s, a, s'), of shape (3, 2, 3)."""
+    return log.counts(3, 2).toarray().reshape(3, 2, 3) / len(log)
+
+
+def tables(logs):
+    """p, q of (s, a, s') and of (s, a), and the exact optima of eq. 3.7."""
+    p, q = (shares(log) for log in logs[1:])
+    pairs = [(p.ravel(), q.ravel()), (p.sum(axis=2).ravel(), q.sum(axis=2).ravel())]
+    return [(p, q, oee.density_ratio(p, q, **BOX).ratio) for p, q in pairs]
+
+
+def test_both_tables_are_within_the_traces_bound(logs, fitted):
+    for beta, (p, q, best) in zip(fitted.details["beta"], tables(logs), strict=True):
+        excess = beta.trace.excess[-1]
+        assert_allclose(excess, paper.risk(beta.ratio, p, q) - paper.risk(best, p, q), rtol=1e-6, atol=1e-12)
+        assert_allclose(beta.gap, excess, rtol=1e-6, atol=1e-12)
+        assert_allclose(beta.trace.error[-1], np.abs(beta.ratio - best).mean(), rtol=1e-9)
+        assert np.sqrt(p @ (beta.ratio - best) ** 2) <= MU * np.sqrt(2 * excess)
+        assert beta.trace.iteration[-1] == SGD.n_iterations
+        assert beta.trace.excess[0] > START_EXCESS
+        assert excess < 0.05 * beta.trace.excess[0]
+
+
+def test_the_quotient_is_within_what_the_tables_bounds_make_of_it(logs, fitted):
+    """|a/b - a*/b*| <= (|a - a*| + zeta* |b - b*|) / b, each error at most mu sqrt(2 excess / p)."""
+    (p, _, a), (p_row, _, b) = tables(logs)
+    moves, pairs = fitted.details["beta"]
+    of_move, of_row = (MU * np.sqrt(2 * fit.trace.excess[-1] / share) for fit, share in ((moves, p), (pairs, p_row)))
+    row = np.repeat(np.arange(6), 3)
+    zeta = a / b[row]
+    assert_allclose(fitted.values.data, moves.ratio / pairs.ratio[row], rtol=1e-12)
+    assert (np.abs(fitted.values.data - zeta) <= (of_move + zeta * of_row[row]) / pairs.ratio[row]).all()
+    assert np.abs(fitted.values.data - zeta).mean() < 0.15 * np.abs(zeta - 1).mean()
+
+
+def test_it_is_the_code_of_density_ratio(logs, fitted):
+    rng = np.random.default_rng(1)
+    for beta, (p, q, _) in zip(fitted.details["beta"], tables(logs), strict=True):
+        alone = oee.density_ratio(np.round(3000 * p), np.round(3000 * q), **BOX, solver="sgd", seed=rng, **vars(SGD))
+        assert_array_equal(alone.ratio, beta.ratio)
+        assert_array_equal(alone.trace.excess, beta.trace.excess)
+
+
+def test_the_page_of_the_paper_agrees(logs):
+    D_te, D_tr = (np.column_stack([log.state, log.action, log.next_state]) for log in logs[1:])
+    found = paper.algorithm_1(D_te, D_tr, (3, 2), NU, MU, eta=0.02, N=128, iterations=10_000, seed=2)
+    for g, (p, q, best) in zip(found, tables(logs), strict=True):
+        excess = paper.risk(g.ravel(), p, q) - paper.risk(best, p, q)
+        assert 0 <= excess < 0.05 * (paper.risk(np.ones_like(best), p, q) - paper.risk(best, p, q))
+        assert np.sqrt(p @ (g.ravel() - best) ** 2) <= MU * np.sqrt(2 * excess)

@@ -1,0 +1,225 @@
+"""Networks as the class of functions of eq. 3.7: what they find, their bits, when they stop, what is refused."""
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.ratio import Network, Quotient
+from oee_tabular.ratio.network import _split
+
+trained = pytest.mark.skipif(find_spec("equinox") is None, reason="the extra neural is not installed")
+BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """3 states, 2 actions, every move possible: simulator, 4000 moves of the target and of the simulator."""
+    rng = np.random.default_rng(0)
+    simulator, target = (
+        oee.FiniteMDP(rng.dirichlet(np.full(3, 2.0), (3, 2)), np.zeros(3), np.eye(3)[0], 0.9) for _ in range(2)
+    )
+    return simulator, *(
+        oee.sample_transitions(mdp, np.full((3, 2), 1 / 6), 4000, seed=k) for k, mdp in enumerate((target, simulator))
+    )
+
+
+def fit(logs, *, data=None, seed=0, options=BOX, **network):
+    simulator, te, tr = logs
+    functions = Network(**{"layers": (16,), "n_iterations": 1500, "step_size": 0.01} | network)
+    return Quotient(**options, data=tr if data is None else data, functions=functions).fit(te, simulator, seed=seed)
+
+
+def exact(logs, options=BOX):
+    simulator, te, tr = logs
+    return Quotient(**options, data=tr).fit(te, simulator)
+
+
+@trained
+@pytest.mark.parametrize("activation", ["relu", "tanh", "silu"])
+def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activation):
+    found, best = fit(logs, batch_size=None, held_out=0, activation=activation), exact(logs)
+    for beta, table in zip(found.details["beta"], best.details["beta"], strict=True):
+        assert_allclose(beta.ratio, table.ratio, rtol=0.01)
+        assert 0 <= beta.gap < 1e-4
+        assert_allclose(beta.objective, table.objective + beta.gap, atol=1e-12)
+        assert_allclose(beta.gap, beta.trace.excess[-1], atol=1e-12)
+        assert beta.trace.excess[0] > 5 * beta.gap
+    assert_allclose(found.values.data, best.values.data, rtol=0.02)
+
+
+@trained
+def test_the_ridge_is_in_the_risk(logs):
+    options = BOX | {"ridge": 0.5, "toward": 1.0}
+    found, best = fit(logs, batch_size=None, held_out=0, options=options), exact(logs, options)
+    assert_allclose(found.details["beta"][0].ratio, best.details["beta"][0].ratio, rtol=0.01)
+    assert np.abs(best.values.data - exact(logs).values.data).max() > 0.05
+
+
+@trained
+def test_batches_and_early_stopping_come_near(logs):
+    found, best = fit(logs, batch_size=256), exact(logs)
+    moves, table = found.details["beta"][0], best.details["beta"][0]
+    assert moves.gap < 0.1 * moves.trace.excess[0]
+    held = moves.details["held_out_risk"]
+    assert moves.details["kept"] == moves.trace.iteration[np.argmin(held)]
+    assert np.abs(moves.ratio - table.ratio).mean() == pytest.approx(moves.trace.error[np.argmin(held)])
+
+
+def test_the_moves_held_out_are_the_logs_and_no_others():
+    weights = np.array([0.0, 5.0, 20.0, 75.0])
+    train, held = _split(weights, "p", 0.1, np.random.default_rng(0))
+    assert_allclose(90 * train + 10 * held, weights, atol=1e-12)
+    assert_allclose([train.sum(), held.sum()], 1.0)
+    assert_array_equal(10 * held, np.round(10 * held))
+    whole, none = _split(weights, "p", 0.0, np.random.default_rng(0))
+    assert_allclose(whole, weights / 100)
+    assert none is None
+
+
+@trained
+def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
+    found = fit(logs, patience=3, n_iterations=20_000, batch_size=64)
+    for beta in found.details["beta"]:
+        held = beta.details["held_out_risk"]
+        assert len(held) == len(beta.trace.iteration) < 201
+        assert np.argmin(held) == len(held) - 4
+        assert beta.status == f"trained for {beta.trace.iteration[-1]} iterations"
+
+
+@trained
+def test_two_states_at_one_place_have_one_ratio(logs):
+    """Coordinates are all that such a network sees of a state, and actions stay apart."""
+    found = fit(logs, inputs=[0.0, 1.0, 1.0], n_iterations=300).details["beta"][1].ratio.reshape(3, 2)
+    assert_array_equal(found[1], found[2])
+    assert (found[0] != found[1]).all()
+    assert (found[:, 0] != found[:, 1]).all()
+
+
+@trained
+def test_exact_data_of_the_simulator_are_trained_and_stopped_on_whole(logs):
+    exact = fit(logs, data="exact", n_iterations=300)
+    assert exact.details["beta"][0].gap < 0.05
+    assert (np.diff(exact.details["beta"][0].details["held_out_risk"]) < 0.01).all()
+
+
+@trained
+def test_the_limit_is_the_exact_quotients(logs):
+    simulator = logs[0]
+    target = simulator.with_transitions(np.full((3, 2, 3), 1 / 3))
+    pi = oee.uniform_policy(simulator)
+    values = [
+        oee.estimators.OffEnvironment(ratio=Quotient(**BOX, functions=functions)).limit(simulator, target, pi)
+        for functions in (Network(), None)
+    ]
+    assert values[0] == values[1]
+
+
+BITS = """
+import numpy as np, oee_tabular as oee
+from oee_tabular.ratio import Network, Quotient
+mdp = oee.tasks.gridworld(6, 0.3)
+log = oee.sample_transitions(mdp, np.full((36, 4), 1 / 144), 3000, seed=0)
+fit = Quotient(0.1, 10.0, normalized=False, functions=Network((64, 64), batch_size=512, n_iterations=200)).fit(
+    log, mdp, seed=0)
+print(fit.values.data.tobytes().hex())
+"""
+
+
+@trained
+def test_one_seed_gives_the_same_bits_in_any_process_with_any_number_of_threads():
+    def bits(before=()):
+        return subprocess.run([*before, sys.executable, "-c", BITS], capture_output=True, text=True, check=True).stdout
+
+    first = bits()
+    assert first == bits(("taskset", "-c", "0") if sys.platform == "linux" else ())
+
+
+@trained
+def test_another_seed_gives_another_network(logs):
+    one, again, other = (fit(logs, n_iterations=100, seed=seed).values.data for seed in (0, 0, 1))
+    assert_array_equal(one, again)
+    assert (one != other).all()
+
+
+@trained
+@pytest.mark.parametrize("step_size", [100.0, 1e300])
+def test_a_diverging_training_names_its_step_and_its_risk(logs, step_size):
+    text = (
+        r"^training must not diverge; at iteration \d+ the risk is (nan|[\d.]+), at the start it was 1: give a smaller "
+    )
+    with pytest.raises(RuntimeError, match=text + re.escape(f"step_size than {step_size:g}")):
+        fit(logs, step_size=step_size, optimizer="sgd")
+
+
+def test_without_the_extra_everything_imports_and_a_network_is_one_sentence():
+    code = (
+        "import sys; sys.modules['equinox'] = sys.modules['jax'] = None\n"
+        "import oee_tabular as oee\n"
+        "from oee_tabular.ratio import Network, Quotient\n"
+        "mdp = oee.tasks.gridworld(2, 0.3)\n"
+        "try: Quotient(normalized=False, functions=Network()).fit(mdp.transitions * 100, mdp)\n"
+        "except ImportError as error: print(error)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == (
+        "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+    )
+
+
+def quotient(**options):
+    return lambda: Quotient(**BOX | {"functions": Network()} | options)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: Network((0,)), r"^layers\[0\] must be a positive integer; it is 0$"),
+        (lambda: Network(64), r"^layers must be a collection of widths of hidden layers; got int$"),
+        (lambda: Network(activation="sinus"), r"^activation must be one of 'relu', .*'sinus'"),
+        (lambda: Network(optimizer="adagrad"), r"^optimizer must be one of 'adam', 'sgd'.*'adagrad'"),
+        (lambda: Network(inputs="pixels"), r"^inputs must be one of 'one_hot'.*'pixels'"),
+        (lambda: Network(step_size=0), r"^step_size must be in \(0, inf\); it is 0$"),
+        (lambda: Network(batch_size=0), r"^batch_size must be a positive integer; it is 0$"),
+        (lambda: Network(n_iterations=1.5), r"^n_iterations must be a positive integer; got 1.5$"),
+        (lambda: Network(held_out=1), r"^held_out must leave moves to train on; it is 1$"),
+        (lambda: Network(held_out=-0.1), r"^held_out must be in \[0, 1\]; it is -0.1$"),
+        (lambda: Network(patience=0), r"^patience must be a positive integer; it is 0$"),
+        (quotient(functions="mlp"), r"^functions must be a Network\(\.\.\.\); got str$"),
+        (quotient(normalized=True), r"^normalized must be False with functions"),
+        (quotient(solver="CLARABEL"), r"^solver must be left out with functions=.*; got 'CLARABEL'$"),
+        (quotient(upper=np.inf), r"^lower and upper must be a box with 0 < lower .*; it is \[0\.2, inf\]$"),
+        (quotient(lower=None), r"^lower and upper must be a box .*; it is \[0, 5\]$"),
+        (quotient(toward=None, ridge=1.0), r"^toward must be a number with functions"),
+    ],
+)
+def test_bad_options(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+@trained
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"inputs": [0.0, 1.0]}, r"^inputs must have shape \(3,\) or \(3, c\), a place for each state; it has shape \(2,\)$"),
+        ({"held_out": 0.9999}, r"^held_out must leave moves to train on; it holds 4000 of 4000 out$"),
+    ],
+)  # fmt: skip
+def test_bad_data(logs, options, text):
+    with pytest.raises(ValueError, match=text):
+        fit(logs, **options)
+
+
+@trained
+def test_weighted_moves_can_not_be_held_out(logs):
+    simulator = logs[0]
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 50, 20, seed=0)
+    method = Quotient(**BOX, functions=Network((4,), n_iterations=100))
+    with pytest.raises(ValueError, match=r"^held_out must be 0 where the log's moves are weighted"):
+        method.fit(log, simulator, discount=0.9, seed=0)
