@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import operator
 import os
+import sys
+import warnings
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -17,6 +19,7 @@ T = TypeVar("T")
 
 LARGEST_INTEGER = 2**63 - 1
 SUM_TOLERANCE = 1e-8
+_PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
 SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
 
@@ -184,6 +187,14 @@ def function(value: object, name: str) -> None:
     """``value`` can be called."""
     if not callable(value):
         raise ValueError(f"{name} must be a function; got {type(value).__name__}")
+
+
+def warn(text: str) -> None:
+    """A UserWarning at the line of the caller, however deep in the package it is noticed."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
 
 
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:

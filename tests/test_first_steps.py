@@ -115,7 +115,7 @@ def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
     words = [str(tmp_path / word) if (tmp_path / word).is_file() else word for word in words]
     for free in (True, False):
         with pytest.raises(SystemExit) as ended:
-            main([*words, *["--free"] * free, "--output", str(tmp_path / "next.npy")])
+            main([*words, *["--free"] * free, "--output", str(tmp_path / "next.npy"), "--overwrite"])
         assert not ended.value.code
         found = np.load(tmp_path / "next.npy")
         assert_allclose(found.sum() if free else found.sum(axis=1), 1.0)

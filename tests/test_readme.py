@@ -37,7 +37,7 @@ def test_files_and_names_that_the_readme_mentions_exist():
     for path in re.findall(r"\]\(([\w/.]+)\)", TEXT):
         assert (README.parent / path).exists(), path
     table = TEXT[TEXT.index("## From the paper") : TEXT.index("What the default is")]
-    for name in re.findall(r"`((?:estimators|tasks|inference|exact)\.\w+|[a-z]+_[a-z_]+|[A-Z]\w+)", table):
+    for name in re.findall(r"`((?:estimators|tasks|inference|exact)\.\w+|[a-z]+_[a-z_]+|[A-Z]\w+)(?![\w/.])", table):
         found = oee
         for part in name.split("."):
             found = getattr(found, part)

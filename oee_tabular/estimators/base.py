@@ -13,6 +13,8 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 
+UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -47,8 +49,9 @@ class Estimate:
     status: str = "ok"
 
     def __post_init__(self) -> None:
-        if self.status == "ok" and not np.isfinite(self.value):
-            object.__setattr__(self, "status", "the value is not finite: beyond the largest float, or not a number")
+        number = isinstance(self.value, float | int | np.number)
+        if number and self.status == "ok" and not np.isfinite(self.value):
+            object.__setattr__(self, "status", UNEXPLAINED)
 
     def __repr__(self) -> str:
         text = f"Estimate({self.value:.6g}"

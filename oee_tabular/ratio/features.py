@@ -10,7 +10,6 @@ Applied Numerical Mathematics 62, 2012.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -130,10 +129,9 @@ def warn_of_rank(features: Array, *, where: str = "") -> int:
     """The rank; warns where the columns are collinear."""
     rank, d = rank_of(features), features.shape[1]
     if rank < d:
-        warnings.warn(
+        _checks.warn(
             f"features should be linearly independent{where}; they have rank {rank} of {d} (the smallest parameters "
-            "that fit are taken)",
-            stacklevel=5,
+            "that fit are taken)"
         )
     return rank
 

@@ -17,7 +17,6 @@ Statistics 24(6), 1996.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -234,9 +233,8 @@ def _rank(gram: Array, d: int, *, warn: bool) -> int:
     eigenvalues = np.linalg.eigvalsh(gram)
     rank = int(np.sum(eigenvalues > 1e-10 * max(float(eigenvalues.max()), 1e-300)))
     if rank < d and warn:
-        warnings.warn(
+        _checks.warn(
             f"features should be linearly independent within rows; they have rank {rank} of {d} (the smallest parameters "
-            "that fit are taken)",
-            stacklevel=7,
+            "that fit are taken)"
         )
     return rank

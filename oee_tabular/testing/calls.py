@@ -16,6 +16,7 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
 
@@ -130,7 +131,7 @@ def malformed(answer: Any) -> str:
         return f"value must be a float; it is {type(found.value).__name__}"
     if not isinstance(found.status, str) or not found.status:
         return f'status must be "ok" or say what is wrong; it is {found.status!r}'
-    if found.status == "ok" and not np.isfinite(found.value):
+    if found.status in ("ok", UNEXPLAINED) and not np.isfinite(found.value):
         return f'value must be finite where status is "ok"; it is {float(found.value)}'
     error = found.standard_error
     if error is not None and not (is_number(error) and np.isfinite(error) and error >= 0):

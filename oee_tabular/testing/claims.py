@@ -38,16 +38,16 @@ DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 _EXACT = frozenset({"relabelling", "scale", "padding", "after_end"})  # of the log's counts alone
 
 
-def claims_of(estimator: Any, given: Iterable[str] | None = None) -> frozenset[str]:
+def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
     """What an estimator claims: the words that say which laws it owes.
 
-    ``given``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else the table
+    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else the table
     of the package's own estimators, else ``DEFAULT``.
 
     Parameters
     ----------
     estimator : any object
-    given : words of ``CLAIMS``, or None
+    claims : words of ``CLAIMS``, or None
 
     Raises
     ------
@@ -61,8 +61,8 @@ def claims_of(estimator: Any, given: Iterable[str] | None = None) -> frozenset[s
     >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
     True
     """
-    found: Any = given
-    name = "given"
+    found: Any = claims
+    name = "claims"
     if found is None:
         name = f"{type(estimator).__name__}.claims"
         try:
