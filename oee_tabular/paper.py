@@ -80,7 +80,7 @@ def zeta(P_te, P_tr):
 
 
 def zeta_of(beta_moves, beta_pairs):
-    """Eq. 4.4: zeta = beta(s, a, s') / beta(s, a).   -> transition_ratio(method="ratio_of_ratios")
+    """Eq. 4.4: zeta = beta(s, a, s') / beta(s, a).   -> ratio.Quotient
 
     Each beta is a d_te / d_tr; rows of zeta * P_tr have any sum.
     """
@@ -102,7 +102,7 @@ def J_of_products(zeta, P_tr, r, S_0, pi, gamma, T):
 def algorithm_1(D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10_000, seed=0):
     """Algorithm 1 on tables: stochastic gradient descent on eq. 3.7 for both ratios; returns beta(s, a, s'), beta(s, a).
 
-    D_te, D_tr: (n, 3) integers s, a, s'; shape: (S, A).   -> ratio.density_ratio(solver="sgd")
+    D_te, D_tr: (n, 3) integers s, a, s'; shape: (S, A).   -> ratio.Quotient(normalized=False, solver=ratio.Sgd(...))
     """
     (S, A), draw = shape, np.random.default_rng(seed)
     g_sas, g_sa = np.ones((S, A, S)), np.ones((S, A))

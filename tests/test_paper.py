@@ -1,5 +1,6 @@
 """The page of the paper: every public function that its arrows name, against it, on random MDPs."""
 
+import functools
 import inspect
 import re
 import subprocess
@@ -140,6 +141,16 @@ def test_arrows_lead_somewhere():
         for name in arrow.split("."):
             found = getattr(found, name)
         assert callable(found)
+
+
+def test_what_arrows_lead_to_says_its_number():
+    """The docstring at an arrow's end has the number that heads the function, or the sentence, where it begins."""
+    head = None
+    for line in SOURCE.splitlines():
+        head = found[1] if (found := re.search(r"(?:Eq\.|Assumption|Algorithm) (\d\.\d|V\.1|1)", line)) else head
+        for arrow in re.findall(r"-> ([\w.]+)", line):
+            target = functools.reduce(getattr, arrow.split("."), oee)
+            assert head in target.__doc__, (head, arrow)
 
 
 def test_the_page_needs_numpy_alone():

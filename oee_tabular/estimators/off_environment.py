@@ -40,7 +40,7 @@ RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
 
 @dataclass(frozen=True)
 class OffEnvironment(ExactLimit):
-    """The paper's estimator: zeta from the log, the policy's value in zeta * P.
+    """The paper's estimator: zeta from the log, the policy's value in zeta * P (eq. 4.2).
 
     Parameters
     ----------

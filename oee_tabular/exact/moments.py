@@ -133,7 +133,7 @@ def policy_is_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Of policy importance sampling on one episode of ``behavior_policy``, rho_t = prod_{k <= t} policy / behavior.
+    """Of policy importance sampling (eq. 3.5) on an episode of ``behavior_policy``, rho_t = prod_{k <= t} policy / behavior.
 
     per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. In absorbing states that pay nothing, where an
     episode is over, rho_t stands still whatever the two policies do there.

@@ -33,7 +33,7 @@ def occupancy(
     horizon: int | None = None,
     of: Literal["state", "state_action", "transition"] = "state_action",
 ) -> Array | sparse.csr_array:
-    """The share of discounted time spent in each state, state-action pair or transition.
+    """The share of discounted time spent in each state, state-action pair or transition (eq. 3.2, 3.3).
 
     d(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a) / sum_t gamma^t, over t = 0..T-1 or over all t.
 

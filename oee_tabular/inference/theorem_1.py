@@ -60,7 +60,7 @@ def renyi_divergence(p: Any, q: Any, order: float) -> float:
 
 
 def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float) -> float:
-    """Theorem 1's right-hand side: of the SQUARE |ghat_n - g*|_inf^2, with probability ``confidence`` = 1 - delta.
+    """Theorem V.1's right-hand side (eq. 5.1): of the SQUARE |ghat_n - g*|_inf^2, with probability ``confidence`` = 1 - delta.
 
     K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) / n)).
 

@@ -22,7 +22,7 @@ from oee_tabular.mdp.horizons import followed
 
 
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
-    """The Lemma: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
+    """Lemma V.1 (eq. 5.2): |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
 
     The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
 
@@ -72,7 +72,7 @@ def ratio_error_sides(
 
 
 def value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float, nu: float) -> float:
-    """Theorem 2's right-hand side: of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
+    """Theorem V.2's right-hand side (eq. 5.3): of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
 
     T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2 sum_{t=1..T} t x^t.
 

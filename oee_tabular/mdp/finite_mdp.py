@@ -169,7 +169,7 @@ class FiniteMDP:
         return ~leaves
 
     def with_transitions(self, new: Any) -> Self:
-        """The same MDP under other dynamics; r(s, a, s') is averaged again.
+        """The same MDP under other dynamics (eq. 3.4); r(s, a, s') is averaged again.
 
         Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
         """

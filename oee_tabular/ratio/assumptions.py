@@ -51,7 +51,7 @@ class Assumptions:
 
 
 def check_assumptions(p: Any, q: Any, *, lower: float, upper: float) -> Assumptions:
-    """Whether the paper's assumptions hold of the distributions p, q (counts are scaled) and the box [lower, upper].
+    """Whether assumptions V.1 and V.2 hold of the distributions p, q (counts are scaled) and the box [lower, upper].
 
     Parameters
     ----------

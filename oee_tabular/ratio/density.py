@@ -108,7 +108,7 @@ def density_ratio(
 
     minimise  sum q g - sum p log g + (ridge/2) I(g)^2  over  lower <= g <= upper,  and sum q g = 1 if normalized,
 
-    the negative of the paper's equation for D_KL (with its lambda_n I(g)^2 / 2). I(g)^2 = sum g^2, the paper's, where
+    eq. 3.7, the negative of eq. 3.6. I(g)^2 = sum g^2, the paper's, where
     ``toward`` is None, else sum q (g - toward)^2.
 
     Parameters
