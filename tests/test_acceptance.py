@@ -50,7 +50,7 @@ def test_three_files_to_a_value_that_removes_most_of_the_simulator_s_error(case,
     errors = []
     for seed in range(5):
         oee_command("sample", target_name, "--policy", tmp_path / "behavior.npy", "--transitions", 20_000,
-                    "--seed", seed, "--output", tmp_path / "log.npz")  # fmt: skip
+                    "--seed", seed, "--output", tmp_path / "log.npz", "--overwrite")  # fmt: skip
         capsys.readouterr()
         oee_command("evaluate", "--simulator", tmp_path / "simulator.npz", "--log", tmp_path / "log.npz",
                     "--policy", f"mine={tmp_path / 'policy.npy'}", "--json")  # fmt: skip

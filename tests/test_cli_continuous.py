@@ -122,7 +122,8 @@ def test_the_files_of_a_task(capsys, tmp_path):
     rows = json.loads(run(capsys, *words, "--policy", f"file={table}", "--policy", "name=mix:0.5"))["results"]
     raw = {row["policy"]: row["value"] for row in rows if row["estimator"] == "oee"}
     assert_allclose(raw["file"], raw["name"], rtol=1e-10)
-    said = run(capsys, "sample", "cartpole", "--policy", table, "--episodes", 3, "--horizon", 7, "--output", log)
+    words = ["sample", "cartpole", "--policy", table, "--episodes", 3, "--horizon", 7, "--output", log]
+    said = run(capsys, *words, "--overwrite")
     assert "21 transitions" in said
 
 

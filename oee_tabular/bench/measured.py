@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular.bench.family import Family
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
+from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.names import named_estimators
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.experiments.registry import Row
@@ -113,7 +114,7 @@ def _read(estimate: Any, truth: float) -> Row:
         raise TypeError(f"an estimator must return an Estimate; it returned {type(estimate).__name__}")
     value = float(estimate.value)
     if not math.isfinite(value):
-        return {"status": estimate.status if estimate.status != "ok" else f"the value is {value}"}
+        return {"status": estimate.status if estimate.status not in ("ok", UNEXPLAINED) else f"the value is {value}"}
     lower, upper, method = _interval(estimate, value)
     return {"value": value, "error": value - truth, "lower": lower, "upper": upper, "interval": method,
             "status": estimate.status}  # fmt: skip

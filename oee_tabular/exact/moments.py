@@ -60,7 +60,6 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
     Examples
     --------
     >>> import numpy as np
-    from scipy import sparse
     >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)

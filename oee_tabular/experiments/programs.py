@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular._sparse import row_sums
+from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
 from oee_tabular.estimators import OffEnvironment, Problem, Simulator
 from oee_tabular.exact import evaluate_policy, policy_value, reweight, weighted_return_moments
 from oee_tabular.experiments.common import (
@@ -22,7 +22,7 @@ from oee_tabular.experiments.common import (
 )
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
-from oee_tabular.ratio import Conditional, Method, Quotient, transition_ratio, true_ratio
+from oee_tabular.ratio import Quotient, transition_ratio, true_ratio
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 if TYPE_CHECKING:
@@ -106,18 +106,25 @@ def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
     policy = gridworld_policy(10, delta)
     behavior = uniform_policy(target)
     log = drawn(target, behavior, n, stream.generator())
+    pattern = simulator.transitions
     truth = policy_value(target, policy, horizon=HORIZON)
     options: dict[str, Any] = {"lower": 0.01, "upper": 10.0, "ridge": n**-0.5}
     rows = []
     for name in ("none", "global", "rows"):
         if name == "rows":
-            method: Method = Conditional(prior="none", toward=None, **options)
+            zeta = transition_ratio(log, simulator, prior="none", toward=None, **options)
+            sums, values = zeta.row_sum_error, zeta
         else:
-            method = Quotient(normalized=name == "global", toward=None, behavior_policy=behavior, **options)
-        zeta = transition_ratio(log, simulator, method=method, seed=stream.generator(use="simulator"))
-        value = evaluate_policy(reweight(simulator, zeta), policy, horizon=HORIZON).value
-        error = abs(SCALE * (value - truth))
-        rows.append({"normalisation": name, "error": error, "row_sum_error": zeta.row_sum_error})
+            quotient = Quotient(normalized=name == "global", toward=None, behavior_policy=behavior, **options)
+            fit = quotient.fit(log, simulator, seed=stream.generator(use="simulator"))
+            moves, pairs = (beta.ratio for beta in fit.details["beta"])
+            plain = (
+                moves / pairs[row_of_entry(pattern)]
+            )  # also where neither side has the move: 1 over the pair's ratio
+            values = on_pattern(pattern, plain)
+            sums = float(np.abs(row_sums(pattern, plain * pattern.data) - 1.0).max())
+        value = evaluate_policy(reweight(simulator, values), policy, horizon=HORIZON).value
+        rows.append({"normalisation": name, "error": abs(SCALE * (value - truth)), "row_sum_error": sums})
     return rows
 
 

@@ -122,12 +122,12 @@ def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, c
 def test_a_gridworld_that_no_machine_holds(capsys):
     from oee_tabular.cli import main
 
-    with pytest.raises(MemoryError, match=r"a gridworld of 1000000 x 1000000 cells needs 1\.68e\+06 GiB"):
+    with pytest.raises(ValueError, match=r"size must be small enough for this machine's memory; 1000000 needs .* GiB"):
         oee.tasks.gridworld(10**6, 0.1)
     with pytest.raises(SystemExit) as ended:
         main(["policy", "gridworld:1000000,slip=0.1", "uniform", "--output", "p.npy"])
     assert ended.value.code == 2
-    assert "not enough memory; a gridworld of 1000000" in capsys.readouterr().err
+    assert "size must be small enough for this machine's memory" in capsys.readouterr().err
     assert 0 < _memory.available() < 2.0**60
 
 
@@ -280,9 +280,7 @@ def test_flags_that_no_longer_hold_are_not_believed():
 
 @pytest.mark.parametrize("words", [np.array([["0.25"] * 4] * 9), np.array([["0.25"] * 4] * 9, dtype=object)])
 def test_words_are_no_numbers(tmp_path, words):
-    with pytest.raises(
-        ValueError, match=r"policy must be an array of numbers; got ndarray \(it holds .*, no numbers\)"
-    ):
+    with pytest.raises(ValueError, match=r"policy must be an array of numbers; got ndarray \(text or dates\)"):
         oee.policy_value(GRID, words)
     with pytest.raises(ValueError, match="discount must be a number"):
         GRID.with_discount(np.array("0.5"))

@@ -192,6 +192,9 @@ def test_33_four_times_the_same_moves_give_an_interval_inside(rng):
     )
     for method in ("robust", "likelihood", "delta"):
         few, many = (oee.interval(each, policy, method=method) for each in (problem, more))
+        if method == "delta" and np.isnan(few.lower):  # nothing in the log varies
+            assert np.isnan(many.lower)
+            continue
         slack = 1e-7 * max(1.0, abs(few.lower), abs(few.upper))
         assert few.lower - slack <= many.lower
         assert many.upper <= few.upper + slack

@@ -303,11 +303,11 @@ def some_log():
 BAD = {
     "no length": (lambda: Reacher(0.0), r"length must be positive; it is 0.0"),
     "negative": (lambda: Reacher(-0.1), r"length must .*-0.1"),
-    "reward": (lambda: Reacher(0.1, 0.0), r"reward_length must be None or positive and finite; it is 0.0"),
+    "reward": (lambda: Reacher(0.1, 0.0), r"reward_length must be in \(0, inf\); it is 0"),
     "a place in space": (lambda: Reacher(target=(1, 2, 3)), r"target must be two finite numbers \(x, y\); it is \(1, 2, 3\)"),
     "nan place": (lambda: Reacher(target=(0.1, float("nan"))), r"target must be two finite numbers|target.* nan"),
     "gear": (lambda: Reacher(gear=-1.0), r"gear must .*-1"),
-    "no time": (lambda: Reacher(timestep=0.0), r"timestep must be positive and finite; it is 0.0"),
+    "no time": (lambda: Reacher(timestep=0.0), r"timestep must be in \(0, inf\); it is 0"),
     "half a step": (lambda: Reacher(substeps=0.5), r"substeps must be a positive integer; got 0.5"),
     "inertia": (lambda: Reacher(inertia="rod"), r"inertia must be one of .*rod"),
     "delta": (lambda: reacher_policy(1.5), r"delta must .*1.5"),
