@@ -81,6 +81,8 @@ class Network:
         _checks.one_of(self.optimizer, "optimizer", OPTIMIZERS)
         if isinstance(self.inputs, str):
             _checks.one_of(self.inputs, "inputs", ("one_hot",))
+        else:
+            _checks.require_finite(_checks.float_array(self.inputs, "inputs", ndim=(1, 2)), "inputs")
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
         if self.batch_size is not None:
             _checks.positive_integer(self.batch_size, "batch_size")

@@ -180,6 +180,7 @@ def compare_with_oracle(
     size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
         raise ValueError(f"repetitions must be at least 2; it is {times}")
+    _checks.require_memory(4.0 * times, "repetitions", times)
     if (behavior_policy is None) == (data_distribution is None):
         raise ValueError("one of behavior_policy and data_distribution must be given")
     data: dict[str, Any]
