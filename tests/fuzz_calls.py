@@ -224,7 +224,8 @@ def judged(function, values, replaced):
             return "refused", str(error)
         except Exception as error:
             return "raw", f"{type(error).__name__}: {error}"
-    silent = not isinstance(result, oee.inference.RowChanges)  # nan where a row was never recorded, as it says
+    blank = ("RowChanges", "MonteCarlo")  # nan where a row was never recorded, or from one episode, as they say
+    silent = type(result).__name__ not in blank
     if silent and has_nan(result) and not any(issubclass(w.category, UserWarning) for w in said):
         return "nan", repr(result)
     return "accepted", ""

@@ -155,13 +155,13 @@ def density_ratio(
     >>> fit.ratio.tolist(), fit.gap
     ([1.5, 0.5], 0.0)
     """
+    _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     _checks.boolean(normalized, "normalized")
     weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     _checks.one_of(loss, "loss", ("kl", "chi2"))
-    _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     box = check_box(lower, upper, normalized=normalized)
     with np.errstate(over="ignore"):
         totals = [float(w.sum()) for w in weights]

@@ -183,6 +183,11 @@ class Joint(Method):
                 float(joint_gaps(program, moves, pairs, sign * point.theta, point.push, point.press).sum())
                 for sign in (1.0, -1.0)
             )
+        if not np.isfinite(gap):
+            raise ValueError(
+                "lower, upper, ratio_lower, ratio_upper and ridge must be numbers whose program double precision holds; they are "
+                f"{box.lower:g}, {box.upper:g}, {ratio_box.lower:g}, {ratio_box.upper:g}, {strength:g}"
+            )
         known = spread((share > 0) & (pairs > 0), indptr)
         zeta = np.where(known, moves / np.where(known, spread(pairs, indptr), 1.0), 1.0)
         details = {

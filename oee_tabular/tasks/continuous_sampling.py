@@ -146,6 +146,7 @@ def record(
         return _as_log(parts)
     assert n_transitions is not None
     rows = _checks.positive_integer(n_transitions, "n_transitions")
+    _checks.require_memory(8.0 * rows, "n_transitions", rows)
     parts, found = [], 0
     generator = _checks.generator(seed)
     while found < rows:
