@@ -185,7 +185,7 @@ class Joint(Method):
             )
         if not np.isfinite(gap):
             raise ValueError(
-                "lower, upper, ratio_lower, ratio_upper and ridge must be numbers whose program double precision holds; they are "
+                "lower, upper, ratio_lower, ratio_upper and ridge must make a program that double precision holds; they are "
                 f"{box.lower:g}, {box.upper:g}, {ratio_box.lower:g}, {ratio_box.upper:g}, {strength:g}"
             )
         known = spread((share > 0) & (pairs > 0), indptr)
