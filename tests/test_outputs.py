@@ -285,6 +285,7 @@ def test_no_more_jobs_than_cells(jobs, cells, most):
 INTERRUPTED = """
 import os, signal, sys
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores it, and so do its children
 module = sys.argv.pop(1)
 
 class Finder:

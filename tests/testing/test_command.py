@@ -146,7 +146,11 @@ def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(capsys, here,
 def test_nothing_goes_on_when_the_command_ends(here, how):
     """Neither the process of the laws nor what the estimator has started: either would keep the pipe open."""
     command = [sys.executable, "-m", "oee_tabular", "check", f"{here}:starts_another"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    heeded = signal.signal(signal.SIGINT, signal.default_int_handler)  # children of a background job would ignore it
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    finally:
+        signal.signal(signal.SIGINT, heeded)
     for _ in range(600):
         if os.path.exists("started"):
             break
