@@ -65,6 +65,7 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
     shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
+    horizon = _checks.optional_horizon(horizon)
     if horizon is not None:
         shapes += [(horizon, *shape) for shape in shapes]
     if array.shape not in shapes:

@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -205,6 +205,8 @@ def compare_with_oracle(
             else:
                 log = sample_transitions(target, data["data_distribution"], size, seed=stream)
             found = estimator(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
+            if not isinstance(found, Estimate):
+                raise ValueError(f"estimator must return an Estimate; it returned {type(found).__name__}")
             if found.status == "ok":
                 values.append(float(found.value))
             else:
