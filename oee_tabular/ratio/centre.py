@@ -8,8 +8,8 @@ that theory names beforehand, ``SEARCHED`` for one found by searching, and ``UNS
 open rows that the log has never visited (in the simulator; without policies, of those rows), since a feature moves those as
 well, on the word of the others. The weights are proportional to the evidence to the power ``TEMPER``.
 
-The three prices and the power were chosen on the families of ``oee bench`` (sizes 0.3 to 30). At 0.3, ``UNSEEN`` 3, 4, 8: the 5%
-bound of the worst random MDP is 2.6, 2.2, 1.8 times its reference, the paper's grid .19, .22, .40 of maximum likelihood; prices
+The three prices and the power were chosen on the families of ``oee bench`` (sizes 0.3 to 30). At 0.3, ``UNSEEN`` 3, 4, 8: the
+5% bound of the worst cell is 2.6, 2.2, 1.8 times its reference, the paper's grid .19, .22, .40 of maximum likelihood; prices
 of 0 and 1, 3 and 4, and powers of 0.3 to 1 differ by less than 0.02 in the geometric mean.
 """
 
