@@ -30,7 +30,7 @@ class Moments:
     mean : E[X]; self-normalised: the limit of the estimator
     variance : Var[X]; self-normalised: lim n * variance of the estimator
     bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
-        What is made of numbers beyond the largest float is infinite, or nan.
+        What is made of numbers beyond the largest float is infinite, or nan, with a warning.
     by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
     by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
         asked for
@@ -147,8 +147,9 @@ def scaled_moments(found: Moments, shift: int) -> Moments:
             warnings.warn(
                 f"the variance {found.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4
             )
-    if np.isinf([found.mean, found.standard_deviation]).any():
-        warnings.warn("a moment is beyond the largest float: the weights or the rewards are too large", stacklevel=4)
+    if not np.isfinite([found.mean, found.standard_deviation]).all():
+        what = "beyond the largest float: the weights or the rewards are too large; or all weights of a step are 0"
+        warnings.warn(f"a moment is {what}", stacklevel=4)
     return found
 
 

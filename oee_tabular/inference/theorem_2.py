@@ -41,6 +41,8 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
     lower, upper = check_box(nu, mu)
     size = _checks.number_in(error, "error", 0.0, math.inf, infinite=True)
     square = lower**2
+    if size == 0.0:
+        return 0.0
     return (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size if square > 0.0 else math.inf
 
 
@@ -67,7 +69,10 @@ def ratio_error_sides(
         if array.shape != top.shape:
             raise ValueError(f"{name} must have the length of moves, {len(top)}; it has {len(array)}")
     error = float(max(np.abs(top - best_top).max(initial=0.0), np.abs(bottom - best_bottom).max(initial=0.0)))
-    left = float(np.abs(top / bottom - best_top / best_bottom).max(initial=0.0))
+    with np.errstate(over="ignore"):  # a quotient beyond the largest float is infinite: nothing from another such one
+        quotient, best = top / bottom, best_top / best_bottom
+    apart = quotient != best
+    left = float(np.abs(quotient[apart] - best[apart]).max(initial=0.0))
     return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))
 
 

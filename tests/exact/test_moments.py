@@ -1,6 +1,7 @@
 """Exact moments against the enumeration of every path; statements named in brackets (notebooks/statements.md)."""
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -93,9 +94,11 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
     zeta = ratio_of(rng, simulator)
     w = zeta.toarray().reshape(simulator.n_states, 2, -1)
     probability, _, last, plain, weights, paid = enumerated(simulator, policy, np.ones_like(policy), w, horizon, kind)
-    found = oee.weighted_return_moments(
-        simulator, zeta, policy, kind=kind, horizon=horizon, self_normalized=True, sources=True
-    )
+    with warnings.catch_warnings(record=True, action="always") as said:
+        found = oee.weighted_return_moments(
+            simulator, zeta, policy, kind=kind, horizon=horizon, self_normalized=True, sources=True
+        )
+    assert bool(said) == np.isnan(found.mean)
     gamma = simulator.discount ** np.arange(horizon)
     if kind == "trajectory":
         mass = probability @ last
@@ -515,3 +518,14 @@ def test_bad_calls(name):
     call, text = BAD[name]
     with pytest.raises(ValueError, match=text):
         call()
+
+
+@pytest.mark.parametrize("how", [{}, {"kind": "trajectory"}, {"self_normalized": True}])
+def test_weights_beyond_floats_are_said(how):
+    """A variance that is not a number comes with a word, whatever the mean."""
+    simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1.0], [0.5, 0.5], 0.5)
+    zeta = simulator.transitions.copy()
+    zeta.data = np.array([1e308, 1.0, 1e308, 1.0])
+    with pytest.warns(UserWarning, match="a moment is beyond the largest float"):
+        found = oee.weighted_return_moments(simulator, zeta, [[1.0]] * 2, horizon=3, **how)
+    assert np.isnan(found.variance)

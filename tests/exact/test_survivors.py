@@ -176,9 +176,10 @@ def test_policy_importance_sampling_with_both_policies_in_time():
 def test_without_any_weight_nothing_is_left_to_divide_by(kind):
     chain = FiniteMDP(np.full((2, 1, 2), 0.5), [1.0, 2.0], [1, 0], 0.9)
     nothing = sparse.csr_array(np.zeros((2, 2)))
-    found = oee.weighted_return_moments(
-        chain, nothing, np.ones((2, 1)), kind=kind, horizon=2, self_normalized=True, sources=True
-    )
+    with pytest.warns(UserWarning, match="all weights of a step are 0"):
+        found = oee.weighted_return_moments(
+            chain, nothing, np.ones((2, 1)), kind=kind, horizon=2, self_normalized=True, sources=True
+        )
     assert np.isnan([found.mean, found.variance, found.bias]).all()
     plain = oee.weighted_return_moments(chain, nothing, np.ones((2, 1)), kind=kind, horizon=2)
     assert (plain.mean, plain.variance, plain.bias) == ((1.0 if kind == "per_decision" else 0.0), 0.0, 0.0)

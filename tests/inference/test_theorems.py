@@ -661,3 +661,11 @@ def test_sides():
     assert Sides(3.0, 2.0).ratio == 1.5
     assert Sides(0.0, 0.0).ratio == 0.0
     assert Sides(1.0, 0.0).ratio == math.inf
+
+
+def test_the_lemma_s_sides_at_the_largest_floats():
+    """No error is no difference, however large the box; a quotient beyond floats is infinite, not nan."""
+    same = ([1.1, 1e308], [1.0, 0.5])
+    assert inference.ratio_error_sides(*same, *same, mu=1e308, nu=0.5) == Sides(0.0, 0.0)
+    found = inference.ratio_error_sides([1e308], [0.5], [1.0], [1.0], mu=1e308, nu=0.5)
+    assert found.left == found.right == math.inf
