@@ -118,7 +118,9 @@ def interval(
 
     Notes
     -----
-    Cost: likelihood and robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations.
+    Cost: likelihood some tens of linear solves and passes over the rows that the policy takes (10 000 states in a second);
+    robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
+    likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
 
     Examples
     --------
@@ -165,6 +167,7 @@ def interval(
             "divergence": max(end.divergence for end in ends),
             "iterations": max(end.iterations for end in ends),
             "last_change": max(end.change for end in ends),
+            "promised": max(end.promised for end in ends),
         }
         return Interval(ends[0].value, ends[1].value, level, method, diagnostics | added)
     size = radii(evidence, level, kind, ball)

@@ -112,7 +112,10 @@ def divergence(phat: Any, p: Any, start: Any, stop: Any) -> Any:
             if p[i] <= 0.0:
                 return np.inf
             u = (p[i] - phat[i]) / phat[i]
-            total += phat[i] * (0.5 * u * u * (1.0 - 2.0 * u / 3.0 + 0.5 * u * u) if abs(u) < 1e-4 else u - np.log1p(u))
+            if abs(u) < 1e-4:
+                total += phat[i] * 0.5 * u * u * (1.0 - 2.0 * u / 3.0 + 0.5 * u * u)
+            else:
+                total += phat[i] * (u - (np.log(p[i] / phat[i]) if u < -0.5 else np.log1p(u)))
         else:
             total += p[i]  # sum P = sum phat = 1: the mass that the logarithm's terms leave out
     return total
@@ -220,23 +223,6 @@ def worst_rows(
 
 
 worst_rows = njit(cache=True, error_model="numpy")(worst_rows)
-
-
-def rows_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, todo: Any, out: Any, kl: Any) -> Any:
-    """P of every row in ``todo`` for given lambdas (inf: phat itself), and the KL of each."""
-    spare = np.empty(len(phat))
-    for k in todo:
-        start, stop = indptr[k], indptr[k + 1]
-        if lam[k] == np.inf:
-            for i in range(start, stop):
-                out[i] = phat[i]
-            kl[k] = 0.0
-        else:
-            row_at(lam[k], phat, v, low, high, start, stop, out, spare)
-            kl[k] = divergence(phat, out, start, stop)
-
-
-rows_at = njit(cache=True, error_model="numpy")(rows_at)
 
 
 def worst_l1(radius: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, order: Any, out: Any) -> Any:

@@ -1,0 +1,253 @@
+"""Compiled parts of the profile likelihood interval, on the rows that a policy takes.
+
+State s has the rows first[s] .. first[s+1], row r the entries indptr[r] .. indptr[r+1]; entry i leads to column[i] with
+probability p[i] and pays pay[i], those that the log has seen (all, in rows without data) coming before seen[r]; weight[r] is
+pi(a | s).
+
+    V(s)    = sum_r weight_r sum_i p_i (pay_i + gamma V(column_i))            d(s') = mu(s') + gamma sum_s d(s) P_pi(s, s')
+    P_i     = phat_i / (1 + e_r - u_i),  u_i = tau scale_r (v_i - sum phat v)  e_r: sum_i P_i = 1
+    KL_r    = sum_i phat_i log(1 + e_r - u_i)
+"""
+
+import numpy as np
+from numba import njit
+
+PATIENCE = 16  # sweeps between looks at how many more it takes
+
+
+@njit(cache=True, error_model="numpy")
+def kernel_of(chain, p):
+    """P_pi without its zeros (a next state may come several times), and r_pi."""
+    n = len(chain.initial)
+    indptr, column, value = np.zeros(n + 1, np.int64), np.empty(len(p), np.int32), np.empty(len(p))
+    paid, k = np.zeros(n), 0
+    for s in range(n):
+        for r in range(chain.first[s], chain.first[s + 1]):
+            for i in range(chain.indptr[r], chain.indptr[r + 1]):
+                if p[i] > 0.0:
+                    column[k], value[k] = chain.column[i], chain.weight[r] * p[i]
+                    paid[s] += value[k] * chain.pay[i]
+                    k += 1
+        indptr[s + 1] = k
+    return indptr, column[:k], value[:k], paid
+
+
+@njit(cache=True, error_model="numpy")
+def hopeless(sweep, change, last, tolerance, most):
+    """Whether the change, ``PATIENCE`` sweeps after ``last``, will not be below the tolerance in ``most`` sweeps."""
+    if not change < last:
+        return True
+    return sweep + PATIENCE * np.log(change / tolerance) / np.log(last / change) > most
+
+
+@njit(cache=True, error_model="numpy")
+def sweep_values(indptr, column, value, paid, gamma, values, tolerance, most):
+    """V by sweeps from ``values``, to ``tolerance``; False where that takes more than ``most`` of them.
+
+    The middle of McQueen's bounds: where chains mix, changes become alike in all states long before they are small.
+    """
+    other = np.empty_like(values)
+    last, enough = np.inf, 2.0 * (1.0 - gamma) / gamma * tolerance
+    for k in range(1, most + 1):
+        low, high = np.inf, -np.inf
+        for s in range(len(values)):
+            total = 0.0
+            for i in range(indptr[s], indptr[s + 1]):
+                total += value[i] * values[column[i]]
+            other[s] = paid[s] + gamma * total
+            change = other[s] - values[s]
+            low, high = min(low, change), max(high, change)
+        values[:] = other
+        if high - low <= enough:
+            values += 0.5 * gamma / (1.0 - gamma) * (low + high)
+            return True
+        if k % PATIENCE == 0:
+            if hopeless(k, high - low, last, enough, most):
+                return False
+            last = high - low
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def sweep_visits(indptr, column, value, initial, gamma, visits, tolerance, most):
+    """d by sweeps from ``visits``, whose total must be 1 / (1 - gamma), as long as one moves more than ``tolerance`` of it."""
+    other = np.empty_like(visits)
+    last, enough = np.inf, tolerance / (1.0 - gamma)
+    for k in range(1, most + 1):
+        other[:] = initial
+        for s in range(len(visits)):
+            share = gamma * visits[s]
+            for i in range(indptr[s], indptr[s + 1]):
+                other[column[i]] += share * value[i]
+        change = 0.0
+        for s in range(len(visits)):
+            change += abs(other[s] - visits[s])
+        visits[:] = other
+        if change <= enough:
+            return True
+        if k % PATIENCE == 0:
+            if hopeless(k, change, last, enough, most):
+                return False
+            last = change
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def backup(chain, p, gamma, ahead, out):
+    """One step of V's recursion, from ``ahead`` into ``out``."""
+    for s in range(len(out)):
+        total = 0.0
+        for r in range(chain.first[s], chain.first[s + 1]):
+            part = 0.0
+            for i in range(chain.indptr[r], chain.indptr[r + 1]):
+                part += p[i] * (chain.pay[i] + gamma * ahead[chain.column[i]])
+            total += chain.weight[r] * part
+        out[s] = total
+
+
+@njit(cache=True, error_model="numpy")
+def forward(chain, p, now, out):
+    """P_pi^T now."""
+    out[:] = 0.0
+    for s in range(len(now)):
+        if now[s] != 0.0:
+            for r in range(chain.first[s], chain.first[s + 1]):
+                share = now[s] * chain.weight[r]
+                for i in range(chain.indptr[r], chain.indptr[r + 1]):
+                    out[chain.column[i]] += share * p[i]
+
+
+@njit(cache=True, error_model="numpy")
+def flows(chain, p, gamma, steps, to_go, gradient):
+    """V_t into ``to_go`` (T + 1, S), and sum_t gamma^t alpha_t(s) weight_r (pay + gamma V_{t+1}) into ``gradient``."""
+    n = to_go.shape[1]
+    to_go[steps] = 0.0
+    for t in range(steps - 1, -1, -1):
+        backup(chain, p, gamma, to_go[t + 1], to_go[t])
+    now, ahead = chain.initial.copy(), np.empty(n)
+    gradient[:] = 0.0
+    factor = 1.0
+    for t in range(steps):
+        for s in range(n):
+            if now[s] != 0.0:
+                for r in range(chain.first[s], chain.first[s + 1]):
+                    share = factor * now[s] * chain.weight[r]
+                    for i in range(chain.indptr[r], chain.indptr[r + 1]):
+                        gradient[i] += share * (chain.pay[i] + gamma * to_go[t + 1, chain.column[i]])
+        forward(chain, p, now, ahead)
+        now, ahead = ahead, now
+        factor *= gamma
+
+
+@njit(cache=True, error_model="numpy")
+def moments_of_rows(indptr, phat, v, mean, best, spread):
+    """Of v under phat in each row: the mean and the variance; the first of the largest v, and the range of v."""
+    variance = np.zeros(len(mean))
+    for r in range(len(mean)):
+        start, stop = indptr[r], indptr[r + 1]
+        total, top, least, largest = 0.0, start, np.inf, -np.inf
+        for i in range(start, stop):
+            total += phat[i] * v[i]
+            least = min(least, v[i])
+            if v[i] > largest:
+                top, largest = i, v[i]
+        mean[r], best[r], spread[r] = total, top, largest - least
+        for i in range(start, stop):
+            variance[r] += phat[i] * (v[i] - total) ** 2
+    return variance
+
+
+@njit(cache=True, error_model="numpy")
+def root(start, stop, phat, v, mean, slope):
+    """e with sum phat / (1 + e - u) = 1: 1 / sum is concave in e, so that Newton's steps from below never pass the root."""
+    e = 0.0
+    for i in range(start, stop):
+        e = max(e, slope * (v[i] - mean) + phat[i] - 1.0)
+    for _ in range(100):
+        excess, square = 0.0, 0.0
+        for i in range(start, stop):
+            x = e - slope * (v[i] - mean)
+            share = phat[i] / (1.0 + x)
+            excess -= share * x
+            square += share / (1.0 + x)
+        step = (1.0 + excess) * excess / square
+        e += step
+        if not abs(step) > 1e-15 * (abs(e) + 1e-300) or abs(step) < 1e-17:
+            break
+    return e
+
+
+@njit(cache=True, error_model="numpy")
+def fill(tau, rows, scale, chain, v, mean, best, p):
+    """P of ``rows`` into p, where entries never seen are 0 already; sum n KL, and its derivative in log tau.
+
+    Mass goes to a next state that was never seen where its u is at least 1 + e: then 1 + e = u there, and it gets what the
+    others leave.
+    """
+    total, growth = 0.0, 0.0
+    phat = chain.phat
+    for r in rows:
+        start, stop, slope, top = chain.indptr[r], chain.seen[r], tau * scale[r], best[r]
+        unseen = top >= stop
+        e = 0.0 if stop == start + 1 else root(start, stop, phat, v, mean[r], slope)
+        if unseen:
+            p[top] = 0.0
+            unseen = slope * (v[top] - mean[r]) - 1.0 > e
+            if unseen:
+                e = slope * (v[top] - mean[r]) - 1.0
+        kl, mass, along, square, bent = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(start, stop):
+            u = slope * (v[i] - mean[r])
+            x = e - u
+            p[i] = phat[i] / (1.0 + x)
+            kl += phat[i] * np.log1p(x)
+            mass += p[i]
+            along += p[i] * u
+            square += p[i] / (1.0 + x)
+            bent += p[i] / (1.0 + x) * u
+        if unseen:
+            p[top] = max(1.0 - mass, 0.0)
+            growth += chain.n[r]
+        else:
+            growth += chain.n[r] * (bent / square - along)
+        total += chain.n[r] * kl
+    return total, growth
+
+
+@njit(cache=True, error_model="numpy")
+def greedy(rows, chain, low, high, v, p):
+    """Rows without data: what ``low`` leaves goes to the largest v up to ``high``, then to the next."""
+    for r in rows:
+        start, stop = chain.indptr[r], chain.indptr[r + 1]
+        rest = 1.0
+        for i in range(start, stop):
+            p[i] = low[i]
+            rest -= low[i]
+        done = np.zeros(stop - start, dtype=np.bool_)
+        for _ in range(stop - start):
+            best = -1
+            for i in range(start, stop):
+                if not done[i - start] and (best < 0 or v[i] > v[best]):
+                    best = i
+            done[best - start] = True
+            room = min(high[best] - low[best], rest)
+            p[best] += room
+            rest -= room
+            if rest <= 0.0:
+                break
+
+
+@njit(cache=True, error_model="numpy")
+def blend(chain, before, share, p):
+    """Of what goes all to one next state (rows without data, mass on states never seen) only ``share``; the rest as before."""
+    for r in range(len(chain.n)):
+        start, stop = chain.indptr[r], chain.indptr[r + 1]
+        if chain.n[r] > 0.0:
+            start = chain.seen[r]
+        mass, had = 0.0, 0.0
+        for i in range(start, stop):
+            mass += p[i]
+            had += before[i]
+        if mass > 0.0 and had > 0.0:
+            for i in range(start, stop):
+                p[i] = share * p[i] + (1.0 - share) * before[i] * (mass / had)

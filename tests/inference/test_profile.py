@@ -1,0 +1,118 @@
+"""The parts of the profile likelihood interval against plain numpy, Clarabel and what defines its ends."""
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import stats
+
+import oee_tabular as oee
+from oee_tabular.exact import transition_gradient
+from oee_tabular.inference import _profile, likelihood
+from oee_tabular.inference.ambiguity import gather
+
+LIMIT = stats.chi2.ppf(0.95, 1) / 2
+
+
+def problem_of(rng, horizon=None, n=None):
+    simulator = random_mdp(rng, n_states=int(rng.integers(3, 9)), n_actions=2)
+    policy = random_policy(rng, simulator)
+    shape = policy.shape
+    n = int(rng.integers(5, 200)) if n is None else n
+    log = oee.sample_transitions(simulator, np.full(shape, 1 / policy.size), n, seed=int(rng.integers(99)))
+    return oee.Problem(simulator, log, horizon=horizon), policy
+
+
+def divergence(evidence, rows):
+    held = (evidence.n[evidence.rows] > 0) & (evidence.phat > 0)
+    return float((evidence.n[evidence.rows] * evidence.phat)[held] @ np.log(evidence.phat[held] / rows[held]))
+
+
+@settings(max_examples=40)
+@given(rngs, st.sampled_from([None, 1, 6]))
+def test_values_and_gradients_are_those_of_the_model(rng, horizon):
+    """On the rows that the policy takes: J, and G up to a constant in each row."""
+    problem, policy = problem_of(rng, horizon)
+    evidence = gather(problem, policy)
+    taken = likelihood.Taken.of(evidence)
+    model = evidence.with_rows(evidence.phat)
+    for mixes in (True, False):
+        taken._mixes[:] = [mixes, mixes]
+        point = taken.valued(taken.chain.phat.copy(), None)
+        assert_allclose(point.value, oee.policy_value(model, policy, horizon=horizon), rtol=1e-9, atol=1e-9)
+        _, found = taken.direction(point, 1.0, 1e-12)
+        exact = transition_gradient(model, policy, horizon=horizon)[taken.entries]
+        starts, lengths = taken.chain.indptr[:-1], np.diff(taken.chain.indptr)
+        for gradient in (found.gradient, exact):
+            gradient -= np.repeat(np.add.reduceat(gradient, starts) / lengths, lengths)
+        assert_allclose(found.gradient, exact, atol=1e-7 * max(np.abs(exact).max(), 1e-7))
+
+
+@settings(max_examples=25)
+@given(rngs)
+def test_a_step_is_the_linear_program_s_optimum(rng):
+    """max G P under sum n KL(phat || P) <= c, by Clarabel; states never seen get mass where that is best."""
+    problem, policy = problem_of(rng, n=12)
+    taken = likelihood.Taken.of(gather(problem, policy))
+    chain = taken.chain
+    gradient = rng.normal(size=len(chain.phat))
+    p, used, _ = likelihood._step(taken, likelihood.Direction(gradient, gradient), LIMIT, 0.0)
+    assert used <= LIMIT * (1 + 1e-12)
+    row = np.repeat(np.arange(len(chain.n)), np.diff(chain.indptr))
+    assert_allclose(np.bincount(row, p), 1.0, rtol=1e-12)
+    assert (p >= 0).all()
+    rows = cp.Variable(len(p), nonneg=True)
+    held = (chain.n[row] > 0) & (chain.phat > 0)
+    weight = (chain.n[row] * chain.phat)[held]
+    sums = [cp.sum(rows[chain.indptr[r] : chain.indptr[r + 1]]) == 1 for r in range(len(chain.n))]
+    ball = -weight @ cp.log(rows[held]) <= LIMIT - weight @ np.log(chain.phat[held])
+    program = cp.Problem(cp.Maximize(gradient @ rows), [*sums, ball])
+    program.solve(solver="CLARABEL")
+    assert_allclose(gradient @ p, program.value, rtol=1e-5, atol=1e-5)
+
+
+@settings(max_examples=40)
+@given(rngs, st.sampled_from([None, None, 5]), st.sampled_from([-1.0, 1.0]))
+def test_an_end_is_a_member_and_its_value(rng, horizon, sign):
+    problem, policy = problem_of(rng, horizon)
+    evidence = gather(problem, policy)
+    end = likelihood.profile_end(evidence, 0.95, sign)
+    assert_allclose(np.add.reduceat(end.rows, evidence.indptr[:-1]), 1.0, rtol=1e-11)
+    assert divergence(evidence, end.rows) <= LIMIT + 1e-9
+    assert_allclose(divergence(evidence, end.rows), end.divergence, atol=1e-9)
+    assert end.value == oee.policy_value(evidence.with_rows(end.rows), policy, horizon=horizon)
+    frequencies = oee.policy_value(evidence.with_rows(evidence.phat), policy, horizon=horizon)
+    assert sign * (end.value - frequencies) >= -1e-9 * max(1.0, abs(frequencies))
+
+
+def test_ends_are_stationary():
+    """What the set still promises to first order is nothing beside the width; a step that is not the gradient's leaves more."""
+    for seed in range(8):
+        problem, policy = problem_of(np.random.default_rng(seed), n=400)
+        found = oee.interval(problem, policy)
+        assert 0 <= found.diagnostics["promised"] + 1e-12 <= 1e-5 * found.width + 2e-12
+        assert found.width == 0 or abs(found.diagnostics["divergence"] - LIMIT) < 1e-7
+
+
+def test_sweeps_give_up_where_a_chain_mixes_slowly():
+    """A cycle of 50 states at discount .999: sweeps would take tens of thousands; one that mixes takes a few."""
+    simulator = oee.FiniteMDP(np.roll(np.eye(50), 1, axis=1)[:, None], np.arange(50.0), np.eye(50)[0], 0.999)
+    taken = likelihood.Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    point = taken.valued(taken.chain.phat.copy(), None)
+    assert not taken._mixes[0]
+    assert_allclose(point.values, oee.state_values(simulator, np.ones((50, 1))), rtol=1e-12)
+    mixing = oee.FiniteMDP(np.full((50, 1, 50), 0.02), np.arange(50.0), np.eye(50)[0], 0.999)
+    taken = likelihood.Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    point = taken.valued(mixing.transitions.data, None)
+    assert taken._mixes[0]
+    assert_allclose(point.values, oee.state_values(mixing, np.ones((50, 1))), rtol=1e-9)
+
+
+@pytest.mark.parametrize("u", [0.0, 1e-8, 0.5, 30.0])
+def test_the_root_of_a_row(u):
+    """Two states at frequency .5 with u and -u: x = 1 + e solves x^2 - x = u^2."""
+    found = _profile.root(0, 2, np.array([0.5, 0.5]), np.array([u, -u]), 0.0, 1.0)
+    assert_allclose(found, 2.0 * u**2 / (1.0 + np.sqrt(1.0 + 4.0 * u**2)), rtol=1e-9)
