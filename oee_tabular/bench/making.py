@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from oee_tabular.bench.family import Family
 from oee_tabular.exact import optimal_policy, state_values
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
+Moves = Iterator[tuple[float, int]]
 Recorded = Literal["uniform", "half", "policy"]
 RECORDED_BY: dict[str, float] = {"uniform": 0.0, "half": 0.5, "policy": 0.9}  # the policy's share; the rest is uniform
 
@@ -46,9 +47,53 @@ def pair(
     return Family(simulator, target, pi, mix(pi, uniform, RECORDED_BY[recorded]), about, length=length)
 
 
-def transitions_of(
-    n_states: int, n_actions: int, moves: Callable[[int, int], Iterable[tuple[float, int]]]
-) -> sparse.csr_array:
+def shifted(
+    moves: Callable[..., Moves],
+    shape: tuple[int, int],
+    pay: Any,
+    discount: float,
+    believed: tuple[float, ...],
+    real: tuple[float, ...],
+    about: str,
+    *,
+    start: Any = None,
+    **options: Any,
+) -> Family:
+    """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
+
+    Parameters
+    ----------
+    moves, shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
+    """
+    simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
+    return pair(simulator, target, about, **options)
+
+
+def model(
+    moves: Callable[..., Moves],
+    shape: tuple[int, int],
+    pay: Any,
+    discount: float,
+    how: tuple[float, ...],
+    *,
+    start: Any,
+) -> FiniteMDP:
+    """The MDP of moves with the parameters ``how``.
+
+    Parameters
+    ----------
+    moves : (s, a, *how) -> (probability, next state), one after the other
+    shape : (S, A)
+    pay : rewards as of ``FiniteMDP``, or a function of the arrays s, a, s'
+    start : states in which episodes begin, evenly; None: all
+    """
+    n_states, n_actions = shape
+    transitions = transitions_of(n_states, n_actions, lambda s, a: moves(s, a, *how))
+    rewards = paid_on(transitions, pay, n_actions) if callable(pay) else pay
+    return FiniteMDP(transitions, rewards, spread(n_states, range(n_states) if start is None else start), discount)
+
+
+def transitions_of(n_states: int, n_actions: int, moves: Callable[[int, int], Moves]) -> sparse.csr_array:
     """(S*A, S) from ``moves(s, a)``, which yields (probability, next state); equal next states are added up."""
     entries = [
         (s * n_actions + a, to, probability)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +18,10 @@ from oee_tabular.estimators import (
     Simulator,
 )
 from oee_tabular.exact import optimal_policy, policy_value
-from oee_tabular.experiments.common import panels, series_of
+from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import named_task, record_episodes
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
 
 SAMPLES = (1000, 3162, 10_000, 31_623)
 ESTIMATORS: dict[str, Estimator] = {
@@ -137,22 +133,14 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Errors, and the rank correlation, against n; a row for each case."""
-    from oee_tabular.plots import plot_curves, plot_errors
-
-    cases = list(table.case.unique())
-    names = [text for case in cases for text in (f"{case}: error", f"{case}: ranking")]
-    axes = panels(figure, names, columns=2, size=(5.4, 3.9))
-    for k, case in enumerate(cases):
-        part = table[table.case == case]
-        n = sorted(part.n.unique())
-        plot_errors(n, series_of(part, "estimator", "n", "error", n), axes[2 * k], slope=None,
-                    ylabel="mean |error| (discounted sum of rewards)")  # fmt: skip
-        plot_curves(n, series_of(part, "estimator", "n", "kendall_tau", n), axes[2 * k + 1],
-                    xlabel="transitions of the target, n", ylabel="Kendall's tau with the true order")  # fmt: skip
-        axes[2 * k + 1].set_xscale("log")
-        axes[2 * k + 1].set_ylim(-1.05, 1.05)
+ERRORS = Errors("error", "estimator", title="{case}: error", ylabel="mean |error| (discounted sum of rewards)")
+RANKING = Panels(
+    "kendall_tau",
+    "estimator",
+    title="{case}: ranking",
+    ylabel="Kendall's tau with the true order",
+    axes={"xscale": "log", "ylim": (-1.05, 1.05)},
+)
 
 
 def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> Experiment:
@@ -164,7 +152,7 @@ def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> 
         run=cell,
         keys=("case", "n", "policy", "estimator"),
         measures=("error", "kendall_tau", "regret"),
-        draw=draw,
+        draw=Beside([ERRORS, RANKING], by=("case",), columns=2, size=(5.4, 3.9)),
         group="gymnasium",
         caption=caption
         + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "
