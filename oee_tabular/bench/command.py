@@ -9,7 +9,6 @@ from pathlib import Path
 
 from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.run import SEEDS, SIZES, Plan, carry_out, plan
-from oee_tabular.bench.statement import printed, save
 from oee_tabular.experiments.output import describe
 from oee_tabular.experiments.store import Store, alone
 
@@ -41,8 +40,8 @@ def bench(
     with alone(output):
         found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
         about = {name: planned.source.family(name, seed).about for name in planned.source.names}
-        save(found, output, about=about, command=_command(planned, estimators, sizes, families))
-    say(printed(found))
+        found.save(output, about=about, command=_command(planned, estimators, sizes, families))
+    say(str(found))
     say(f"\n{describe(sweep)} ({time.perf_counter() - start:.0f} s)")
     if families is None:
         for sentence in own_families(seed).left_out.values():

@@ -1,87 +1,64 @@
-"""The estimators that a run measures, by name, as MODULE:OBJECT or as objects, and the two references beside them."""
+"""The rows of a cell: every estimator on one log of a family, and what is known exactly about the log."""
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from oee_tabular._sparse import row_sums
 from oee_tabular.bench.family import Family
-from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
+from oee_tabular.bench.given import Source, estimator_of
+from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
-from oee_tabular.estimators.names import named_estimators
 from oee_tabular.estimators.off_environment import NORMAL
-from oee_tabular.experiments.registry import Row
-from oee_tabular.testing.command import own_estimator, own_modules
-
-LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
+from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.experiments.registry import Cell, Row, Stream
 
 
-@dataclass(frozen=True)
-class Evaluated:
-    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The rows of one cell: a log of a family, every estimator on it."""
 
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
-        """The printed value and interval of one policy."""
-        from oee_tabular.report import evaluate
+    estimators: Mapping[str, Any]
+    source: Source
 
-        report = evaluate(problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed)
-        return report.results[0].estimate
-
-
-REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
-
-
-def chosen_estimators(given: Any) -> dict[str, Any]:
-    """Name -> spec or estimator, each tried once; ValueError for a name that is unknown or an object that is none.
-
-    Parameters
-    ----------
-    given : names, "evaluate", "module:object", estimators, one of these or several; or a mapping name -> one of these
-    """
-    if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
-        given = [given]
-    found: dict[str, Any] = {}
-    for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
-        if not isinstance(item, str) and not callable(item):
-            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {item!r}")
-        name = str(key) if key is not None else item if isinstance(item, str) else _name_of(item, found)
-        if name in found:
-            raise ValueError(f"estimators must have different names; {name!r} is there twice")
-        found[name] = item
-    if not found:
-        raise ValueError("estimators must name at least one; it is empty")
-    for name, item in found.items():
-        if name in REFERENCES and item != name:
-            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {item!r} is")
-        if isinstance(item, str) and item not in REFERENCES and not item.startswith("oracle"):
-            resolved(item)
-    return found
+    def __call__(self, cell: Cell, stream: Stream) -> list[Row]:
+        """One seed of family x size; the seed of the family is the run's first plus the repetition."""
+        seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
+        family = self.source.family(name, seed)
+        own = Stream(stream.experiment, seed, {"family": name, "size": size})
+        problem = family.problem(family.size(size), own.generator(use="log"))
+        facts = {"seed": seed, **facts_of(family, problem)}
+        return [
+            facts | measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))
+            for key, given in self.estimators.items()
+        ]
 
 
-def _name_of(item: Any, taken: Mapping[str, Any]) -> str:
-    name = str(getattr(item, "__name__", type(item).__name__))
-    while name in taken:
-        name += "'"
-    return name
-
-
-@functools.lru_cache(maxsize=64)
-def resolved(spec: str) -> Estimator:
-    """The estimator of a name or of MODULE:OBJECT."""
-    if spec == "evaluate":
-        return Evaluated()
-    if ":" in spec:
-        with own_modules():
-            made: Estimator = own_estimator(spec)
-            return made
-    return named_estimators([spec])[spec]
+def facts_of(family: Family, problem: Problem) -> Row:
+    """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
+    n, horizon = len(problem.log), family.horizon
+    endless = horizon is None and family.target.discount == 1.0
+    time = occupancy(family.target, family.policy, horizon=family.length if endless else horizon)
+    time = np.where(family.target.absorbing()[:, None], 0.0, time)
+    seen = row_sums(problem.counts).reshape(time.shape) > 0
+    bound = np.inf
+    if not endless:
+        bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
+    return {
+        "n": n,
+        "open_rows": family.open_rows,
+        "identical": family.identical,
+        "truth": family.truth,
+        "covered": float(time[seen].sum() / time.sum()) if time.sum() > 0 else 1.0,
+        "bound": bound / n if np.isfinite(bound) else float("nan"),
+    }
 
 
 def measure(name: str, given: Any, family: Family, problem: Problem, seed: int) -> Row:
@@ -92,20 +69,11 @@ def measure(name: str, given: Any, family: Family, problem: Problem, seed: int) 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            estimate = _estimator(name, given, family)(problem, family.policy, seed=seed)
+            estimate = estimator_of(name, given, family)(problem, family.policy, seed=seed)
         seconds = time.process_time() - start
         return row | {"seconds": seconds} | _read(estimate, family.truth)
     except Exception as error:
         return row | {"status": f"{type(error).__name__}: {error}"}
-
-
-def _estimator(name: str, given: Any, family: Family) -> Estimator:
-    if name in REFERENCES:
-        return REFERENCES[name]
-    if not isinstance(given, str):
-        own: Estimator = given
-        return own
-    return named_estimators([given], family.target)[given] if given.startswith("oracle") else resolved(given)
 
 
 def _read(estimate: Any, truth: float) -> Row:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular.bench.league import wide
-from oee_tabular.bench.measured import REFERENCES
+from oee_tabular.bench.given import REFERENCES
+from oee_tabular.bench.scores import wide
 from oee_tabular.plots.style import DIVERGING, ink, literally, series, shown
 
 if TYPE_CHECKING:

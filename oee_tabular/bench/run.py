@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,60 +10,16 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._sparse import row_sums
-from oee_tabular.bench.family import Family
+from oee_tabular.bench.given import REFERENCES, Source, chosen_estimators, modules_of, source_of
 from oee_tabular.bench.league import League, league_of
-from oee_tabular.bench.measured import REFERENCES, chosen_estimators, measure
-from oee_tabular.bench.source import Source, source_of
-from oee_tabular.estimators import Problem
-from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.bench.measured import Cells
 from oee_tabular.experiments.output import table_of
-from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
+from oee_tabular.experiments.registry import Experiment, Settings
 from oee_tabular.experiments.run import Sweep, run_experiment
 from oee_tabular.experiments.store import Store, alone
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
-
-
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """The rows of one cell: a log of a family, every estimator on it."""
-
-    estimators: Mapping[str, Any]
-    source: Source
-
-    def __call__(self, cell: Cell, stream: Stream) -> list[Row]:
-        """One seed of family x size; the seed of the family is the run's first plus the repetition."""
-        seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
-        family = self.source.family(name, seed)
-        own = Stream(stream.experiment, seed, {"family": name, "size": size})
-        problem = family.problem(family.size(size), own.generator(use="log"))
-        facts = {"seed": seed, **facts_of(family, problem)}
-        return [
-            facts | measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))
-            for key, given in self.estimators.items()
-        ]
-
-
-def facts_of(family: Family, problem: Problem) -> Row:
-    """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
-    n, horizon = len(problem.log), family.horizon
-    endless = horizon is None and family.target.discount == 1.0
-    time = occupancy(family.target, family.policy, horizon=family.length if endless else horizon)
-    time = np.where(family.target.absorbing()[:, None], 0.0, time)
-    seen = row_sums(problem.counts).reshape(time.shape) > 0
-    bound = np.inf
-    if not endless:
-        bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
-    return {
-        "n": n,
-        "open_rows": family.open_rows,
-        "identical": family.identical,
-        "truth": family.truth,
-        "covered": float(time[seen].sum() / time.sum()) if time.sum() > 0 else 1.0,
-        "bound": bound / n if np.isfinite(bound) else float("nan"),
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +46,11 @@ def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: in
         keys=("family", "size", "estimator"),
         measures=("error",),
         draw=lambda table, summary, figure: None,
-        caption="",
         repetitions=count,
         group="bench",
     )
     asked = {"estimators": list(chosen), "families": source.label}
-    modules = tuple(sorted({*_modules(chosen), *_modules({"families": source.given})}))
+    modules = tuple(sorted({*modules_of(chosen), *modules_of({"families": source.given})}))
     return Plan(experiment, Settings("bench", experiment.axes, count, int(seed), asked, modules), source)
 
 
@@ -180,16 +134,3 @@ def _sizes(sizes: Any) -> tuple[float, ...]:
     if not found or found[0] <= 0:
         raise ValueError(f"sizes must be positive numbers of moves per open row, at least one; got {sizes!r}")
     return tuple(found)
-
-
-def _modules(given: Mapping[str, Any]) -> list[str]:
-    """The modules that hold a user's own objects: their files are part of what the results depend on."""
-    found = []
-    for item in given.values():
-        if isinstance(item, str):
-            name = item.partition(":")[0] if ":" in item else ""
-        else:
-            name = str(getattr(item, "__module__", "") or getattr(type(item), "__module__", ""))
-        if name and name.split(".")[0] not in ("oee_tabular", "__main__", "builtins"):
-            found.append(name)
-    return found
