@@ -9,7 +9,6 @@ from pathlib import Path
 
 from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.run import SEEDS, SIZES, Plan, carry_out, plan
-from oee_tabular.experiments.output import describe
 from oee_tabular.experiments.store import Store, alone
 
 
@@ -42,7 +41,7 @@ def bench(
         about = {name: planned.source.family(name, seed).about for name in planned.source.names}
         found.save(output, about=about, command=_command(planned, estimators, sizes, families))
     say(str(found))
-    say(f"\n{describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+    say(f"\n{sweep} ({time.perf_counter() - start:.0f} s)")
     if families is None:
         for sentence in own_families(seed).left_out.values():
             say(sentence)

@@ -54,7 +54,7 @@ MADE: Mapping[str, Callable[..., Family]] = {
     ),
     "garnet_one_action": garnets.changed(garnets.along(-0.5, action=0), "The moves of one action are worse."),
     "garnet_tempered": garnets.changed(garnets.tempered, "Moves are noisier than simulated.", recorded="policy"),
-    "garnet_identical": garnets.changed(garnets.same, "The simulator of the random MDP is right."),
+    "garnet_identical": garnets.identical,
     "frozen_lake": grids.frozen_lake,
     "taxi_rain": grids.taxi_rain,
     "cliff_walking": grids.cliff_walking,

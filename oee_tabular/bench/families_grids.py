@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Recorded, mixed_rows, pair, spread
+from oee_tabular.bench.making import Recorded, pair, spread
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 
@@ -24,10 +25,11 @@ def paper_grid(simulated: float, real: float, about: str) -> Family:
 
 def floor(slip: Any = SIMULATED) -> FiniteMDP:
     """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each (s, a)."""
-    always, never = gridworld(SIDE, 1.0), gridworld(SIDE, 0.0)
+    always, never = gridworld(SIDE, 1.0).transitions, gridworld(SIDE, 0.0).transitions
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (CELLS, 4)).copy()
     share[-1] = 0.0
-    transitions = mixed_rows(share, always, never)
+    weight = share.reshape(-1)
+    transitions = sparse.diags_array(weight) @ always + sparse.diags_array(1.0 - weight) @ never
     row, column = np.divmod(np.arange(CELLS), SIDE)
     distance = 0.2 * (row + column - 2 * (SIDE - 1.0))
     return FiniteMDP(transitions, distance, spread(CELLS, range(CELLS - 1)), 0.98)

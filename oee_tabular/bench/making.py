@@ -12,7 +12,7 @@ from scipy import sparse, stats
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.bench.family import Family
-from oee_tabular.exact import optimal_policy, state_values
+from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
 Moves = Iterator[tuple[float, int]]
@@ -82,30 +82,25 @@ def model(
 
     Parameters
     ----------
-    moves : (s, a, *how) -> (probability, next state), one after the other
+    moves : (s, a, *how) -> (probability, next state), one after the other; equal next states are added up
     shape : (S, A)
     pay : rewards as of ``FiniteMDP``, or a function of the arrays s, a, s'
     start : states in which episodes begin, evenly; None: all
     """
     n_states, n_actions = shape
-    transitions = transitions_of(n_states, n_actions, lambda s, a: moves(s, a, *how))
-    rewards = paid_on(transitions, pay, n_actions) if callable(pay) else pay
-    return FiniteMDP(transitions, rewards, spread(n_states, range(n_states) if start is None else start), discount)
-
-
-def transitions_of(n_states: int, n_actions: int, moves: Callable[[int, int], Moves]) -> sparse.csr_array:
-    """(S*A, S) from ``moves(s, a)``, which yields (probability, next state); equal next states are added up."""
     entries = [
         (s * n_actions + a, to, probability)
         for s in range(n_states)
         for a in range(n_actions)
-        for probability, to in moves(s, a)
+        for probability, to in moves(s, a, *how)
         if probability > 0
     ]
     rows, columns, data = (np.array(column) for column in zip(*entries, strict=True))
     matrix = sparse.csr_array((data, (rows, columns)), shape=(n_states * n_actions, n_states))
     matrix.sum_duplicates()
-    return scaled(matrix)
+    transitions = scaled(matrix)
+    rewards = paid_on(transitions, pay, n_actions) if callable(pay) else pay
+    return FiniteMDP(transitions, rewards, spread(n_states, range(n_states) if start is None else start), discount)
 
 
 def paid_on(transitions: sparse.csr_array, paid: Callable[[Any, Any, Any], Any], n_actions: int) -> sparse.csr_array:
@@ -119,26 +114,6 @@ def scaled(matrix: sparse.csr_array) -> sparse.csr_array:
     """Rows that sum to 1."""
     return sparse.csr_array(
         (matrix.data / row_sums(matrix)[row_of_entry(matrix)], matrix.indices, matrix.indptr), matrix.shape
-    )
-
-
-def tilted(simulator: FiniteMDP, exponent: Array) -> sparse.csr_array:
-    """P exp(exponent), an exponent for each entry of ``simulator.transitions``, the rows scaled to sum to 1."""
-    matrix = simulator.transitions
-    return scaled(sparse.csr_array((matrix.data * np.exp(exponent), matrix.indices, matrix.indptr), matrix.shape))
-
-
-def along_value(simulator: FiniteMDP, *, optimal: float = 0.9) -> Array:
-    """z(V(s')) for each entry: V of the family's policy in the simulator, standardised over the states."""
-    values = state_values(simulator, mix(optimal_policy(simulator), uniform_policy(simulator), optimal))
-    return np.asarray(((values - values.mean()) / values.std())[simulator.transitions.indices])
-
-
-def mixed_rows(share: Any, one: FiniteMDP, other: FiniteMDP) -> sparse.csr_array:
-    """share * one + (1 - share) * other, a share for each (s, a), (S, A)."""
-    weight = np.asarray(share, dtype=np.float64).reshape(-1)
-    return sparse.csr_array(
-        sparse.diags_array(weight) @ one.transitions + sparse.diags_array(1.0 - weight) @ other.transitions
     )
 
 

@@ -72,7 +72,7 @@ def reproduce(
                 experiment, own, asked, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty()
             )
             out.write(experiment, Store(own, asked))
-        say(f"{out.describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+        say(f"{sweep} ({time.perf_counter() - start:.0f} s)")
     say(f"Index: {out.index(folder, EXPERIMENTS)}")
     for sentence in left_out:
         say(f"Left out: {sentence}")

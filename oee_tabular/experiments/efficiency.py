@@ -115,11 +115,6 @@ def _record(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Gen
     return log.select(kept[:n])
 
 
-def _joined(first: Transitions, second: Transitions) -> Transitions:
-    names = ("state", "action", "next_state", "reward")
-    return Transitions(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
-
-
 def _planned(known: Any, policy: Array, n: int) -> Array:
     return plan_data_collection(known, policy, n=n, sampling="behavior", restart=RESTART).behavior_policy
 
@@ -161,7 +156,9 @@ def collection_cell(settings: Cell, stream: Stream) -> list[Row]:
     log = _record(target, BEGUN_BY[design](), n // 5 if design == TWO_STAGE else n, generator)
     if design == TWO_STAGE:
         rest = n - len(log)
-        log = _joined(log, _record(target, _planned(Problem(simulator, log), policy, rest), rest, generator))
+        log = Transitions.concatenate(
+            [log, _record(target, _planned(Problem(simulator, log), policy, rest), rest, generator)]
+        )
     problem, truth = Problem(simulator, log), policy_value(target, policy)
     estimators: dict[str, Estimator] = {
         "maximum likelihood": ModelBased(fallback="simulator"),

@@ -33,6 +33,11 @@ class Sweep:
     cached: int
     stale: int
 
+    def __str__(self) -> str:
+        cached = f", {self.cached} from the cache" if self.cached else ""
+        stale = f", {self.stale} of another version of the code left aside" if self.stale else ""
+        return f"{self.folder}: {self.computed} cells computed{cached}{stale}"
+
 
 def run_cell(run: Callable[[Cell, Stream], list[Row]], settings: Settings, cell: Cell, code: str) -> list[Row]:
     """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,44 +32,45 @@ ESTIMATORS: dict[str, Estimator] = {
     "WIS, per decision": ImportanceSampling(self_normalized=True),
     "doubly robust": DoublyRobust(),
 }
-CASES: dict[str, dict[str, Any]] = {
-    "slippery FrozenLake": {
-        "simulator": "FrozenLake-v1:map_name=8x8,success_rate=1/3",
-        "target": "FrozenLake-v1:map_name=8x8,success_rate=0.6",
-        "discount": 0.99,
-    },
-    "rain": {
-        "simulator": "Taxi-v4:is_rainy=true,rainy_probability=0.8",
-        "target": "Taxi-v4:is_rainy=true,rainy_probability=0.6",
-        "discount": 0.95,
-    },
-    "random-action faults": {
-        "simulator": "Taxi-v4",
-        "target": "Taxi-v4",
-        "discount": 0.95,
-        "noise": 0.05,
-        "faults": 0.2,
-    },
-    "slippery cliff": {
-        "simulator": "CliffWalking-v1",
-        "target": "CliffWalking-v1:is_slippery=true",
-        "discount": 0.95,
-        "noise": 0.1,
-        "rewards": "log",
-    },
+
+
+@dataclass(frozen=True)
+class Case:
+    """Gymnasium's environments as simulator and target, by name.
+
+    Attributes
+    ----------
+    noise : random actions that give the simulator support
+    faults : random actions of the target, which its log does not show
+    rewards : as of ``Problem``
+    """
+
+    simulator: str
+    target: str
+    discount: float = 0.95
+    noise: float = 0.0
+    faults: float = 0.0
+    rewards: Literal["simulator", "log"] = "simulator"
+
+
+LAKE, TAXI_RAIN = "FrozenLake-v1:map_name=8x8,success_rate=", "Taxi-v4:is_rainy=true,rainy_probability="
+CLIFF = "CliffWalking-v1"
+CASES: dict[str, Case] = {
+    "slippery FrozenLake": Case(f"{LAKE}1/3", f"{LAKE}0.6", discount=0.99),
+    "rain": Case(f"{TAXI_RAIN}0.8", f"{TAXI_RAIN}0.6"),
+    "random-action faults": Case("Taxi-v4", "Taxi-v4", noise=0.05, faults=0.2),
+    "slippery cliff": Case(CLIFF, f"{CLIFF}:is_slippery=true", noise=0.1, rewards="log"),
 }
 
 
 @functools.lru_cache(maxsize=4)
 def environments(case: str) -> tuple[FiniteMDP, FiniteMDP, Any]:
     """Simulator (with the noise that gives it support), target, and what steps the target."""
-    settings = CASES[case]
-    simulator = named_task(settings["simulator"], discount=settings["discount"]).mdp
-    target = named_task(settings["target"], discount=settings["discount"])
-    if "noise" in settings:
-        simulator = simulator.with_action_noise(settings["noise"])
-    truth = target.mdp.with_action_noise(settings["faults"]) if "faults" in settings else target.mdp
-    return simulator, truth, target.environment
+    own = CASES[case]
+    simulator, target = (named_task(name, discount=own.discount) for name in (own.simulator, own.target))
+    noisy = simulator.mdp.with_action_noise(own.noise) if own.noise else simulator.mdp
+    truth = target.mdp.with_action_noise(own.faults) if own.faults else target.mdp
+    return noisy, truth, target.environment
 
 
 @functools.lru_cache(maxsize=4)
@@ -89,7 +91,7 @@ def recorded(case: str, behavior: Array, n: int, generator: np.random.Generator)
     """n transitions by stepping Gymnasium's environment; faults replace the action by a random one before it is executed."""
     _, _, make = environments(case)
     environment = make()
-    faults = CASES[case].get("faults", 0.0)
+    faults = CASES[case].faults
     if faults:
         environment = _faulty(environment, faults, generator)
     log = record_episodes(environment, behavior, n_transitions=n, seed=generator)
@@ -119,7 +121,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     simulator, target, _ = environments(case)
     behavior = mix(optimal_policy(simulator), uniform_policy(simulator), 0.5)
     log = recorded(case, behavior, n, stream.generator())
-    problem = Problem(simulator, log, behavior_policy=behavior, rewards=CASES[case].get("rewards", "simulator"))
+    problem = Problem(simulator, log, behavior_policy=behavior, rewards=CASES[case].rewards)
     asked = policies(case)
     truths = np.array([policy_value(target, policy) for policy in asked.values()])
     rows = []
