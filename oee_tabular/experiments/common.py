@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,8 @@ from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators.names import named_estimators
 from oee_tabular.experiments.panels import Errors
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, true_ratio
@@ -70,6 +72,12 @@ def episodes_for(target: FiniteMDP, behavior: Array, n: int, generator: np.rando
 def drawn(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
     """n moves drawn without replacement from such episodes: the paper's recipe."""
     return episodes_for(target, behavior, n, generator).draw(n, seed=generator)
+
+
+def estimators_of(names: Mapping[str, str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
+    """Curve -> estimator, of curve -> its name in ``oee evaluate``; an oracle is told the target."""
+    made = named_estimators(list(names.values()), target)
+    return {curve: made[name] for curve, name in names.items()}
 
 
 def zeta_error(zeta: TransitionRatio, target: FiniteMDP, simulator: FiniteMDP) -> float:

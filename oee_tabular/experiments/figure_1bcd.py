@@ -8,19 +8,9 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
-from oee_tabular.estimators import (
-    DoublyRobust,
-    Estimator,
-    ImportanceSampling,
-    Marginalized,
-    ModelBased,
-    OffEnvironment,
-    Oracle,
-    Problem,
-    Simulator,
-)
+from oee_tabular.estimators import OffEnvironment, Oracle, Problem
 from oee_tabular.exact import occupancy, policy_value, weighted_return_moments
-from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, episodes_for, grids
+from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, episodes_for, estimators_of, grids
 from oee_tabular.experiments.panels import Errors, Panels, panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
@@ -31,24 +21,22 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-N_ROLLOUTS = 100
+N_ROLLOUTS = 100  # the products' own
 
 
-def estimators(target: FiniteMDP) -> dict[str, Estimator]:
-    """Every curve; the oracle's know the target."""
-    return {
-        "simulator": Simulator(),
-        "OEE, exact": OffEnvironment(),
-        "OEE, product": OffEnvironment(evaluation="monte_carlo", n_rollouts=N_ROLLOUTS),
-        "oracle, exact": Oracle(target),
-        "oracle, product": Oracle(target, evaluation="monte_carlo", n_rollouts=N_ROLLOUTS),
-        "model-based": ModelBased(),
-        "IS": ImportanceSampling(kind="trajectory"),
-        "PDIS": ImportanceSampling(),
-        "WIS": ImportanceSampling(kind="trajectory", self_normalized=True),
-        "doubly robust": DoublyRobust(),
-        "marginalised": Marginalized(),
-    }
+CURVES = {  # and their names in ``oee evaluate``
+    "simulator": "simulator",
+    "OEE, exact": "oee",
+    "OEE, product": "oee-product",
+    "oracle, exact": "oracle",
+    "oracle, product": "oracle-product",
+    "model-based": "model-based",
+    "IS": "is",
+    "PDIS": "pdis",
+    "WIS": "wis",
+    "doubly robust": "dr",
+    "marginalised": "marginalized",
+}
 
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
@@ -65,21 +53,20 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     pool = episodes_for(target, behavior, n, generator)
     problem = Problem(simulator, pool.draw(n, seed=generator), horizon=HORIZON, behavior_policy=behavior, episodes=pool)
     rollouts = stream.generator(use="rollouts")
+    episodes = {name: {"episodes": pool.summary()["episodes"]} for name in ("IS", "PDIS", "WIS")}
     rows = []
     for delta in DELTAS:
         policy = gridworld_policy(10, delta)
         truth = SCALE * policy_value(target, policy, horizon=HORIZON)
+        facts: dict[str, Row] = dict(episodes)
         fitted = OffEnvironment().fit(problem, policy, generator)
-        zeta = {"OEE, product": fitted, "oracle, product": true_ratio(target, simulator)}
-        for name, estimate in estimators(target).items():
+        for name, zeta in (("OEE, product", fitted), ("oracle, product", true_ratio(target, simulator))):
+            moments = weighted_return_moments(simulator, zeta, policy, horizon=HORIZON)
+            facts[name] = {"exact_sd": SCALE * float(np.sqrt(moments.variance / N_ROLLOUTS))}
+        for name, estimate in estimators_of(CURVES, target).items():
             value = SCALE * estimate(problem, policy, seed=rollouts).value
             row = {"delta": delta, "estimator": name, "value": value, "truth": truth, "error": abs(value - truth)}
-            if name in zeta:
-                moments = weighted_return_moments(simulator, zeta[name], policy, horizon=HORIZON)
-                row["exact_sd"] = SCALE * float(np.sqrt(moments.variance / N_ROLLOUTS))
-            if name in ("IS", "PDIS", "WIS"):
-                row["episodes"] = pool.summary()["episodes"]
-            rows.append(row)
+            rows.append(row | facts.get(name, {}))
     return rows
 
 

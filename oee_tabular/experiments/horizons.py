@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oee_tabular.estimators import Estimator, ImportanceSampling, ModelBased, OffEnvironment, Problem, Simulator
+from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import occupancy, policy_is_moments, policy_value, weighted_return_moments
-from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, drawn, episodes_for, grids
+from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, drawn, episodes_for, estimators_of, grids
 from oee_tabular.experiments.panels import Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
@@ -65,6 +65,15 @@ HORIZON_EXPERIMENT = Experiment(
 )
 
 
+CURVES = {  # and their names in ``oee evaluate``
+    "simulator": "simulator",
+    "OEE, exact": "oee",
+    "model-based": "model-based",
+    "PDIS": "pdis",
+    "WIS, per decision": "wpdis",
+}
+
+
 def behaviour_cell(settings: Cell, stream: Stream) -> list[Row]:
     """10 x 10 grid, T = 200; 3162 moves of pi_b in the real grid (whole episodes for importance sampling, with the
     true behaviour probabilities). Means over the seeds, and the exact standard deviation of PDIS by dynamic
@@ -83,14 +92,7 @@ def behaviour_cell(settings: Cell, stream: Stream) -> list[Row]:
     moments = policy_is_moments(target, behavior, policy, horizon=HORIZON)
     episodes = pool.summary()["episodes"]
     rows = []
-    estimators: dict[str, Estimator] = {
-        "simulator": Simulator(),
-        "OEE, exact": OffEnvironment(),
-        "model-based": ModelBased(),
-        "PDIS": ImportanceSampling(),
-        "WIS, per decision": ImportanceSampling(self_normalized=True),
-    }
-    for name, estimate in estimators.items():
+    for name, estimate in estimators_of(CURVES).items():
         found = estimate(problem, policy)
         rows.append({"distance": distance, "estimator": name, "error": abs(SCALE * (found.value - truth)),
                      "effective_sample_size": found.diagnostics.get("effective_sample_size", np.nan),

@@ -9,28 +9,21 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular.estimators import (
-    DoublyRobust,
-    Estimator,
-    ImportanceSampling,
-    ModelBased,
-    OffEnvironment,
-    Problem,
-    Simulator,
-)
+from oee_tabular.estimators import Problem
 from oee_tabular.exact import optimal_policy, policy_value
+from oee_tabular.experiments.common import estimators_of
 from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import named_task, record_episodes
 
 SAMPLES = (1000, 3162, 10_000, 31_623)
-ESTIMATORS: dict[str, Estimator] = {
-    "simulator": Simulator(),
-    "OEE, exact": OffEnvironment(),
-    "model-based": ModelBased(),
-    "WIS, per decision": ImportanceSampling(self_normalized=True),
-    "doubly robust": DoublyRobust(),
+CURVES = {  # and their names in ``oee evaluate``
+    "simulator": "simulator",
+    "OEE, exact": "oee",
+    "model-based": "model-based",
+    "WIS, per decision": "wpdis",
+    "doubly robust": "dr",
 }
 
 
@@ -125,7 +118,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     asked = policies(case)
     truths = np.array([policy_value(target, policy) for policy in asked.values()])
     rows = []
-    for name, estimate in ESTIMATORS.items():
+    for name, estimate in estimators_of(CURVES).items():
         values = np.array([estimate(problem, policy, seed=0).value for policy in asked.values()])
         tau = float(stats.kendalltau(values, truths).statistic)
         regret = float(truths.max() - truths[int(np.argmax(values))])
