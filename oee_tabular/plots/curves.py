@@ -37,10 +37,6 @@ def plot_curves(
     truth, truth_label : None, a number, or (k,); its name in the legend
     xlabel, ylabel : with units
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -83,10 +79,6 @@ def plot_errors(
     ax, bands, xlabel, ylabel : as in ``plot_curves``
     slope : of the line on logarithmic axes, -1/2 for a parametric rate; None: no line
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -124,10 +116,6 @@ def plot_variance_growth(
     variances : name -> (k,) nonnegative
     ax, xlabel, ylabel : as in ``plot_curves``
     horizons : (k,); None: 1..k
-
-    Returns
-    -------
-    ax
 
     Examples
     --------

@@ -120,10 +120,6 @@ def plot_intervals(
         value; a nan value is said in words
     xlabel : what the value is, with its unit
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -208,10 +204,6 @@ def plot_states(
     top : how many states to show; those without time are left out
     names : of the states; None: their numbers
     xlabel : what the bars are, with the unit
-
-    Returns
-    -------
-    ax
 
     Examples
     --------
