@@ -73,7 +73,7 @@ class Panels:
             self.beneath(ax, rows)
         where = sorted(rows[self.x].unique())
         curves, bands = self._points(rows, where)
-        shown = {name: y for name, y in curves.items() if np.nanmax(y) > self.least}
+        shown = {name: y for name, y in curves.items() if not (y <= self.least).all()}
         self._plot(where, shown, {name: band for name, band in bands.items() if name in shown}, ax)
         ax.set(**self.axes)
 
