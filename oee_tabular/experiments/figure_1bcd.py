@@ -14,6 +14,7 @@ from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, e
 from oee_tabular.experiments.panels import Errors, Panels, panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
+from oee_tabular.plots.style import marks
 from oee_tabular.ratio import true_ratio
 from oee_tabular.tasks import gridworld, gridworld_policy
 
@@ -72,8 +73,6 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Errors of all at n = 3162, and their mean over delta against n."""
-    from oee_tabular.plots.style import series
-
     sizes = sorted(table.n.unique())
     n = 3162 if 3162 in sizes else sizes[-1]
     first, second = panels(figure, [f"the value at n = {n}", "mean |error| over the three policies"], size=(6.4, 4.6))
@@ -82,11 +81,10 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     for k, name in enumerate(names):
         own = part[part.estimator == name]
         shift = (k - (len(names) - 1) / 2) * 0.026
-        style = {key: value for key, value in series(k).items() if key != "linestyle"}
         low, high = own.groupby("delta").value.quantile(0.1), own.groupby("delta").value.quantile(0.9)
         middle = own.groupby("delta").value.mean()
         spread = np.abs([middle - low, high - middle])
-        first.errorbar(middle.index + shift, middle, yerr=spread, ls="none", ms=4, lw=1, label=name, **style)
+        first.errorbar(middle.index + shift, middle, yerr=spread, ms=4, lw=1, label=name, **marks(k))
     for delta in sorted(part.delta.unique()):
         truth = float(part[part.delta == delta].truth.iloc[0])
         first.hlines(truth, delta - 0.17, delta + 0.17, color="black", lw=1, ls=(0, (4, 2)), zorder=0)

@@ -14,6 +14,7 @@ from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.inference import interval
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.plots.style import COLORS, marks
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.tasks import gridworld_policy, named_task
 
@@ -66,27 +67,21 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
     """Coverage and width of each method."""
     names = list(METHODS)
     first, second = panels(figure, ["coverage of nominal 95% intervals", "mean width"], size=(6.2, 4.6))
-    from oee_tabular.plots.style import series
-
     cases: list[Any] = list(table.groupby(["environment", "n"], sort=False).groups)
     for k, (kind, n) in enumerate(cases):
         part = table[(table.environment == kind) & (table.n == n)].groupby("method")
-        style = {key: value for key, value in series(k).items() if key != "linestyle"}
         label = f"n = {n}" + (", two columns never recorded" if kind == "rare" else "")
         height = np.arange(len(names)) + 0.14 * (k - (len(cases) - 1) / 2)
         share, count = part.covered.mean().reindex(names), part.covered.size().reindex(names)
-        first.errorbar(
-            share, height, xerr=1.96 * np.sqrt(share * (1 - share) / count), ls="none", ms=5, lw=1, label=label, **style
-        )
-        second.plot(part.width.mean().reindex(names), height, ls="none", ms=5, label=label, **style)
+        error = 1.96 * np.sqrt(share * (1 - share) / count)
+        first.errorbar(share, height, xerr=error, ms=5, lw=1, label=label, **marks(k))
+        second.plot(part.width.mean().reindex(names), height, ms=5, label=label, **marks(k))
     first.axvline(0.95, color="black", lw=1, ls=":")
-    for ax, text in (
-        (first, "share of the intervals that hold the true value"),
-        (second, "width times (1 - discount)"),
-    ):
+    first.set_xlabel("share of the intervals that hold the true value")
+    second.set_xlabel("width times (1 - discount)")
+    for ax in (first, second):
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()
-        ax.set_xlabel(text)
         ax.grid(visible=True, alpha=0.3)
     second.set_xscale("log")
     first.legend(fontsize="small", loc="lower left")
@@ -133,17 +128,11 @@ def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> Non
     """A hundred of the intervals, those that miss marked."""
     (ax,) = panels(figure, ["the first 100 logs"], size=(5.6, 5.6))
     part = table.head(100).reset_index(drop=True)
-    for missed, color, label in ((False, "#0072B2", "holds the true value"), (True, "#D55E00", "misses it")):
-        own = part[(part.covered == 0.0) == missed]
-        ax.hlines(
-            own.index,
-            own.lower,
-            own.upper,
-            color=color,
-            lw=2.4 if missed else 1.2,
-            ls="--" if missed else "-",
-            label=label,
-        )
+    held: dict[str, Any] = {"color": COLORS[0], "lw": 1.2, "ls": "-", "label": "holds the true value"}
+    missed: dict[str, Any] = {"color": COLORS[1], "lw": 2.4, "ls": "--", "label": "misses it"}
+    for covered, style in ((1.0, held), (0.0, missed)):
+        own = part[part.covered == covered]
+        ax.hlines(own.index, own.lower, own.upper, **style)
     ax.axvline(float(part.truth.iloc[0]), color="black", lw=1, ls=":", label="true value")
     ax.set_xlabel("value (discounted sum of rewards)")
     ax.set_ylabel("log")

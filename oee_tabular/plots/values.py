@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.plots.style import COLORS, MARKERS, ink, literally, series, shown
+from oee_tabular.plots.style import COLORS, MARKERS, ink, literally, marks, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -140,7 +140,7 @@ def plot_intervals(
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
     for k in range(len(names)):
-        style = {key: value for key, value in series(k).items() if key != "linestyle"}
+        style = marks(k)
         y = len(names) - 1 - k
         value = float(centre[k])
         if np.isfinite([low[k], high[k]]).all():
@@ -148,7 +148,7 @@ def plot_intervals(
             marker = "|" if math.isnan(value) else None  # an interval without a value has ends
             ax.plot(inner, [y, y], color=style["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
         if left <= value <= right:
-            ax.plot(value, y, ms=7, ls="none", **style)
+            ax.plot(value, y, ms=7, **style)
             continue
         if math.isnan(value) and np.isfinite([low[k], high[k]]).any():
             continue  # an interval alone
