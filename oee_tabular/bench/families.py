@@ -151,6 +151,13 @@ def _sequence(seed: int, name: str) -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words))
 
 
+def checked_seed(seed: object) -> int:
+    """An integer from 0, or ValueError."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    return int(seed)
+
+
 def families(seed: int = 0, *, large: bool = False) -> Families:
     """The families of environment shift of the benchmark.
 
@@ -175,11 +182,10 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     False
     """
     _checks.boolean(large, "large")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    number = checked_seed(seed)
     makers = dict(MADE) | (dict(LARGE) if large else {})
     left_out = {}
     if others.icu_file() is None:
         del makers["icu_sepsis"]
         left_out["icu_sepsis"] = others.MISSING_ICU
-    return Families(makers, int(seed), left_out)
+    return Families(makers, number, left_out)

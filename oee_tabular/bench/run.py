@@ -15,6 +15,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._sparse import row_sums
+from oee_tabular.bench.families import checked_seed
 from oee_tabular.bench.family import Family
 from oee_tabular.bench.given import REFERENCES, Source, chosen_estimators, estimator_of, modules_of, source_of
 from oee_tabular.bench.league import League, league_of
@@ -42,11 +43,9 @@ class Plan:
 
 def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0) -> Plan:
     """Check the arguments of ``run`` and make every family once."""
-    count = _checks.positive_integer(seeds, "seeds")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    count, first = _checks.positive_integer(seeds, "seeds"), checked_seed(seed)
     chosen = chosen_estimators(estimators)
-    source = source_of(families, int(seed))
+    source = source_of(families, first)
     experiment = Experiment(
         id="bench",
         title="Estimators on families of environment shift",
@@ -60,7 +59,7 @@ def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: in
     )
     asked = {"estimators": list(chosen), "families": source.label}
     modules = tuple(sorted({*modules_of(chosen), *modules_of({"families": source.given})}))
-    return Plan(experiment, Settings("bench", experiment.axes, count, int(seed), asked, modules), source)
+    return Plan(experiment, Settings("bench", experiment.axes, count, first, asked, modules), source)
 
 
 def run(
