@@ -242,4 +242,4 @@ NETWORKS = Experiment(
     paper=lambda summary: [published(10, n) for n in summary["n"]],
     requires=("jax", "equinox", "optax"),
     extra="neural",
-)  # fmt: skip
+)
