@@ -9,8 +9,6 @@ from pathlib import Path
 
 from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.run import SEEDS, SIZES, Plan, carry_out, plan
-from oee_tabular.bench.statement import printed, save
-from oee_tabular.experiments.output import describe
 from oee_tabular.experiments.store import Store, alone
 
 
@@ -30,8 +28,6 @@ def bench(
     """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
     if seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
-    if seed < 0:
-        raise ValueError(f"--seed must be nonnegative; got {seed}")
     planned = plan(
         _names(estimators), families=families, sizes=SIZES if sizes is None else _numbers(sizes), seeds=seeds, seed=seed
     )
@@ -41,9 +37,9 @@ def bench(
     with alone(output):
         found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
         about = {name: planned.source.family(name, seed).about for name in planned.source.names}
-        save(found, output, about=about, command=_command(planned, estimators, sizes, families))
-    say(printed(found))
-    say(f"\n{describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+        found.save(output, about=about, command=_command(planned, estimators, sizes, families))
+    say(str(found))
+    say(f"\n{sweep} ({time.perf_counter() - start:.0f} s)")
     if families is None:
         for sentence in own_families(seed).left_out.values():
             say(sentence)

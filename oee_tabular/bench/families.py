@@ -13,7 +13,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular.bench import families_garnet as garnets
 from oee_tabular.bench import families_grids as grids
-from oee_tabular.bench import families_gymnasium as others_own
 from oee_tabular.bench import families_others as others
 from oee_tabular.bench import families_stock as stock
 from oee_tabular.bench.family import Family
@@ -55,11 +54,11 @@ MADE: Mapping[str, Callable[..., Family]] = {
     ),
     "garnet_one_action": garnets.changed(garnets.along(-0.5, action=0), "The moves of one action are worse."),
     "garnet_tempered": garnets.changed(garnets.tempered, "Moves are noisier than simulated.", recorded="policy"),
-    "garnet_identical": garnets.changed(garnets.same, "The simulator of the random MDP is right."),
-    "frozen_lake": others_own.frozen_lake,
-    "taxi_rain": others_own.taxi_rain,
-    "cliff_walking": others_own.cliff_walking,
-    "icu_sepsis": others_own.icu_sepsis,
+    "garnet_identical": garnets.identical,
+    "frozen_lake": grids.frozen_lake,
+    "taxi_rain": grids.taxi_rain,
+    "cliff_walking": grids.cliff_walking,
+    "icu_sepsis": others.icu_sepsis,
     "ageing_asset": others.ageing_asset,
     "epidemic": others.epidemic,
     "clinical_trial": others.clinical_trial,
@@ -70,7 +69,7 @@ MADE: Mapping[str, Callable[..., Family]] = {
     "traffic": others.traffic,
     "elevator": others.elevator,
     "gambler": others.gambler,
-    "one_way_grid": others.one_way_grid,
+    "one_way_grid": grids.one_way_grid,
 }
 LARGE: Mapping[str, Callable[..., Family]] = {
     "tandem45": lambda: stock.tandem(45),
@@ -152,6 +151,13 @@ def _sequence(seed: int, name: str) -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words))
 
 
+def checked_seed(seed: object) -> int:
+    """An integer from 0, or ValueError."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    return int(seed)
+
+
 def families(seed: int = 0, *, large: bool = False) -> Families:
     """The families of environment shift of the benchmark.
 
@@ -176,11 +182,10 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     False
     """
     _checks.boolean(large, "large")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+    number = checked_seed(seed)
     makers = dict(MADE) | (dict(LARGE) if large else {})
     left_out = {}
-    if others_own.icu_file() is None:
+    if others.icu_file() is None:
         del makers["icu_sepsis"]
-        left_out["icu_sepsis"] = others_own.MISSING_ICU
-    return Families(makers, int(seed), left_out)
+        left_out["icu_sepsis"] = others.MISSING_ICU
+    return Families(makers, number, left_out)

@@ -11,11 +11,12 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Recorded, along_value, pair, scaled, spread, tilted
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.bench.making import Recorded, pair, scaled, spread
+from oee_tabular.exact import optimal_policy, state_values
+from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
 ACTIONS, SUCCESSORS = 3, 5
-Change = Callable[[FiniteMDP, np.random.Generator], sparse.csr_array]
+Change = Callable[[FiniteMDP, np.random.Generator], Array]  # new weights of the simulator's moves, row by row
 
 
 def garnet(generator: np.random.Generator, n_states: int = 40) -> FiniteMDP:
@@ -29,66 +30,60 @@ def garnet(generator: np.random.Generator, n_states: int = 40) -> FiniteMDP:
     return FiniteMDP(transitions, rewards, spread(n_states, range(n_states)), 0.95)
 
 
-def changed(change: Change, about: str, *, recorded: Recorded = "half") -> Callable[[np.random.Generator], Family]:
-    """What makes the family of a Garnet of 40 states and its ``change``."""
+def changed(
+    change: Change, about: str, *, n_states: int = 40, recorded: Recorded = "half"
+) -> Callable[[np.random.Generator], Family]:
+    """What makes the family of a Garnet and its ``change``."""
 
     def make(generator: np.random.Generator) -> Family:
-        simulator = garnet(generator)
-        return pair(simulator, change(simulator, generator), about, recorded=recorded)
+        simulator = garnet(generator, n_states)
+        matrix = simulator.transitions
+        weights = sparse.csr_array((change(simulator, generator), matrix.indices, matrix.indptr), matrix.shape)
+        return pair(simulator, scaled(weights), about, recorded=recorded)
 
     return make
-
-
-def with_data(simulator: FiniteMDP, data: Array) -> sparse.csr_array:
-    """The simulator's support with other probabilities, scaled."""
-    matrix = simulator.transitions
-    return scaled(sparse.csr_array((data, matrix.indices, matrix.indptr), matrix.shape))
 
 
 def dirichlet(strength: float) -> Change:
     """Every row is drawn anew from Dirichlet(strength * row)."""
-    return lambda simulator, generator: with_data(
-        simulator, generator.gamma(strength * simulator.transitions.data) + np.finfo(float).tiny
-    )
+    return lambda simulator, generator: generator.gamma(strength * simulator.transitions.data) + np.finfo(float).tiny
 
 
-def replaced(simulator: FiniteMDP, generator: np.random.Generator) -> sparse.csr_array:
+def replaced(simulator: FiniteMDP, generator: np.random.Generator) -> Array:
     """A twentieth of the rows is drawn anew from the uniform Dirichlet distribution."""
     matrix = simulator.transitions
     rows = generator.permutation(matrix.shape[0])[: matrix.shape[0] // 20]
     new = generator.exponential(size=matrix.nnz)
-    return with_data(simulator, np.where(np.isin(row_of_entry(matrix), rows), new, matrix.data))
+    return np.asarray(np.where(np.isin(row_of_entry(matrix), rows), new, matrix.data))
 
 
 def along(exponent: float, *, action: int | None = None) -> Change:
-    """P exp(exponent z(V)), in the rows of all actions or of one."""
+    """P exp(exponent z(V)), V of the family's policy, standardised, in the rows of all actions or of one."""
 
-    def change(simulator: FiniteMDP, _: np.random.Generator) -> sparse.csr_array:
-        mine = action is None or row_of_entry(simulator.transitions) % ACTIONS == action
-        return tilted(simulator, exponent * along_value(simulator) * mine)
+    def change(simulator: FiniteMDP, _: np.random.Generator) -> Array:
+        matrix = simulator.transitions
+        mine = action is None or row_of_entry(matrix) % ACTIONS == action
+        values = state_values(simulator, mix(optimal_policy(simulator), uniform_policy(simulator), 0.9))
+        z = ((values - values.mean()) / values.std())[matrix.indices]
+        return np.asarray(matrix.data * np.exp(exponent * z * mine))
 
     return change
 
 
-def tempered(simulator: FiniteMDP, _: np.random.Generator) -> sparse.csr_array:
-    """P^.7, scaled."""
-    return with_data(simulator, simulator.transitions.data**0.7)
+def tempered(simulator: FiniteMDP, _: np.random.Generator) -> Array:
+    """P^.7."""
+    return np.asarray(simulator.transitions.data**0.7)
 
 
-def same(simulator: FiniteMDP, _: np.random.Generator) -> sparse.csr_array:
+def identical(generator: np.random.Generator) -> Family:
     """No change."""
-    return simulator.transitions
+    simulator = garnet(generator)
+    return pair(simulator, simulator.transitions, "The simulator of the random MDP is right.")
 
 
 def worse(n_states: int) -> Callable[[np.random.Generator], Family]:
     """What makes a Garnet of that size, a little worse everywhere along V."""
-
-    def make(generator: np.random.Generator) -> Family:
-        simulator = garnet(generator, n_states)
-        about = "Every move is a little worse than simulated, along V."
-        return pair(simulator, along(-0.25)(simulator, generator), about)
-
-    return make
+    return changed(along(-0.25), "Every move is a little worse than simulated, along V.", n_states=n_states)
 
 
 def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:

@@ -1,16 +1,17 @@
-"""Grids: the paper's, and floors of 8 x 8 whose slip differs by place or by motor."""
+"""Grids: the paper's, floors of 8 x 8 whose slip differs by place or by motor, and Gymnasium's toy text."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Recorded, mixed_rows, pair, spread
+from oee_tabular.bench.making import Recorded, pair, spread
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.tasks import gridworld, gridworld_policy
+from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 
 SIDE, CELLS = 8, 64
 SIMULATED = 0.15  # slip of the floors
@@ -24,10 +25,11 @@ def paper_grid(simulated: float, real: float, about: str) -> Family:
 
 def floor(slip: Any = SIMULATED) -> FiniteMDP:
     """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each (s, a)."""
-    always, never = gridworld(SIDE, 1.0), gridworld(SIDE, 0.0)
+    always, never = gridworld(SIDE, 1.0).transitions, gridworld(SIDE, 0.0).transitions
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (CELLS, 4)).copy()
     share[-1] = 0.0
-    transitions = mixed_rows(share, always, never)
+    weight = share.reshape(-1)
+    transitions = sparse.diags_array(weight) @ always + sparse.diags_array(1.0 - weight) @ never
     row, column = np.divmod(np.arange(CELLS), SIDE)
     distance = 0.2 * (row + column - 2 * (SIDE - 1.0))
     return FiniteMDP(transitions, distance, spread(CELLS, range(CELLS - 1)), 0.98)
@@ -78,3 +80,32 @@ def wind() -> Family:
 def calm() -> Family:
     """Nothing is wrong."""
     return floors(SIMULATED, "The simulator of the floor is right.")
+
+
+def one_way_grid() -> Family:
+    """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never seen."""
+    simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
+    family = pair(simulator, target, "Moves slip less than simulated, and the log shows one way only.", optimal=0.6)
+    narrow = pair(simulator, target, family.about, optimal=0.97).policy
+    return Family(simulator, target, family.policy, narrow, family.about)
+
+
+def frozen_lake() -> Family:
+    """FrozenLake 8 x 8: a step goes where it is meant with probability 1/3 simulated, .6 real."""
+    simulator, target = (toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate) for rate in (1 / 3, 0.6))
+    return pair(simulator, target, "The ice is less slippery than simulated.", recorded="half")
+
+
+def taxi_rain() -> Family:
+    """Taxi in the rain: it goes where it is sent with probability .8 simulated, .6 real."""
+    simulator, target = (
+        toy_text("Taxi-v4", discount=0.95, is_rainy=True, rainy_probability=rate) for rate in (0.8, 0.6)
+    )
+    return pair(simulator, target, "It rains harder than simulated: the taxi misses more turns.", recorded="policy")
+
+
+def cliff_walking() -> Family:
+    """CliffWalking: one action in ten is replaced by a random one in the simulator, three in ten in the target."""
+    simulator = toy_text("CliffWalking-v1", discount=0.95).with_action_noise(0.1)
+    wet = toy_text("CliffWalking-v1", discount=0.95).with_action_noise(0.3)
+    return pair(simulator, wet.transitions, "The edge of the cliff is more slippery than simulated.", recorded="policy")

@@ -1,15 +1,10 @@
-"""From the rows of a run to numbers of each cell (family x size x estimator), and of each estimator over the cells.
-
-RMSE ratios are over the better of two references on the same logs: min(RMSE of maximum likelihood with the simulator in unseen
-rows, RMSE of the bare simulator), which no estimator can know; where the target is the simulator, over maximum likelihood
-alone, and those cells are counted apart. A ratio is *surely* above b where the 5% quantile of its paired bootstrap over the
-seeds is.
-"""
+"""The league of a run: its tables, in words, as JSON, as pictures and as files."""
 
 from __future__ import annotations
 
-import functools
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,20 +12,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular._checks import Array
-from oee_tabular.bench.measured import LIKELIHOOD, REFERENCES, SIMULATOR
+from oee_tabular import _files
+from oee_tabular.bench.given import LIKELIHOOD, REFERENCES
+from oee_tabular.bench.scores import coverage, geometric_mean, scored, summary, wide
+from oee_tabular.experiments.output import drawn, pipe_table
+from oee_tabular.plots.style import DIVERGING, ink, literally, series, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RESAMPLES = 2000  # of the seeds
-LOW = 0.05  # the bootstrap quantile that a sure ratio exceeds
-LIMITS = (1.1, 1.5)
-TRUSTED_SIZE, TRUSTED_COVER = (
-    3.0,
-    0.9,
-)  # moves per open row, and share of the policy's time: logs whose intervals are counted
-FEW = 10  # logs of a family, below which its coverage is not called the worst
+REACH = 3.0  # powers of two on either side of 1 that the heat map's colours tell apart
+PARTING = 3.0  # sizes below it, and from it on, are stated apart
+WIDE = (10.0, 30.0)  # sizes at which widths are compared
+EXPLAINED = (
+    "RMSE over the better of maximum likelihood (the simulator in unseen rows) and the bare simulator on the same logs, over "
+    "cells (family x size): geometric mean (geo), 90% quantile, worst; share of cells whose ratio is surely above 1.1, 1.5 "
+    "(the 5% quantile of the paired bootstrap over the seeds is). `geo, over bound`: over the square root of the efficiency "
+    "bound / n. Where the target is the simulator (identical): over maximum likelihood alone. Coverage and width of the "
+    "interval that the estimator reports, over logs of at least 3 moves per open row that hold more than 90% of the policy's "
+    "time; width over that of maximum likelihood's +- 1.96 standard errors. Seconds: of one log, processor time."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,33 +60,99 @@ class League:
         return f"League({len(self.league)} estimators, {len(self.cells)} cells, {len(self.table)} rows)"
 
     def __str__(self) -> str:
-        from oee_tabular.bench.statement import printed
-
-        return printed(self)
+        """The league table and what it means."""
+        shares = ("above 1.1", "above 1.5", "coverage", "its coverage")
+        league = self.league.copy()
+        for column in league.columns[1:]:
+            form = "{:.0%}" if column in shares else "{:.3g}"
+            league[column] = [
+                "" if isinstance(x, float) and math.isnan(x) else form.format(x) if isinstance(x, float) else str(x)
+                for x in league[column]
+            ]
+        return f"{league.set_index('estimator').T.to_string()}\n\n{EXPLAINED}"
 
     def statement(self) -> dict[str, Any]:
         """Each estimator's numbers by group of sizes, for JSON: ratios, bounds, worst cells, coverage, width, time."""
-        from oee_tabular.bench.statement import statement_of
-
-        return statement_of(self)
+        names = list(self.league["estimator"])
+        return {name: _statement(self.cells, name, names) for name in names}
 
     def profile(self, figure: Figure) -> None:
-        """Draw the performance profile."""
-        from oee_tabular.bench.pictures import draw_profile
-
-        draw_profile(self.cells, figure)
+        """Draw for each estimator the share of cells (identical pairs left out) whose ratio is at most tau."""
+        figure.set_size_inches(7.0, 4.4)
+        ax = figure.subplots()
+        shifted = self.cells[~self.cells["identical"]]
+        known = shifted["ratio"][(shifted["ratio"] > 0) & np.isfinite(shifted["ratio"])]
+        low, high = (0.5, 2.0) if known.empty else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
+        for k, name in enumerate(dict.fromkeys(self.cells["estimator"])):
+            own = shifted[shifted["estimator"] == name]
+            ratios = np.sort(own["ratio"].dropna().to_numpy())
+            style = series(k)
+            share = np.arange(len(ratios) + 1) / max(1, len(own))
+            ratios = np.concatenate([[low], np.clip(ratios, low, high)])
+            ratios, share = np.append(ratios, high), np.append(share, share[-1])
+            ax.step(ratios, share, where="post", color=style["color"], ls=style["linestyle"], lw=1.7, label=shown(name))
+        ax.axvline(1.0, color=ink(), lw=0.9, ls=(0, (4, 2)))
+        ax.set_xscale("log")
+        ax.set_ylim(0.0, 1.02)
+        ax.set_xlabel("tau: RMSE over min(maximum likelihood, simulator)")
+        ax.set_ylabel("share of cells with a ratio of at most tau")
+        literally(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Figure) -> None:
-        """Draw the heat map of ratios, family x size."""
-        from oee_tabular.bench.pictures import draw_heat
+        """Draw the ratio of each family and size, a panel for each estimator that is no reference, a number in each cell."""
+        names = [name for name in dict.fromkeys(self.cells["estimator"]) if name not in REFERENCES] or list(REFERENCES)
+        families, sizes = list(dict.fromkeys(self.cells["family"])), sorted(self.cells["size"].unique())
+        figure.set_size_inches(2.6 + (0.9 + 0.55 * len(sizes)) * len(names), 1.6 + 0.21 * len(families))
+        axes: Any = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+        image = None
+        for ax, name in zip(axes, names, strict=True):
+            own = wide(self.cells, ["family", "size"], "ratio")[name]
+            ratios = np.array([[own.get((family, size), np.nan) for size in sizes] for family in families])
+            with np.errstate(divide="ignore"):
+                power = np.clip(np.log2(ratios), -REACH, REACH)
+            image = ax.imshow(power, cmap=DIVERGING, vmin=-REACH, vmax=REACH, aspect="auto")
+            for (i, j), ratio in np.ndenumerate(ratios):
+                pale = abs(power[i, j]) < 0.6 * REACH
+                text = "-" if np.isnan(ratio) else f"{ratio:.2g}"
+                ax.text(j, i, text, ha="center", va="center", fontsize=6, color="black" if pale else "white")
+            ax.set_title(shown(name), fontsize="medium")
+            ax.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes], fontsize=7)
+            ax.set_yticks(range(len(families)), [shown(family) for family in families], fontsize=7)
+            ax.set_xlabel("moves per open row", fontsize="small")
+            literally([ax.title, *ax.get_yticklabels()])
+        assert image is not None
+        bar = figure.colorbar(image, ax=list(axes), shrink=0.6)
+        bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])
+        bar.ax.tick_params(labelsize=7)
+        bar.set_label("RMSE over the reference's", fontsize="small")
 
-        draw_heat(self.cells, figure)
+    def page(self, about: Mapping[str, str], command: str) -> str:
+        """The league as a page of markdown; ``about``: what the simulator of each family has wrong."""
+        failures = self.table[self.table["value"].isna()]
+        failed = failures.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
+        lines = ["# Estimators on families of environment shift", ""]
+        lines += [f"`{command}`", ""] if command else []
+        lines += [pipe_table(self.league.set_index("estimator").T.reset_index(names="")), "", EXPLAINED, ""]
+        lines += ["![Share of cells by ratio](profile.png)", "", "![Ratio by family and size](heat.png)", ""]
+        lines += ["## Without a value", "", pipe_table(failed), ""] if len(failed) else []
+        if about:
+            frame = pd.DataFrame({"family": list(about), "what the simulator has wrong": list(about.values())})
+            lines += ["## Families", "", pipe_table(frame), ""]
+        return "\n".join(lines)
 
-    def save(self, folder: Any) -> list[Path]:
+    def save(self, folder: Any, *, about: Mapping[str, str] | None = None, command: str = "") -> list[Path]:
         """Write table.csv, cells.csv, league.csv, league.md, shown.json, profile.png and heat.png, all or none."""
-        from oee_tabular.bench.statement import save
-
-        return save(self, Path(folder))
+        contents = {
+            "table.csv": _files.csv_bytes(self.table),
+            "cells.csv": _files.csv_bytes(self.cells, float_format="%.6g"),
+            "league.csv": _files.csv_bytes(self.league, float_format="%.6g"),
+            "league.md": self.page(about or {}, command).encode(),
+            "shown.json": (json.dumps(_plain(self.statement()), indent=1) + "\n").encode(),
+            "profile.png": drawn(self.profile, salt="bench", kinds=("png",))["png"],
+            "heat.png": drawn(self.heat, salt="bench", kinds=("png",))["png"],
+        }
+        _files.write_all(Path(folder), contents)
+        return [Path(folder) / name for name in contents]
 
 
 def league_of(table: pd.DataFrame) -> League:
@@ -106,142 +173,72 @@ def league_of(table: pd.DataFrame) -> League:
     >>> league_of(pd.DataFrame(rows)).cells[["estimator", "ratio"]].round(3).values.tolist()
     [['maximum-likelihood', 1.0], ['simulator', 2.0], ['mine', 0.5]]
     """
-    cells = pd.DataFrame(
-        [
-            row
-            for (family, size), part in table.groupby(["family", "size"], sort=False)
-            for row in _cell_rows(str(family), float(size), part)  # type: ignore[arg-type]
-        ]
-    )
-    names = list(dict.fromkeys(table["estimator"]))
-    league = pd.DataFrame([_league_row(name, cells[cells["estimator"] == name]) for name in names])
-    return League(table, cells, league)
+    return League(table, *scored(table))
 
 
-def _cell_rows(family: str, size: float, part: pd.DataFrame) -> list[dict[str, Any]]:
-    """One row for each estimator of a cell."""
-    errors, lower, upper = (wide(part, ["seed"], column) for column in ("error", "lower", "upper"))
-    identical = bool(part["identical"].iloc[0])
-    first = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
-    counted = (first["covered"] > TRUSTED_COVER).to_numpy() & (size >= TRUSTED_SIZE)
-    rows = []
-    for name in dict.fromkeys(part["estimator"]):
-        mine = part[part["estimator"] == name]
-        found = errors[name].notna().to_numpy()
-        squares = {key: errors[key].to_numpy()[found] ** 2 for key in {name, *REFERENCES}}
-        interval = _interval(
-            lower[name].to_numpy(), upper[name].to_numpy(), first["truth"].to_numpy(),
-            (upper[LIKELIHOOD] - lower[LIKELIHOOD]).to_numpy(), counted,
-        )  # fmt: skip
-        rows.append(
-            {"family": family, "size": size, "estimator": name, "identical": identical, "seeds": len(mine),
-             "failed": int((~found).sum()), **_ratios(squares, name, identical),
-             "over_bound": _over_bound(squares[name], first["bound"].to_numpy()[found]),
-             "bias": float(errors[name].mean()), "covered": float(first["covered"].mean()), **interval,
-             "seconds": float(mine["seconds"].dropna().median())}
-        )  # fmt: skip
-    return rows
-
-
-def wide(frame: pd.DataFrame, index: list[str], values: str) -> pd.DataFrame:
-    """A column for each estimator."""
-    return frame.pivot(index=index, columns="estimator", values=values)  # noqa: PD010 (the other one drops what is nan)
-
-
-def _ratios(squares: dict[str, Array], name: str, identical: bool) -> dict[str, Any]:
-    """RMSE, that of the references, the ratio, and its 5% bootstrap quantile."""
-    own, likelihood, simulator = squares[name], squares[LIKELIHOOD], squares[SIMULATOR]
-    if len(own) == 0:
-        return dict.fromkeys(("rmse", LIKELIHOOD, SIMULATOR, "ratio", "low"), math.nan)
-    weights = resamples(len(own))
-    boot = [_rmse(values, weights) for values in (own, likelihood, simulator)]
-    rmse = [_rmse(values, np.full((1, len(own)), 1 / len(own))) for values in (own, likelihood, simulator)]
-    ratio, low = (_over(part[0], part[1] if identical else np.minimum(part[1], part[2])) for part in (rmse, boot))
+def _statement(cells: pd.DataFrame, name: str, names: list[str]) -> dict[str, Any]:
+    own = cells[cells["estimator"] == name]
+    shifted, same = own[~own["identical"]], own[own["identical"]]
+    groups = {
+        "sizes below 3": shifted[shifted["size"] < PARTING],
+        "sizes of 3 and more": shifted[shifted["size"] >= PARTING],
+    }
     return {
-        "rmse": float(rmse[0][0]), LIKELIHOOD: float(rmse[1][0]), SIMULATOR: float(rmse[2][0]),
-        "ratio": float(ratio[0]), "low": float(np.quantile(low, LOW, method="lower")),
-    }  # fmt: skip
-
-
-def _rmse(squares: Array, weights: Array) -> Array:
-    return np.asarray(np.sqrt(weights @ squares))
-
-
-def _over(own: Array, reference: Array) -> Array:
-    """own / reference; 1 where both are 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where((own == 0) & (reference == 0), 1.0, own / reference))
-
-
-@functools.lru_cache(maxsize=8)
-def resamples(seeds: int) -> Array:
-    """(resamples, seeds): shares of the seeds in each bootstrap sample, the same for every cell of as many seeds."""
-    drawn = np.random.default_rng(seeds).multinomial(seeds, np.full(seeds, 1 / seeds), size=RESAMPLES)
-    return np.asarray(drawn / seeds)
-
-
-def _over_bound(squares: Array, bound: Array) -> float:
-    """RMSE / sqrt(efficiency bound / n); nan where a bound is infinite or 0."""
-    if len(squares) == 0 or not np.isfinite(bound).all() or not bound.mean() > 0:
-        return math.nan
-    return float(np.sqrt(squares.mean() / bound.mean()))
-
-
-def _interval(lower: Array, upper: Array, truth: Array, likelihood: Array, counted: Any) -> dict[str, Any]:
-    """Logs whose interval is counted, how many hold the truth, and the median width over maximum likelihood's 1.96 se."""
-    here = counted & np.isfinite(lower) & np.isfinite(upper)
-    holds = here & (lower <= truth) & (truth <= upper)
-    known = here & (likelihood > 0)
-    width = float(np.median((upper - lower)[known] / likelihood[known])) if known.any() else math.nan
-    return {"logs": int(here.sum()), "held": int(holds.sum()), "width": width}
-
-
-def _league_row(name: str, cells: pd.DataFrame) -> dict[str, Any]:
-    """One estimator over its cells: those of other pairs, then those of identical ones, intervals and time of all."""
-    shifted, same = cells[~cells["identical"]], cells[cells["identical"]]
-    row = {"estimator": name, "cells": len(cells), **summary(shifted)}
-    row |= {"geo, over bound": geometric_mean(shifted["over_bound"])}
-    row |= {"identical: geo": geometric_mean(same["ratio"]), "identical: worst": _largest(same["ratio"])}
-    return row | coverage(cells) | {"seconds": float(cells["seconds"].mean()), "failed": int(cells["failed"].sum())}
-
-
-def summary(cells: pd.DataFrame) -> dict[str, Any]:
-    """Geometric mean, 90% quantile and worst of the ratios, and the shares surely above 1.1 and 1.5."""
-    known = cells[cells["ratio"].notna()]
-    worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
-    return {
-        "geo": geometric_mean(known["ratio"]),
-        "q90": float(known["ratio"].quantile(0.9, interpolation="higher")) if len(known) else math.nan,
-        "worst": math.nan if worst is None else float(worst["ratio"]),
-        "worst cell": "" if worst is None else f"{worst['family']} at {worst['size']:g}",
-        **{f"above {limit:g}": float((known["low"] > limit).mean()) if len(known) else math.nan for limit in LIMITS},
+        **{label: _group(part) for label, part in groups.items()},
+        "identical, over maximum likelihood": {
+            "geo": geometric_mean(same["ratio"]),
+            "cells": {f"{row.family} at {row.size:g}": row.ratio for row in same.itertuples()},
+        },
+        "paper_grid, over maximum likelihood": _over_likelihood(own, "paper_grid"),
+        "interval": coverage(own)
+        | {"least covered": _least_covered(own)}
+        | {"width over that of": {other: _width_over(cells, name, other) for other in names if other != name}},
+        "seconds": float(own["seconds"].mean()),
+        "failed": int(own["failed"].sum()),
     }
 
 
-def coverage(cells: pd.DataFrame) -> dict[str, Any]:
-    """Of the counted logs: the share whose interval holds the truth, the worst family's, the median relative width."""
-    logs, held = int(cells["logs"].sum()), int(cells["held"].sum())
+def _group(cells: pd.DataFrame) -> dict[str, Any]:
+    """The ratios of a group of cells, and its worst."""
+    if cells.empty:
+        return {"cells": 0}
+    worst = cells.sort_values("ratio", ascending=False).head(8)
+    return {
+        "cells": len(cells),
+        **summary(cells),
+        "share with bound at most 1.1": float((cells["low"] <= 1.1).mean()),
+        "largest bound": float(cells["low"].max()),
+        "cells with ratio above 2": int((cells["ratio"] > 2).sum()),
+        "worst cells": {f"{row.family} at {row.size:g}": [row.ratio, row.low] for row in worst.itertuples()},
+    }
+
+
+def _over_likelihood(cells: pd.DataFrame, family: str) -> dict[str, Any]:
+    here = cells[cells["family"] == family]
+    return {
+        f"{size:g}": [rmse, rmse / likelihood if likelihood else math.nan]
+        for size, rmse, likelihood in zip(here["size"], here["rmse"], here[LIKELIHOOD], strict=True)
+    }
+
+
+def _least_covered(cells: pd.DataFrame) -> dict[str, list[float]]:
+    """The five families whose intervals hold the truth least often: share, and logs."""
     by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
-    enough = by[by["logs"] >= FEW]
-    share = enough["held"] / enough["logs"]
-    return {
-        "logs": logs,
-        "coverage": held / logs if logs else math.nan,
-        "worst family": str(share.idxmin()) if len(share) else "",
-        "its coverage": float(share.min()) if len(share) else math.nan,
-        "width": float(cells["width"].median()) if cells["width"].notna().any() else math.nan,
-    }
+    by = by[by["logs"] > 0].assign(share=lambda frame: frame["held"] / frame["logs"]).sort_values("share").head(5)
+    return {str(row.Index): [float(row.share), int(row.logs)] for row in by.itertuples()}  # type: ignore[arg-type]
 
 
-def geometric_mean(values: Any) -> float:
-    """exp(mean log), of those that are numbers; nan without any."""
-    known = np.asarray(values, dtype=np.float64)
-    known = known[~np.isnan(known)]
-    if len(known) == 0:
-        return math.nan
-    with np.errstate(divide="ignore"):
-        return float(np.exp(np.log(known).mean()))
+def _width_over(cells: pd.DataFrame, name: str, other: str) -> dict[str, float]:
+    """Median over the cells of a size of this interval's width over the other's."""
+    widths = wide(cells, ["family", "size"], "width")
+    ratio = (widths[name] / widths[other]).groupby(level="size").median()
+    return {f"{size:g}": float(ratio[size]) for size in WIDE if size in ratio.index and not math.isnan(ratio[size])}
 
 
-def _largest(values: pd.Series[float]) -> float:
-    return float(values.max()) if values.notna().any() else math.nan
+def _plain(value: Any) -> Any:
+    """Without nan, which is not JSON."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy import sparse, stats
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.bench.family import Family
-from oee_tabular.exact import optimal_policy, state_values
+from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
+Moves = Iterator[tuple[float, int]]
 Recorded = Literal["uniform", "half", "policy"]
 RECORDED_BY: dict[str, float] = {"uniform": 0.0, "half": 0.5, "policy": 0.9}  # the policy's share; the rest is uniform
 
@@ -46,21 +47,60 @@ def pair(
     return Family(simulator, target, pi, mix(pi, uniform, RECORDED_BY[recorded]), about, length=length)
 
 
-def transitions_of(
-    n_states: int, n_actions: int, moves: Callable[[int, int], Iterable[tuple[float, int]]]
-) -> sparse.csr_array:
-    """(S*A, S) from ``moves(s, a)``, which yields (probability, next state); equal next states are added up."""
+def shifted(
+    moves: Callable[..., Moves],
+    shape: tuple[int, int],
+    pay: Any,
+    discount: float,
+    believed: tuple[float, ...],
+    real: tuple[float, ...],
+    about: str,
+    *,
+    start: Any = None,
+    **options: Any,
+) -> Family:
+    """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
+
+    Parameters
+    ----------
+    moves, shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
+    """
+    simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
+    return pair(simulator, target, about, **options)
+
+
+def model(
+    moves: Callable[..., Moves],
+    shape: tuple[int, int],
+    pay: Any,
+    discount: float,
+    how: tuple[float, ...],
+    *,
+    start: Any,
+) -> FiniteMDP:
+    """The MDP of moves with the parameters ``how``.
+
+    Parameters
+    ----------
+    moves : (s, a, *how) -> (probability, next state), one after the other; equal next states are added up
+    shape : (S, A)
+    pay : rewards as of ``FiniteMDP``, or a function of the arrays s, a, s'
+    start : states in which episodes begin, evenly; None: all
+    """
+    n_states, n_actions = shape
     entries = [
         (s * n_actions + a, to, probability)
         for s in range(n_states)
         for a in range(n_actions)
-        for probability, to in moves(s, a)
+        for probability, to in moves(s, a, *how)
         if probability > 0
     ]
     rows, columns, data = (np.array(column) for column in zip(*entries, strict=True))
     matrix = sparse.csr_array((data, (rows, columns)), shape=(n_states * n_actions, n_states))
     matrix.sum_duplicates()
-    return scaled(matrix)
+    transitions = scaled(matrix)
+    rewards = paid_on(transitions, pay, n_actions) if callable(pay) else pay
+    return FiniteMDP(transitions, rewards, spread(n_states, range(n_states) if start is None else start), discount)
 
 
 def paid_on(transitions: sparse.csr_array, paid: Callable[[Any, Any, Any], Any], n_actions: int) -> sparse.csr_array:
@@ -74,26 +114,6 @@ def scaled(matrix: sparse.csr_array) -> sparse.csr_array:
     """Rows that sum to 1."""
     return sparse.csr_array(
         (matrix.data / row_sums(matrix)[row_of_entry(matrix)], matrix.indices, matrix.indptr), matrix.shape
-    )
-
-
-def tilted(simulator: FiniteMDP, exponent: Array) -> sparse.csr_array:
-    """P exp(exponent), an exponent for each entry of ``simulator.transitions``, the rows scaled to sum to 1."""
-    matrix = simulator.transitions
-    return scaled(sparse.csr_array((matrix.data * np.exp(exponent), matrix.indices, matrix.indptr), matrix.shape))
-
-
-def along_value(simulator: FiniteMDP, *, optimal: float = 0.9) -> Array:
-    """z(V(s')) for each entry: V of the family's policy in the simulator, standardised over the states."""
-    values = state_values(simulator, mix(optimal_policy(simulator), uniform_policy(simulator), optimal))
-    return np.asarray(((values - values.mean()) / values.std())[simulator.transitions.indices])
-
-
-def mixed_rows(share: Any, one: FiniteMDP, other: FiniteMDP) -> sparse.csr_array:
-    """share * one + (1 - share) * other, a share for each (s, a), (S, A)."""
-    weight = np.asarray(share, dtype=np.float64).reshape(-1)
-    return sparse.csr_array(
-        sparse.diags_array(weight) @ one.transitions + sparse.diags_array(1.0 - weight) @ other.transitions
     )
 
 

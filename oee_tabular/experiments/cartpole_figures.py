@@ -9,7 +9,7 @@ import numpy as np
 
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.cartpole_truth import DELTAS, SIMULATED
-from oee_tabular.experiments.common import panels
+from oee_tabular.experiments.panels import panels
 
 if TYPE_CHECKING:
     import pandas as pd

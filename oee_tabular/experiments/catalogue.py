@@ -3,11 +3,10 @@
 from oee_tabular.experiments.cartpole import CARTPOLE_CHOICE, CARTPOLE_DATA, FIGURE_2, RESOLUTION
 from oee_tabular.experiments.convergence import MISSPECIFIED, RATE
 from oee_tabular.experiments.efficiency import COLLECTION, EFFICIENCY
-from oee_tabular.experiments.figure_1a import FIGURE_1A
+from oee_tabular.experiments.figure_1a import FIGURE_1A, NETWORKS
 from oee_tabular.experiments.figure_1bcd import ESTIMANDS, FIGURE_1BCD
 from oee_tabular.experiments.horizons import DATA_POLICY, HORIZON_EXPERIMENT
 from oee_tabular.experiments.kinova import TABLE_1
-from oee_tabular.experiments.networks import NETWORKS
 from oee_tabular.experiments.programs import LAMBDA, NORMALISATION, RENYI
 from oee_tabular.experiments.reacher import FIGURE_3
 from oee_tabular.experiments.registry import Registry

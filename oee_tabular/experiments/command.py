@@ -46,8 +46,6 @@ def reproduce(
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
-    if seed < 0:
-        raise ValueError(f"--seed must be nonnegative; got {seed}")
     chosen: list[Experiment] = []
     left_out: list[ImportError] = []
     for experiment in EXPERIMENTS.choose(names, everything=everything):
@@ -72,7 +70,7 @@ def reproduce(
                 experiment, own, asked, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty()
             )
             out.write(experiment, Store(own, asked))
-        say(f"{out.describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+        say(f"{sweep} ({time.perf_counter() - start:.0f} s)")
     say(f"Index: {out.index(folder, EXPERIMENTS)}")
     for sentence in left_out:
         say(f"Left out: {sentence}")

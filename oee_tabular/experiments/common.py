@@ -1,36 +1,38 @@
-"""What the gridworld experiments share: the pair of environments, logs by the paper's recipe, panels of a figure."""
+"""What the gridworld experiments share: pairs of environments, logs by the paper's recipe, errors; and the default problem."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
+from oee_tabular.estimators import Estimator, Problem
+from oee_tabular.estimators.names import named_estimators
+from oee_tabular.experiments.panels import Errors
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, true_ratio
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.tasks import gridworld, gridworld_policy
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 SIMULATED_SLIP, REAL_SLIP = 0.3, 0.1
 HORIZON, LONGEST = 200, 1000  # rewards of a value, steps of a recorded episode
 HALF_DECADES = tuple(round(10**e) for e in (3, 3.5, 4, 4.5, 5, 5.5))
 DELTAS = (0.1, 0.5, 0.9)
+SCALE, SMALL_SCALE = 0.01, 0.05  # values times (1 - discount): of ``grids``, of ``small_grids``
+NORMALISED = "of the value times (1 - discount)"
+MEAN_ERROR = f"mean |error| {NORMALISED}"
 
 
 @functools.lru_cache(maxsize=8)
-def grids(size: int) -> tuple[FiniteMDP, FiniteMDP]:
+def grids(size: int = 10, real: float = REAL_SLIP, discount: float = 0.99) -> tuple[FiniteMDP, FiniteMDP]:
     """The simulated and the real gridworld."""
-    return gridworld(size, SIMULATED_SLIP), gridworld(size, REAL_SLIP)
+    return gridworld(size, SIMULATED_SLIP, discount=discount), gridworld(size, real, discount=discount)
 
 
 def halves(size: int) -> tuple[FiniteMDP, FiniteMDP]:
@@ -72,6 +74,12 @@ def drawn(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Gener
     return episodes_for(target, behavior, n, generator).draw(n, seed=generator)
 
 
+def estimators_of(names: Mapping[str, str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
+    """Curve -> estimator, of curve -> its name in ``oee evaluate``; an oracle is told the target."""
+    made = named_estimators(list(names.values()), target)
+    return {curve: made[name] for curve, name in names.items()}
+
+
 def zeta_error(zeta: TransitionRatio, target: FiniteMDP, simulator: FiniteMDP) -> float:
     """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; states that are over are left out."""
     truth = true_ratio(target, simulator).values.data
@@ -84,39 +92,44 @@ def rmse(errors: Any) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def panels(
-    figure: Figure, names: list[Any], *, columns: int | None = None, size: tuple[float, float] = (4.8, 3.9)
-) -> list[Axes]:
-    """Titled axes side by side, each of ``size`` inches."""
-    across = len(names) if columns is None else min(columns, len(names))
-    down = -(-len(names) // across)
-    figure.set_size_inches(size[0] * across, size[1] * down)
-    axes = list(np.ravel(figure.subplots(down, across, squeeze=False)))
-    for ax, name in zip(axes, names, strict=False):
-        ax.set_title(str(name), fontsize="medium")
-    for ax in axes[len(names) :]:
-        ax.set_visible(False)
-    return axes[: len(names)]
+def error_of(value: float, truth: float, scale: float = SCALE) -> dict[str, float]:
+    """A row's signed error and its square."""
+    error = scale * (value - truth)
+    return {"error": error, "squared_error": error**2}
 
 
-def series_of(
-    frame: pd.DataFrame, by: str, x: str, value: str, where: list[Any], how: Callable[[Any], float] | None = None
-) -> dict[str, Array]:
-    """name -> values at ``where``: the mean (or ``how``) of the rows of each name and x; nan where there are none."""
-    found = {}
-    for name, part in frame.groupby(by, sort=False):
-        groups = part.groupby(x)[value]
-        values = groups.mean() if how is None else groups.apply(how)
-        found[str(name)] = values.reindex(where).to_numpy(dtype=float)
-    return found
+def rmse_panels(curves: str, *by: str, **options: Any) -> Errors:
+    """Root mean square errors over the seeds against n."""
+    return Errors("error", curves, by=by, how=rmse, ylabel=f"RMSE {NORMALISED}", **options)
 
 
-def quantile_bands(
-    frame: pd.DataFrame, by: str, x: str, value: str, where: list[Any]
-) -> dict[str, tuple[Array, Array]]:
-    """name -> (smallest, largest) over the seeds at each x."""
-    found = {}
-    for name, part in frame.groupby(by, sort=False):
-        groups = part.groupby(x)[value]
-        found[str(name)] = tuple(end.reindex(where).to_numpy(dtype=float) for end in (groups.min(), groups.max()))
-    return found  # type: ignore[return-value]
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """A problem, the policies to evaluate, and the target that made the log."""
+
+    problem: Problem
+    policies: dict[str, Array]
+    target: FiniteMDP
+
+
+def embedded_default(
+    *, seed: int, horizon: int | None = HORIZON, discount: float = 0.99, rewards: str = "simulator"
+) -> Embedded:
+    """The default of ``oee evaluate``: the paper's 10 x 10 grid at n = 3162 (its Figure 1 b, c, d); ``seed`` makes the log.
+
+    Importance sampling gets the whole episodes behind the drawn moves, 50 of the uniform policy.
+    """
+    simulator, target = grids(discount=discount)
+    generator = np.random.default_rng(seed)
+    behavior = uniform_policy(target)
+    episodes = sample_episodes(target, behavior, 50, LONGEST, seed=generator)
+    log = episodes.draw(3162, seed=generator)
+    problem = Problem(
+        simulator,
+        log,
+        horizon=horizon,
+        behavior_policy=behavior,
+        rewards=rewards,  # type: ignore[arg-type]  # checked by Problem
+        episodes=episodes,
+    )
+    return Embedded(problem, {f"delta={d:g}": gridworld_policy(10, d) for d in DELTAS}, target)

@@ -4,26 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oee_tabular.estimators import ModelBased, OffEnvironment, Problem, Simulator
 from oee_tabular.exact import policy_value
-from oee_tabular.experiments.common import (
-    DELTAS,
-    HALF_DECADES,
-    HORIZON,
-    behavior_of,
-    drawn,
-    episodes_for,
-    grids,
-    halves,
-    panels,
-    rmse,
-    series_of,
-    zeta_error,
-)
+from oee_tabular.experiments import common as grid
+from oee_tabular.experiments.common import DELTAS, HALF_DECADES, HORIZON
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -31,10 +19,7 @@ from oee_tabular.tasks import gridworld_policy
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
-
-SCALE = 0.01  # values times (1 - discount)
-MARK = 30_000  # n from which slopes are fitted
+    from matplotlib.axes import Axes
 
 # ---- rate --------------------------------------------------------------------------------------------------------------
 
@@ -48,48 +33,36 @@ RATIOS: dict[str, Callable[..., TransitionRatio]] = {
 
 
 def rate_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log: the first n moves of its episodes; three ratios, three policies."""
+    """10 x 10 grid, T = 200; the first n moves of episodes of at most 1000 steps of the uniform policy, or of pi_0.5.
+    Root mean square over the seeds of the error of the exact value, with lines of slope -1/2 and -1/4. The default is
+    more accurate at every n, by less as n grows where its centre is only nearly right: its slope is then flatter.
+    Where the data policy hardly visits what the evaluated policy needs (data of pi_0.5, delta = 0.1), n = 10^6 is not
+    yet large.
+    """
     n = int(settings["n"])
-    simulator, target = grids(10)
+    simulator, target = grid.grids()
     generator = stream.generator()
-    log = episodes_for(target, behavior_of(str(settings["data"]), target), n, generator).first(n)
+    log = grid.episodes_for(target, grid.behavior_of(str(settings["data"]), target), n, generator).first(n)
     problem = Problem(simulator, log, horizon=HORIZON)
-    rows = []
+    rows: list[Row] = []
     for name, fit in RATIOS.items():
         for delta in DELTAS:
             policy = gridworld_policy(10, delta)
             zeta = fit(log, simulator, policy)
-            value = OffEnvironment(zeta)(problem, policy).value
-            error = SCALE * (value - policy_value(target, policy, horizon=HORIZON))
-            rows.append({"ratio": name, "delta": delta, "error": error, "squared_error": error**2,
-                         "zeta_error": zeta_error(zeta, target, simulator)})  # fmt: skip
+            error = grid.error_of(
+                OffEnvironment(zeta)(problem, policy).value, policy_value(target, policy, horizon=HORIZON)
+            )
+            off = grid.zeta_error(zeta, target, simulator)
+            rows.append({"ratio": name, "delta": delta, **error, "zeta_error": off})
     return rows
 
 
-def fitted_slopes(table: pd.DataFrame, value: str = "squared_error", start: int = MARK) -> pd.Series:
-    """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and ratio, from ``start`` on."""
-    late = table[table.n >= start]
-    points = late.groupby(["data", "delta", "ratio", "n"], sort=False)[value].mean().reset_index()
-    return points.groupby(["data", "delta", "ratio"], sort=False)[["n", value]].apply(
-        lambda g: 0.5 * np.polyfit(np.log10(g["n"]), np.log10(g[value]), 1)[0] if len(g) > 1 else np.nan
-    )
-
-
-def draw_rate(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """RMSE against n with slopes -1/2 and -1/4."""
-    from oee_tabular.plots import plot_errors
-
-    cases: list[Any] = list(table.groupby(["data", "delta"], sort=False).groups)
-    n = sorted(table.n.unique())
-    names = [f"data of {data}, delta = {delta:g}" for data, delta in cases]
-    for ax, (data, delta) in zip(panels(figure, names, columns=3), cases, strict=True):
-        part = table[(table.data == data) & (table.delta == delta)]
-        curves = series_of(part, "ratio", "n", "error", n, rmse)
-        first = next(iter(curves.values()))[0]
-        ax.plot(
-            n, first * (np.array(n) / n[0]) ** -0.25, color="grey", lw=1, ls=(0, (1, 4)), label="slope -0.25", zorder=0
-        )
-        plot_errors(n, curves, ax, slope=-0.5, ylabel="RMSE of the value times (1 - discount)")
+def quarter_slope(ax: Axes, rows: pd.DataFrame) -> None:
+    """A grey line of slope -1/4 from where the first curve begins."""
+    n = np.sort(rows.n.unique())
+    first = rows[(rows.n == n[0]) & (rows.ratio == rows.ratio.iloc[0])]
+    line = grid.rmse(first.error) * (n / n[0]) ** -0.25
+    ax.plot(n, line, color="grey", lw=1, ls=(0, (1, 4)), label="slope -0.25", zorder=0)
 
 
 RATE = Experiment(
@@ -101,13 +74,14 @@ RATE = Experiment(
     run=rate_cell,
     keys=("data", "n", "delta", "ratio"),
     measures=("squared_error", "error", "zeta_error"),
-    draw=draw_rate,
-    caption=(
-        "10 x 10 grid, T = 200; the first n moves of episodes of at most 1000 steps of the uniform policy, or of "
-        "pi_0.5. Root mean square over the seeds of the error of the exact value, with lines of slope -1/2 and -1/4. "
-        "The default is more accurate at every n, by less as n grows where its centre is only nearly right: its slope is "
-        "then flatter. Where the data policy hardly visits what the evaluated policy needs (data of pi_0.5, delta ="
-        " 0.1), n = 10^6 is not yet large."
+    draw=grid.rmse_panels(
+        "ratio",
+        "data",
+        "delta",
+        title="data of {data}, delta = {delta:g}",
+        slope=-0.5,
+        beneath=quarter_slope,
+        columns=3,
     ),
 )
 
@@ -120,12 +94,16 @@ CHOICES: dict[str, OffEnvironment] = {
 
 
 def misspecified_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log; the value and the one-step value of two ratios, maximum likelihood, the simulator."""
+    """20 x 20 grid, slip 0.3 simulated; 0.1 real on the left half, 0.5 on the right; T = 200, data of the uniform
+    policy. Root mean square over the seeds. The default finds that theta varies over the states; with one theta for
+    all the centre is wrong, and the value is moved from it (the share moved is in the table) towards the one-step
+    value, which has maximum likelihood's variance.
+    """
     n = int(settings["n"])
-    simulator, target = halves(20)
-    log = drawn(target, uniform_policy(target), n, stream.generator())
+    simulator, target = grid.halves(20)
+    log = grid.drawn(target, uniform_policy(target), n, stream.generator())
     problem = Problem(simulator, log, horizon=HORIZON)
-    rows = []
+    rows: list[Row] = []
     for delta in DELTAS:
         policy = gridworld_policy(20, delta)
         truth = policy_value(target, policy, horizon=HORIZON)
@@ -139,20 +117,9 @@ def misspecified_cell(settings: Cell, stream: Stream) -> list[Row]:
             values[name], moved[name] = estimate.value, estimate.diagnostics["moved"]
             values[f"{name}, one-step"] = estimate.diagnostics["one_step_value"]
         for name, value in values.items():
-            error = SCALE * (value - truth)
-            rows.append({"delta": delta, "estimator": name, "error": error, "squared_error": error**2,
-                         "moved": moved.get(name, np.nan)})  # fmt: skip
+            error = grid.error_of(value, truth)
+            rows.append({"delta": delta, "estimator": name, **error, "moved": moved.get(name, np.nan)})
     return rows
-
-
-def draw_misspecified(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """RMSE against n for each policy."""
-    from oee_tabular.plots import plot_errors
-
-    deltas, n = sorted(table.delta.unique()), sorted(table.n.unique())
-    for ax, delta in zip(panels(figure, [f"delta = {delta:g}" for delta in deltas]), deltas, strict=True):
-        curves = series_of(table[table.delta == delta], "estimator", "n", "error", n, rmse)
-        plot_errors(n, curves, ax, slope=None, ylabel="RMSE of the value times (1 - discount)")
 
 
 MISSPECIFIED = Experiment(
@@ -164,11 +131,5 @@ MISSPECIFIED = Experiment(
     run=misspecified_cell,
     keys=("n", "delta", "estimator"),
     measures=("squared_error", "error", "moved"),
-    draw=draw_misspecified,
-    caption=(
-        "20 x 20 grid, slip 0.3 simulated; 0.1 real on the left half, 0.5 on the right; T = 200, data of the uniform "
-        "policy. Root mean square over the seeds. The default finds that theta varies over the states; with one theta "
-        "for all the centre is wrong, and the value is moved from it (the share moved is in the table) towards the "
-        "one-step value, which has maximum likelihood's variance."
-    ),
+    draw=grid.rmse_panels("estimator", "delta"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,38 +12,36 @@ from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimator, ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, ratio_of_ratios_variance
-from oee_tabular.experiments.common import panels, rmse, series_of, small_grids
+from oee_tabular.experiments.common import SMALL_SCALE, error_of, grids, rmse_panels, small_grids
+from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.inference import plan_data_collection
 from oee_tabular.inference.design_flow import collection_mdp
-from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.simulate import sample_episodes
-from oee_tabular.tasks import gridworld, gridworld_expert, gridworld_policy
+from oee_tabular.tasks import gridworld_policy
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-SCALE = 0.05  # values times (1 - discount) at discount 0.95
 
 # ---- efficiency --------------------------------------------------------------------------------------------------------
 
 CHUNK = 500
 
 
-def _dense(mdp: FiniteMDP) -> Array:
-    return np.asarray(mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, mdp.n_states))
-
-
 def efficiency_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """500 logs of the target and of the simulator; the plug-in and the quotient, rows as they come and normalised."""
+    """5 x 5 grid, slip 0.3 simulated, 0.1 real, discount 0.95; n = 10^5 rows drawn uniformly over (s, a) from each
+    side, 500 logs a seed. Exact: efficiency_bound for the plug-in (the maximum-likelihood model),
+    ratio_of_ratios_variance for the quotient.
+    """
     n = int(settings["n"])
-    simulator, target = gridworld(5, 0.3, discount=0.95), gridworld(5, 0.1, discount=0.95)
-    policy = mix(gridworld_expert(5), uniform_policy(target), 0.5)
+    simulator, target = grids(5, discount=0.95)
+    policy = gridworld_policy(5, 0.5)
     share = np.full((25, 4), 0.01)
-    p, q = _dense(target), _dense(simulator)
     assert simulator.transition_rewards is not None
-    reward = simulator.transition_rewards.toarray().reshape(q.shape)  # r(s, a, s'), known
+    tables = (target.transitions, simulator.transitions, simulator.transition_rewards)
+    p, q, reward = (table.toarray().reshape(25, 4, 25) for table in tables)  # r(s, a, s') is known
     generator = stream.generator()
     ours, theirs = (
         generator.multinomial(n, (share[:, :, None] * rows).reshape(-1), size=CHUNK).reshape(CHUNK, *rows.shape)
@@ -99,17 +98,11 @@ EFFICIENCY = Experiment(
     measures=("ratio", "scaled_variance", "exact"),
     draw=draw_efficiency,
     group="sureness",
-    caption=(
-        "5 x 5 grid, slip 0.3 simulated, 0.1 real, discount 0.95; n = 10^5 rows drawn uniformly over (s, a) from each "
-        "side, 500 logs a seed. Exact: efficiency_bound for the plug-in (the maximum-likelihood model), "
-        "ratio_of_ratios_variance for the quotient."
-    ),
 )
 
 # ---- collection --------------------------------------------------------------------------------------------------------
 
 RESTART = 0.05
-DESIGNS = ("uniform", "on-policy", "planned", "two-stage")
 
 
 def _record(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
@@ -122,11 +115,6 @@ def _record(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Gen
     return log.select(kept[:n])
 
 
-def _joined(first: Transitions, second: Transitions) -> Transitions:
-    names = ("state", "action", "next_state", "reward")
-    return Transitions(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
-
-
 def _planned(known: Any, policy: Array, n: int) -> Array:
     return plan_data_collection(known, policy, n=n, sampling="behavior", restart=RESTART).behavior_policy
 
@@ -137,73 +125,58 @@ def _before() -> Array:
     return _planned(small_grids()[0], gridworld_policy(5, 0.5), 1)
 
 
+TWO_STAGE = "two-stage"
+BEGUN_BY: dict[str, Callable[[], Array]] = {  # the policies that the designs begin with
+    "uniform": lambda: uniform_policy(small_grids()[1]),
+    "on-policy": lambda: gridworld_policy(5, 0.5),
+    "planned": _before,
+    TWO_STAGE: _before,
+}
+
+
 @functools.cache
 def _foretold(design: str, n: int) -> float:
     """sqrt(asymptotic variance / n) of maximum likelihood under the design; two stages: under the oracle's plan."""
     _, target = small_grids()
     policy = gridworld_policy(5, 0.5)
-    if design == "uniform":
-        behavior = uniform_policy(target)
-    elif design == "on-policy":
-        behavior = policy
-    else:
-        behavior = _before() if design == "planned" else _planned(target, policy, n)
+    behavior = _planned(target, policy, n) if design == TWO_STAGE else BEGUN_BY[design]()
     share = occupancy(collection_mdp(target, RESTART), behavior)
-    return SCALE * float(np.sqrt(efficiency_bound(target, policy, share) / n))
+    return SMALL_SCALE * float(np.sqrt(efficiency_bound(target, policy, share) / n))
 
 
 def collection_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log of each design; maximum likelihood and the default."""
+    """5 x 5 grid, discount 0.95, half expert half uniform; n moves of episodes that start again after each move with
+    probability 0.05. planned: before any data; two-stage: a fifth as planned, then the plan from that log. Root mean
+    square over the seeds. A plan minimises the variance of maximum likelihood; the default borrows from all rows, and
+    no plan is made for it. Recording by the evaluated policy itself (on-policy) saves nearly as much.
+    """
     n, design = int(settings["n"]), str(settings["design"])
     simulator, target = small_grids()
     policy, generator = gridworld_policy(5, 0.5), stream.generator()
-    if design == "uniform":
-        log = _record(target, uniform_policy(target), n, generator)
-    elif design == "on-policy":
-        log = _record(target, policy, n, generator)
-    elif design == "planned":
-        log = _record(target, _before(), n, generator)
-    else:
-        first = _record(target, _before(), n // 5, generator)
-        rest = n - len(first)
-        log = _joined(first, _record(target, _planned(Problem(simulator, first), policy, rest), rest, generator))
-    problem, truth = Problem(simulator, log), policy_value(target, policy)
-    rows = []
-    likelihood: Estimator = ModelBased(fallback="simulator")
-    for name, estimate in (("maximum likelihood", likelihood), ("default", OffEnvironment())):
-        error = SCALE * (estimate(problem, policy).value - truth)
-        rows.append({"estimator": name, "error": error, "squared_error": error**2, "foretold": _foretold(design, n)})
-    return rows
-
-
-def draw_collection(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """RMSE against n for each design."""
-    from oee_tabular.plots import plot_errors
-
-    names = list(table.estimator.unique())
-    for ax, name in zip(panels(figure, names), names, strict=True):
-        part = table[table.estimator == name]
-        n = sorted(part.n.unique())
-        plot_errors(
-            n, series_of(part, "design", "n", "error", n, rmse), ax, ylabel="RMSE of the value times (1 - discount)"
+    log = _record(target, BEGUN_BY[design](), n // 5 if design == TWO_STAGE else n, generator)
+    if design == TWO_STAGE:
+        rest = n - len(log)
+        log = Transitions.concatenate(
+            [log, _record(target, _planned(Problem(simulator, log), policy, rest), rest, generator)]
         )
+    problem, truth = Problem(simulator, log), policy_value(target, policy)
+    estimators: dict[str, Estimator] = {
+        "maximum likelihood": ModelBased(fallback="simulator"),
+        "default": OffEnvironment(),
+    }
+    errors = {name: error_of(fit(problem, policy).value, truth, SMALL_SCALE) for name, fit in estimators.items()}
+    return [{"estimator": name, **error, "foretold": _foretold(design, n)} for name, error in errors.items()]
 
 
 COLLECTION = Experiment(
     id="collection",
     title="Planned collection: the same error with a third of the moves",
-    axes={"n": (667, 2000, 6667, 20_000), "design": DESIGNS},
+    axes={"n": (667, 2000, 6667, 20_000), "design": tuple(BEGUN_BY)},
     smoke={"n": (667,), "design": ("uniform", "planned")},
     repetitions=100,
     run=collection_cell,
     keys=("n", "design", "estimator"),
     measures=("squared_error", "error", "foretold"),
-    draw=draw_collection,
+    draw=rmse_panels("design", "estimator", title="{estimator}", slope=-0.5),
     group="sureness",
-    caption=(
-        "5 x 5 grid, discount 0.95, half expert half uniform; n moves of episodes that start again after each move with"
-        " probability 0.05. planned: before any data; two-stage: a fifth as planned, then the plan from that log. Root "
-        "mean square over the seeds. A plan minimises the variance of maximum likelihood; the default borrows from all "
-        "rows, and no plan is made for it. Recording by the evaluated policy itself (on-policy) saves nearly as much."
-    ),
 )

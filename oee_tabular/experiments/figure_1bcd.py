@@ -8,21 +8,13 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
-from oee_tabular.estimators import (
-    DoublyRobust,
-    Estimator,
-    ImportanceSampling,
-    Marginalized,
-    ModelBased,
-    OffEnvironment,
-    Oracle,
-    Problem,
-    Simulator,
-)
+from oee_tabular.estimators import OffEnvironment, Oracle, Problem
 from oee_tabular.exact import occupancy, policy_value, weighted_return_moments
-from oee_tabular.experiments.common import DELTAS, HORIZON, episodes_for, grids, panels, series_of
+from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, episodes_for, estimators_of, grids
+from oee_tabular.experiments.panels import Errors, Panels, panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
+from oee_tabular.plots.style import marks
 from oee_tabular.ratio import true_ratio
 from oee_tabular.tasks import gridworld, gridworld_policy
 
@@ -30,59 +22,57 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-SIZE, N_ROLLOUTS = 10, 100
-EXACT, SCALE = "OEE, exact", 0.01  # values times (1 - discount)
+N_ROLLOUTS = 100  # the products' own
 
 
-def estimators(target: FiniteMDP) -> dict[str, Estimator]:
-    """Every curve; the oracle's know the target."""
-    return {
-        "simulator": Simulator(),
-        EXACT: OffEnvironment(),
-        "OEE, product": OffEnvironment(evaluation="monte_carlo", n_rollouts=N_ROLLOUTS),
-        "oracle, exact": Oracle(target),
-        "oracle, product": Oracle(target, evaluation="monte_carlo", n_rollouts=N_ROLLOUTS),
-        "model-based": ModelBased(),
-        "IS": ImportanceSampling(kind="trajectory"),
-        "PDIS": ImportanceSampling(),
-        "WIS": ImportanceSampling(kind="trajectory", self_normalized=True),
-        "doubly robust": DoublyRobust(),
-        "marginalised": Marginalized(),
-    }
+CURVES = {  # and their names in ``oee evaluate``
+    "simulator": "simulator",
+    "OEE, exact": "oee",
+    "OEE, product": "oee-product",
+    "oracle, exact": "oracle",
+    "oracle, product": "oracle-product",
+    "model-based": "model-based",
+    "IS": "is",
+    "PDIS": "pdis",
+    "WIS": "wis",
+    "doubly robust": "dr",
+    "marginalised": "marginalized",
+}
 
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log; every policy and estimator."""
+    """10 x 10 grid, slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s') everywhere; a log of n moves of the
+    uniform policy. Left: means and the 10% to 90% range over the seeds, dashed the true values. Importance sampling
+    gets the whole episodes behind the drawn moves, cut at T, and the true behaviour policy; products are means of 100
+    rollouts. Points outside the left panel's axis are in the table; exact_sd in table.csv is the products' exact
+    standard deviation.
+    """
     n = int(settings["n"])
-    simulator, target = grids(SIZE)
+    simulator, target = grids()
     generator = stream.generator()
     behavior = uniform_policy(target)
     pool = episodes_for(target, behavior, n, generator)
     problem = Problem(simulator, pool.draw(n, seed=generator), horizon=HORIZON, behavior_policy=behavior, episodes=pool)
     rollouts = stream.generator(use="rollouts")
+    episodes = {name: {"episodes": pool.summary()["episodes"]} for name in ("IS", "PDIS", "WIS")}
     rows = []
     for delta in DELTAS:
-        policy = gridworld_policy(SIZE, delta)
+        policy = gridworld_policy(10, delta)
         truth = SCALE * policy_value(target, policy, horizon=HORIZON)
+        facts: dict[str, Row] = dict(episodes)
         fitted = OffEnvironment().fit(problem, policy, generator)
-        zeta = {"OEE, product": fitted, "oracle, product": true_ratio(target, simulator)}
-        for name, estimate in estimators(target).items():
+        for name, zeta in (("OEE, product", fitted), ("oracle, product", true_ratio(target, simulator))):
+            moments = weighted_return_moments(simulator, zeta, policy, horizon=HORIZON)
+            facts[name] = {"exact_sd": SCALE * float(np.sqrt(moments.variance / N_ROLLOUTS))}
+        for name, estimate in estimators_of(CURVES, target).items():
             value = SCALE * estimate(problem, policy, seed=rollouts).value
             row = {"delta": delta, "estimator": name, "value": value, "truth": truth, "error": abs(value - truth)}
-            if name in zeta:
-                moments = weighted_return_moments(simulator, zeta[name], policy, horizon=HORIZON)
-                row["exact_sd"] = SCALE * float(np.sqrt(moments.variance / N_ROLLOUTS))
-            if name in ("IS", "PDIS", "WIS"):
-                row["episodes"] = pool.summary()["episodes"]
-            rows.append(row)
+            rows.append(row | facts.get(name, {}))
     return rows
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Errors of all at n = 3162, and their mean over delta against n."""
-    from oee_tabular.plots import plot_errors
-    from oee_tabular.plots.style import series
-
     sizes = sorted(table.n.unique())
     n = 3162 if 3162 in sizes else sizes[-1]
     first, second = panels(figure, [f"the value at n = {n}", "mean |error| over the three policies"], size=(6.4, 4.6))
@@ -91,11 +81,10 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     for k, name in enumerate(names):
         own = part[part.estimator == name]
         shift = (k - (len(names) - 1) / 2) * 0.026
-        style = {key: value for key, value in series(k).items() if key != "linestyle"}
         low, high = own.groupby("delta").value.quantile(0.1), own.groupby("delta").value.quantile(0.9)
         middle = own.groupby("delta").value.mean()
         spread = np.abs([middle - low, high - middle])
-        first.errorbar(middle.index + shift, middle, yerr=spread, ls="none", ms=4, lw=1, label=name, **style)
+        first.errorbar(middle.index + shift, middle, yerr=spread, ms=4, lw=1, label=name, **marks(k))
     for delta in sorted(part.delta.unique()):
         truth = float(part[part.delta == delta].truth.iloc[0])
         first.hlines(truth, delta - 0.17, delta + 0.17, color="black", lw=1, ls=(0, (4, 2)), zorder=0)
@@ -104,8 +93,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     first.set_xlabel("delta: the policy is delta expert + (1 - delta) uniform")
     first.set_ylabel("value times (1 - discount)")
     first.legend()
-    plot_errors(sizes, series_of(table, "estimator", "n", "error", sizes), second, slope=None,
-                ylabel="mean |error| of the value times (1 - discount)")  # fmt: skip
+    Errors("error", "estimator", ylabel=MEAN_ERROR).draw(table, second)
 
 
 FIGURE_1BCD = Experiment(
@@ -117,17 +105,13 @@ FIGURE_1BCD = Experiment(
     keys=("n", "delta", "estimator"),
     measures=("error", "value"),
     draw=draw,
-    caption=(
-        "10 x 10 grid, slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s') everywhere; a log of n moves of "
-        "the uniform policy. Left: means and the 10% to 90% range over the seeds, dashed the true values. Importance "
-        "sampling gets the whole episodes behind the drawn moves, cut at T, and the true behaviour policy; products are"
-        " means of 100 rollouts. Points outside the left panel's axis are in the table; exact_sd in table.csv is the "
-        "products' exact standard deviation."
-    ),
 )
 
 
 # ---- the published recipe ----------------------------------------------------------------------------------------------
+
+
+TRUE = "true, r(s_t+1)"
 
 
 def short_weight_value(simulator: FiniteMDP, target: FiniteMDP, policy: Array) -> float:
@@ -138,20 +122,24 @@ def short_weight_value(simulator: FiniteMDP, target: FiniteMDP, policy: Array) -
 
 
 def estimands(settings: Cell, stream: Stream) -> list[Row]:
-    """The three quantities that the published code compares, exactly, and 100 self-normalised rollouts of its oracle."""
+    """The published code's true curve pays r(s_t+1), its OEE pays r(s_t), and its oracle pays r(s_t+1) with a weight
+    that lacks the last move, self-normalised over 100 rollouts. All with the exact zeta, no estimation error at all:
+    what differs is what is estimated. Exactly evaluated, the oracle's quantity is nearer the true curve than OEE's; as
+    published, its rollouts put it farther off at most deltas. That OEE beats the oracle is no merit of an estimate.
+    The first two are exact, the last is the mean distance over the seeds.
+    """
     delta = float(settings["delta"])
-    simulator, target = grids(SIZE)
-    current = gridworld(SIZE, 0.1, pay="current")
-    policy = gridworld_policy(SIZE, delta)
+    simulator, target = grids()
+    current = gridworld(10, 0.1, pay="current")
+    policy = gridworld_policy(10, delta)
     truth = policy_value(target, policy, horizon=HORIZON)
     oracle = Oracle(target, evaluation="monte_carlo", self_normalized=True, n_rollouts=N_ROLLOUTS)
     short = with_next_rewards_averaged(simulator)
-    shifted = Problem(
-        short, episodes_for(target, uniform_policy(target), 100, stream.generator()).draw(100, seed=0), horizon=HORIZON
-    )
+    log = episodes_for(target, uniform_policy(target), 100, stream.generator()).draw(100, seed=0)
+    shifted = Problem(short, log, horizon=HORIZON)
     sampled = oracle(shifted, policy, seed=stream.generator(use="rollouts")).value
     values = {
-        "true, r(s_t+1)": truth,
+        TRUE: truth,
         "OEE's, r(s_t)": policy_value(current, policy, horizon=HORIZON),
         "oracle's, one move short": short_weight_value(simulator, target, policy),
         "the same, 100 rollouts": sampled,
@@ -168,17 +156,6 @@ def with_next_rewards_averaged(simulator: FiniteMDP) -> FiniteMDP:
                      simulator.discount, layout=simulator.layout)  # fmt: skip
 
 
-def draw_estimands(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Distance from the true curve."""
-    from oee_tabular.plots import plot_curves
-
-    (ax,) = panels(figure, ["how far from the true curve"], size=(6.4, 4.4))
-    deltas = sorted(table.delta.unique())
-    curves = series_of(table, "quantity", "delta", "distance", deltas)
-    curves.pop("true, r(s_t+1)")
-    plot_curves(deltas, curves, ax, xlabel="delta", ylabel="|value - true value| times (1 - discount)")
-
-
 ESTIMANDS = Experiment(
     id="estimands",
     title="The published recipe compares three different quantities",
@@ -187,12 +164,14 @@ ESTIMANDS = Experiment(
     run=estimands,
     keys=("delta", "quantity"),
     measures=("value", "distance"),
-    draw=draw_estimands,
-    caption=(
-        "The published code's true curve pays r(s_t+1), its OEE pays r(s_t), and its oracle pays r(s_t+1) with a weight"
-        " that lacks the last move, self-normalised over 100 rollouts. All with the exact zeta, no estimation error at "
-        "all: what differs is what is estimated. Exactly evaluated, the oracle's quantity is nearer the true curve than"
-        " OEE's; as published, its rollouts put it farther off at most deltas. That OEE beats the oracle is no merit of"
-        " an estimate. The first two are exact, the last is the mean distance over the seeds."
+    draw=Panels(
+        "distance",
+        "quantity",
+        "delta",
+        title="how far from the true curve",
+        xlabel="delta",
+        ylabel="|value - true value| times (1 - discount)",
+        only=lambda table: table[table.quantity != TRUE],
+        size=(6.4, 4.4),
     ),
 )

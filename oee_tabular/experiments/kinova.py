@@ -18,7 +18,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.experiments import paper
-from oee_tabular.experiments.common import panels
+from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio

@@ -12,11 +12,12 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular.experiments.registry import Experiment
-from oee_tabular.experiments.run import Sweep
 from oee_tabular.experiments.store import Store
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+STATISTICS = ("mean", "sd", "se")  # of a measure over the seeds
 
 
 def table_of(store: Store) -> pd.DataFrame:
@@ -27,16 +28,11 @@ def table_of(store: Store) -> pd.DataFrame:
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
     """Mean, sd, standard error of the measures and number of seeds at each point; the paper's number, and ours / paper."""
     grouped = table.groupby(list(experiment.keys), sort=False, dropna=False)
-    count = grouped.size().rename("seeds")
-    parts: list[Any] = [count]
+    parts: list[Any] = [grouped.size().rename("seeds")]
     for measure in experiment.measures:
-        values = grouped[measure]
-        mean, sd = values.mean(), values.std(ddof=1)
-        parts += [
-            mean.rename(f"{measure}_mean"),
-            sd.rename(f"{measure}_sd"),
-            (sd / np.sqrt(values.count())).rename(f"{measure}_se"),
-        ]
+        parts.append(
+            grouped[measure].agg(["mean", "std", "sem"]).set_axis([f"{measure}_{name}" for name in STATISTICS], axis=1)
+        )
     summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
     if experiment.paper is not None:
         summary["paper"] = experiment.paper(summary)
@@ -161,13 +157,3 @@ def index(output: Path, experiments: Iterable[Experiment]) -> Path:
             ]
     _files.write_all(output, {"index.md": "\n".join(lines).encode()})
     return output / "index.md"
-
-
-def describe(sweep: Sweep) -> str:
-    """One line on a finished sweep."""
-    parts = [f"{sweep.computed} cells computed"]
-    if sweep.cached:
-        parts.append(f"{sweep.cached} from the cache")
-    if sweep.stale:
-        parts.append(f"{sweep.stale} of another version of the code left aside")
-    return f"{sweep.folder}: {', '.join(parts)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,31 +14,33 @@ from oee_tabular.exact import evaluate_policy, policy_value, reweight, weighted_
 from oee_tabular.experiments.common import (
     HALF_DECADES,
     HORIZON,
-    SIMULATED_SLIP,
+    MEAN_ERROR,
+    NORMALISED,
+    SCALE,
     drawn,
     grids,
-    panels,
-    series_of,
     zeta_error,
 )
+from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.ratio import Quotient, transition_ratio, true_ratio
-from oee_tabular.tasks import gridworld, gridworld_policy
+from oee_tabular.tasks import gridworld_policy
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
-
-SCALE = 0.01  # values times (1 - discount)
+    from matplotlib.axes import Axes
 
 # ---- renyi -------------------------------------------------------------------------------------------------------------
 
 
 def renyi_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log of a grid with the given slip: the exact value's error, the product's, and how far the target is."""
+    """10 x 10 grid, slip 0.3 simulated, delta = 0.5, T = 200, n = 3162 moves of the uniform policy. Means over the
+    seeds. D_inf = log max zeta; d_2 in the table is the largest log sum P zeta^2 of a row, the growth of a product's
+    second moment in a step.
+    """
     slip, delta = float(settings["slip"]), 0.5
-    simulator, target = gridworld(10, SIMULATED_SLIP), gridworld(10, slip)
+    simulator, target = grids(10, slip)
     policy = gridworld_policy(10, delta)
     log = drawn(target, uniform_policy(target), 3162, stream.generator())
     problem = Problem(simulator, log, horizon=HORIZON)
@@ -64,20 +67,11 @@ def renyi_cell(settings: Cell, stream: Stream) -> list[Row]:
     ]
 
 
-def draw_renyi(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Against the slip, and against D_inf."""
-    from oee_tabular.plots import plot_curves
-
-    first, second = panels(figure, ["against the real slip (0.3 is simulated)", "against D_inf, the largest log ratio"])
-    for ax, x, label in ((first, "slip", "real slip"), (second, "d_inf", "D_inf (nats)")):
-        where = sorted(table[x].unique())
-        curves = {
-            name: np.where(y > 0, y, np.nan) for name, y in series_of(table, "estimator", x, "error", where).items()
-        }
-        curves["one oracle product, exact sd"] = table.groupby(x).oracle_product_sd.first().reindex(where).to_numpy()
-        plot_curves(where, curves, ax, xlabel=label, ylabel="mean |error| of the value times (1 - discount)")
-        ax.set_yscale("log")
-        ax.set_ylim(1e-3, 1e4)
+def renyi_panel(x: str, title: str, xlabel: str) -> Panels:
+    """Errors against a measure of distance, and the spread of a product with the true ratio."""
+    spread = {"one oracle product, exact sd": "oracle_product_sd"}
+    axes = {"ylim": (1e-3, 1e4)}
+    return Panels("error", "estimator", x, (), title, xlabel, MEAN_ERROR, spread, log=True, axes=axes)
 
 
 RENYI = Experiment(
@@ -88,11 +82,11 @@ RENYI = Experiment(
     run=renyi_cell,
     keys=("slip", "d_inf", "d_2", "estimator"),
     measures=("error", "oracle_product_sd"),
-    draw=draw_renyi,
-    caption=(
-        "10 x 10 grid, slip 0.3 simulated, delta = 0.5, T = 200, n = 3162 moves of the uniform policy. Means over the "
-        "seeds. D_inf = log max zeta; d_2 in the table is the largest log sum P zeta^2 of a row, the growth of a "
-        "product's second moment in a step."
+    draw=Beside(
+        [
+            renyi_panel("slip", "against the real slip (0.3 is simulated)", "real slip"),
+            renyi_panel("d_inf", "against D_inf, the largest log ratio", "D_inf (nats)"),
+        ]
     ),
 )
 
@@ -100,9 +94,13 @@ RENYI = Experiment(
 
 
 def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """The paper's program without, with the global, and with the rows' constraint; ridge 1 / sqrt(n), the paper's box."""
+    """10 x 10 grid, T = 200, delta = 0.5, n moves of the uniform policy against as many of the simulator; box [0.01,
+    10], ridge 1 / sqrt(n). none, global: two programs and their quotient; rows: zeta itself, sum_s' zeta P = 1 in
+    every row. Medians over the seeds: without normalised rows the value is that of a kernel whose rows sum to
+    anything, and can be astronomical.
+    """
     n, delta = int(settings["n"]), 0.5
-    simulator, target = grids(10)
+    simulator, target = grids()
     policy = gridworld_policy(10, delta)
     behavior = uniform_policy(target)
     log = drawn(target, behavior, n, stream.generator())
@@ -128,16 +126,9 @@ def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-def draw_normalisation(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """|error| on a logarithmic axis."""
-    from oee_tabular.plots import plot_errors
-
-    first, second = panels(figure, ["error of the exact value", "largest |sum of zeta P - 1| of a row"])
-    n = sorted(table.n.unique())
-    plot_errors(n, series_of(table, "normalisation", "n", "error", n, np.median), first, slope=None,
-                ylabel="median |error| of the value times (1 - discount)")  # fmt: skip
-    plot_errors(n, series_of(table, "normalisation", "n", "row_sum_error", n, np.median), second, slope=None,
-                ylabel="median over seeds (no unit)")  # fmt: skip
+def median_errors(y: str, title: str, ylabel: str) -> Errors:
+    """Medians over the seeds, of which some are astronomical."""
+    return Errors(y, "normalisation", how=np.median, title=title, ylabel=ylabel)
 
 
 NORMALISATION = Experiment(
@@ -148,72 +139,70 @@ NORMALISATION = Experiment(
     run=normalisation_cell,
     keys=("n", "normalisation"),
     measures=("error", "row_sum_error"),
-    draw=draw_normalisation,
-    caption=(
-        "10 x 10 grid, T = 200, delta = 0.5, n moves of the uniform policy against as many of the simulator; box [0.01,"
-        " 10], ridge 1 / sqrt(n). none, global: two programs and their quotient; rows: zeta itself, sum_s' zeta P = 1 "
-        "in every row. Medians over the seeds: without normalised rows the value is that of a kernel whose rows sum to "
-        "anything, and can be astronomical."
+    draw=Beside(
+        [
+            median_errors("error", "error of the exact value", f"median |error| {NORMALISED}"),
+            median_errors("row_sum_error", "largest |sum of zeta P - 1| of a row", "median over seeds (no unit)"),
+        ]
     ),
 )
 
 # ---- lambda_n ----------------------------------------------------------------------------------------------------------
 
-PENALTIES = ("sum g^2", "sum P g^2", "sum P (g - 1)^2", "-2 sum P log g", "quotient, sum g^2")
 STRENGTHS = (0.0, 0.01, 0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)
-
-
-def penalty_options(penalty: str, moves: float) -> dict[str, Any]:
-    """Arguments of ``transition_ratio``; the penalty is worth ``moves`` moves: lambda_n = moves / n_sa."""
-    if penalty == "-2 sum P log g":
-        return {"prior": "simulator", "strength": moves}
-    ridge = partial(_per_move, moves)
-    if penalty == "quotient, sum g^2":
-        return {"method": "ratio_of_ratios", "simulator_data": "exact", "ridge": ridge, "toward": None}
-    return {
-        "prior": "none",
-        "ridge": ridge,
-        "toward": {"sum g^2": None, "sum P g^2": 0.0, "sum P (g - 1)^2": 1.0}[penalty],
-    }
 
 
 def _per_move(moves: float, n: float) -> float:
     return moves / n
 
 
+def ridge(moves: float, toward: float | None) -> dict[str, Any]:
+    """lambda_n = moves / n_sa in the rows' own programs."""
+    return {"prior": "none", "ridge": partial(_per_move, moves), "toward": toward}
+
+
+def quotient(moves: float) -> dict[str, Any]:
+    """lambda_n = moves / n in the two programs of the quotient."""
+    known = {"method": "ratio_of_ratios", "simulator_data": "exact", "toward": None}
+    return known | {"ridge": partial(_per_move, moves)}
+
+
+# arguments of ``transition_ratio``, where the penalty is worth so many moves
+PENALTIES: dict[str, Callable[[float], dict[str, Any]]] = {
+    "sum g^2": lambda moves: ridge(moves, None),
+    "sum P g^2": lambda moves: ridge(moves, 0.0),
+    "sum P (g - 1)^2": lambda moves: ridge(moves, 1.0),
+    "-2 sum P log g": lambda moves: {"prior": "simulator", "strength": moves},
+    "quotient, sum g^2": quotient,
+}
+
+
 def lambda_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log; every penalty at every strength."""
+    """10 x 10 grid, data of the uniform policy. The strength is the number of moves that the penalty is worth:
+    lambda_n = moves / n_sa in a row, moves / n for the quotient's two programs (box [0.01, 10]). sum g^2: the paper's;
+    sum P g^2: weighted by the simulator, with normalised rows the same program as sum P (g - 1)^2; -2 sum P log g: the
+    Dirichlet prior. Means over seeds.
+    """
     n = int(settings["n"])
-    simulator, target = grids(10)
+    simulator, target = grids()
     policy = gridworld_policy(10, 0.5)
     truth = policy_value(target, policy, horizon=HORIZON)
     behavior = uniform_policy(simulator)
     log = drawn(target, behavior, n, stream.generator())
     problem = Problem(simulator, log, horizon=HORIZON, behavior_policy=behavior)
     rows = []
-    for penalty in PENALTIES:
+    for penalty, options in PENALTIES.items():
         for moves in STRENGTHS:
-            zeta = transition_ratio(log, simulator, **penalty_options(penalty, moves))
+            zeta = transition_ratio(log, simulator, **options(moves))
             value = OffEnvironment(zeta)(problem, policy).value
             rows.append({"penalty": penalty, "moves": moves, "zeta_error": zeta_error(zeta, target, simulator),
                          "value_error": abs(SCALE * (value - truth))})  # fmt: skip
     return rows
 
 
-def draw_lambda(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """zeta's error against the strength, a panel for each n."""
-    from oee_tabular.plots import plot_curves
-
-    sizes = sorted(table.n.unique())
-    for ax, n in zip(panels(figure, [f"n = {n}" for n in sizes]), sizes, strict=True):
-        part = table[table.n == n]
-        moves = sorted(part.moves.unique())
-        curves = series_of(part, "penalty", "moves", "zeta_error", moves)
-        plot_curves(
-            moves, curves, ax, xlabel="moves that the penalty is worth", ylabel="mean |zeta error| (ratio, no unit)"
-        )
-        ax.set_xscale("symlog", linthresh=0.01)
-        ax.set_yscale("log")
+def from_no_penalty(ax: Axes, rows: pd.DataFrame) -> None:
+    """Strengths on a logarithmic axis that begins at 0."""
+    ax.set_xscale("symlog", linthresh=0.01)
 
 
 LAMBDA = Experiment(
@@ -224,11 +213,14 @@ LAMBDA = Experiment(
     run=lambda_cell,
     keys=("n", "penalty", "moves"),
     measures=("zeta_error", "value_error"),
-    draw=draw_lambda,
-    caption=(
-        "10 x 10 grid, data of the uniform policy. The strength is the number of moves that the penalty is worth: "
-        "lambda_n = moves / n_sa in a row, moves / n for the quotient's two programs (box [0.01, 10]). sum g^2: the "
-        "paper's; sum P g^2: weighted by the simulator, with normalised rows the same program as sum P (g - 1)^2; -2 "
-        "sum P log g: the Dirichlet prior. Means over seeds."
+    draw=Panels(
+        "zeta_error",
+        "penalty",
+        "moves",
+        by=("n",),
+        xlabel="moves that the penalty is worth",
+        ylabel="mean |zeta error| (ratio, no unit)",
+        log=True,
+        beneath=from_no_penalty,
     ),
 )

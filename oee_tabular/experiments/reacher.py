@@ -14,7 +14,7 @@ from oee_tabular.estimators import Estimate
 from oee_tabular.estimators.calibrated import calibrate
 from oee_tabular.exact import policy_value
 from oee_tabular.experiments import paper
-from oee_tabular.experiments.common import panels
+from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio

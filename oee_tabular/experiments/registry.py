@@ -68,7 +68,7 @@ class Experiment:
     keys : columns that tell the points of the summary apart; measures : columns averaged over the repetitions, the first
         being what the experiment is about
     draw : (table, summary, figure) -> None
-    caption : what the figure shows, what its bands are, in which units
+    caption : what the figure shows, what its bands are, in which units; "": the docstring of ``run``
     paper : summary -> the paper's number for each of its rows (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous"
     requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
@@ -82,7 +82,7 @@ class Experiment:
     keys: tuple[str, ...]
     measures: tuple[str, ...]
     draw: Callable[[pd.DataFrame, pd.DataFrame, Figure], None]
-    caption: str
+    caption: str = ""
     repetitions: int = 10
     smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)
     smoke_repetitions: int = 2
@@ -92,6 +92,7 @@ class Experiment:
     extra: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "caption", self.caption or " ".join((self.run.__doc__ or "").split()))
         for name, values in self.smoke.items():
             missing = [value for value in values if value not in self.axes.get(name, ())]
             if missing:

@@ -19,6 +19,7 @@ import numpy as np
 
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.store import Store, code_version
+from oee_tabular.testing.calls import one_thread
 
 ATTEMPTS = 3  # of a cell whose worker died
 CONNECT = 5.0  # seconds to wait for a dask scheduler
@@ -33,20 +34,19 @@ class Sweep:
     cached: int
     stale: int
 
+    def __str__(self) -> str:
+        cached = f", {self.cached} from the cache" if self.cached else ""
+        stale = f", {self.stale} of another version of the code left aside" if self.stale else ""
+        return f"{self.folder}: {self.computed} cells computed{cached}{stale}"
+
 
 def run_cell(run: Callable[[Cell, Stream], list[Row]], settings: Settings, cell: Cell, code: str) -> list[Row]:
     """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""
-    import numba
     from threadpoolctl import threadpool_limits
 
     refuse_other_code(code_version(*settings.modules), code)
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        with threadpool_limits(limits=1):
-            return [_plain(row) for row in run(cell, Stream(settings.experiment, settings.seed, cell))]
-    finally:
-        numba.set_num_threads(threads)
+    with one_thread(), threadpool_limits(limits=1):
+        return [_plain(row) for row in run(cell, Stream(settings.experiment, settings.seed, cell))]
 
 
 def _plain(row: Row) -> Row:

@@ -63,6 +63,12 @@ def _settings_in(path: Path) -> dict[str, Any]:
     return found
 
 
+def _named(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings by name: what the folder is of, its axes, what else was asked."""
+    own = {name: settings.get(name) for name in ("experiment", "repetitions", "seed")}
+    return own | dict(sorted(settings.get("axes", {}).items())) | dict(sorted(settings.get("asked", {}).items()))
+
+
 def alone(folder: Path) -> AbstractContextManager[None]:
     """The results folder for one command at a time: the second is refused with a ValueError."""
     _require_folder(folder)
@@ -104,21 +110,11 @@ class Store:
         self.stale = len(self._others)
 
     def _compare(self, found: dict[str, Any]) -> None:
-        wanted = self.settings.as_dict()
-        if found == wanted:
+        if found == self.settings.as_dict():
             return
-        parts = []
-        for name in ("experiment", "repetitions", "seed"):
-            if found.get(name) != wanted[name]:
-                parts.append(f"{name} {found.get(name)} there, {wanted[name]} asked")
-        for name in sorted({*found.get("axes", {}), *wanted["axes"]}):
-            there, asked = found.get("axes", {}).get(name), wanted["axes"].get(name)
-            if there != asked:
-                parts.append(f"{name} {there} there, {asked} asked")
-        for name in sorted({*found.get("asked", {}), *wanted.get("asked", {})}):
-            there, asked = found.get("asked", {}).get(name), wanted.get("asked", {}).get(name)
-            if there != asked:
-                parts.append(f"{name} {there} there, {asked} asked")
+        there, asked = _named(found), _named(self.settings.as_dict())
+        names = [name for name in {**there, **asked} if there.get(name) != asked.get(name)]
+        parts = [f"{name} {there.get(name)} there, {asked.get(name)} asked" for name in names]
         raise ValueError(
             f"{self.folder} holds results of other settings: {'; '.join(parts)} (--fresh empties it; --output names "
             "another folder)"

@@ -9,18 +9,18 @@ import numpy as np
 
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
-from oee_tabular.experiments.common import panels, small_grids
+from oee_tabular.experiments.common import SMALL_SCALE, small_grids
+from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.inference import interval
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.plots.style import COLORS, marks
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.tasks import gridworld_policy, named_task
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-SCALE = 0.05  # values times (1 - discount) at discount 0.95
 
 # ---- coverage ----------------------------------------------------------------------------------------------------------
 
@@ -40,7 +40,10 @@ METHODS: dict[str, dict[str, Any]] = {
 
 
 def coverage_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log, every kind of interval."""
+    """5 x 5 grid, slip 0.3 simulated, 0.1 real, discount 0.95, infinite horizon, delta = 0.5; n rows drawn from the
+    uniform policy's discounted occupancy, the goal left out; prior box 0.25 <= zeta <= 1.6. rare: two columns, which
+    the policy needs, never recorded. Bars: 95% ranges of the share over the seeds. Widths: means.
+    """
     kind, n = str(settings["case"]).split()[0], int(str(settings["case"]).split()[1])
     simulator, target = small_grids()
     share = occupancy(target, uniform_policy(target))
@@ -54,7 +57,9 @@ def coverage_cell(settings: Cell, stream: Stream) -> list[Row]:
     for name, options in METHODS.items():
         found = interval(problem, policy, seed=int(settings["repetition"]), **options)
         covered = float(found.lower <= truth <= found.upper)
-        rows.append({"environment": kind, "n": n, "method": name, "covered": covered, "width": SCALE * found.width})
+        rows.append(
+            {"environment": kind, "n": n, "method": name, "covered": covered, "width": SMALL_SCALE * found.width}
+        )
     return rows
 
 
@@ -62,27 +67,21 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
     """Coverage and width of each method."""
     names = list(METHODS)
     first, second = panels(figure, ["coverage of nominal 95% intervals", "mean width"], size=(6.2, 4.6))
-    from oee_tabular.plots.style import series
-
     cases: list[Any] = list(table.groupby(["environment", "n"], sort=False).groups)
     for k, (kind, n) in enumerate(cases):
         part = table[(table.environment == kind) & (table.n == n)].groupby("method")
-        style = {key: value for key, value in series(k).items() if key != "linestyle"}
         label = f"n = {n}" + (", two columns never recorded" if kind == "rare" else "")
         height = np.arange(len(names)) + 0.14 * (k - (len(cases) - 1) / 2)
         share, count = part.covered.mean().reindex(names), part.covered.size().reindex(names)
-        first.errorbar(
-            share, height, xerr=1.96 * np.sqrt(share * (1 - share) / count), ls="none", ms=5, lw=1, label=label, **style
-        )
-        second.plot(part.width.mean().reindex(names), height, ls="none", ms=5, label=label, **style)
+        error = 1.96 * np.sqrt(share * (1 - share) / count)
+        first.errorbar(share, height, xerr=error, ms=5, lw=1, label=label, **marks(k))
+        second.plot(part.width.mean().reindex(names), height, ms=5, label=label, **marks(k))
     first.axvline(0.95, color="black", lw=1, ls=":")
-    for ax, text in (
-        (first, "share of the intervals that hold the true value"),
-        (second, "width times (1 - discount)"),
-    ):
+    first.set_xlabel("share of the intervals that hold the true value")
+    second.set_xlabel("width times (1 - discount)")
+    for ax in (first, second):
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()
-        ax.set_xlabel(text)
         ax.grid(visible=True, alpha=0.3)
     second.set_xscale("log")
     first.legend(fontsize="small", loc="lower left")
@@ -99,11 +98,6 @@ COVERAGE = Experiment(
     measures=("covered", "width"),
     draw=draw_coverage,
     group="sureness",
-    caption=(
-        "5 x 5 grid, slip 0.3 simulated, 0.1 real, discount 0.95, infinite horizon, delta = 0.5; n rows drawn from the "
-        "uniform policy's discounted occupancy, the goal left out; prior box 0.25 <= zeta <= 1.6. rare: two columns, "
-        "which the policy needs, never recorded. Bars: 95% ranges of the share over the seeds. Widths: means."
-    ),
 )
 
 
@@ -115,7 +109,9 @@ def lakes() -> tuple[FiniteMDP, FiniteMDP]:
 
 
 def lake_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log of 20 000 transitions; the default interval."""
+    """FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is optimal with probability 0.49,
+    the policy evaluated 0.7. The default 95% interval (profile likelihood) without a box.
+    """
     simulator, target = lakes()
     best, uniform = optimal_policy(target), uniform_policy(target)
     policy, behavior = mix(best, uniform, 0.7), mix(best, uniform, 0.49)
@@ -132,17 +128,11 @@ def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> Non
     """A hundred of the intervals, those that miss marked."""
     (ax,) = panels(figure, ["the first 100 logs"], size=(5.6, 5.6))
     part = table.head(100).reset_index(drop=True)
-    for missed, color, label in ((False, "#0072B2", "holds the true value"), (True, "#D55E00", "misses it")):
-        own = part[(part.covered == 0.0) == missed]
-        ax.hlines(
-            own.index,
-            own.lower,
-            own.upper,
-            color=color,
-            lw=2.4 if missed else 1.2,
-            ls="--" if missed else "-",
-            label=label,
-        )
+    held: dict[str, Any] = {"color": COLORS[0], "lw": 1.2, "ls": "-", "label": "holds the true value"}
+    missed: dict[str, Any] = {"color": COLORS[1], "lw": 2.4, "ls": "--", "label": "misses it"}
+    for covered, style in ((1.0, held), (0.0, missed)):
+        own = part[part.covered == covered]
+        ax.hlines(own.index, own.lower, own.upper, **style)
     ax.axvline(float(part.truth.iloc[0]), color="black", lw=1, ls=":", label="true value")
     ax.set_xlabel("value (discounted sum of rewards)")
     ax.set_ylabel("log")
@@ -159,8 +149,4 @@ COVERAGE_LAKE = Experiment(
     measures=("covered", "width"),
     draw=draw_lake,
     group="sureness",
-    caption=(
-        "FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is optimal with probability "
-        "0.49, the policy evaluated 0.7. The default 95% interval (profile likelihood) without a box."
-    ),
 )

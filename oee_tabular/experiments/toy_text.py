@@ -3,76 +3,67 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular.estimators import (
-    DoublyRobust,
-    Estimator,
-    ImportanceSampling,
-    ModelBased,
-    OffEnvironment,
-    Problem,
-    Simulator,
-)
+from oee_tabular.estimators import Problem
 from oee_tabular.exact import optimal_policy, policy_value
-from oee_tabular.experiments.common import panels, series_of
+from oee_tabular.experiments.common import estimators_of
+from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import named_task, record_episodes
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
 SAMPLES = (1000, 3162, 10_000, 31_623)
-ESTIMATORS: dict[str, Estimator] = {
-    "simulator": Simulator(),
-    "OEE, exact": OffEnvironment(),
-    "model-based": ModelBased(),
-    "WIS, per decision": ImportanceSampling(self_normalized=True),
-    "doubly robust": DoublyRobust(),
+CURVES = {  # and their names in ``oee evaluate``
+    "simulator": "simulator",
+    "OEE, exact": "oee",
+    "model-based": "model-based",
+    "WIS, per decision": "wpdis",
+    "doubly robust": "dr",
 }
-CASES: dict[str, dict[str, Any]] = {
-    "slippery FrozenLake": {
-        "simulator": "FrozenLake-v1:map_name=8x8,success_rate=1/3",
-        "target": "FrozenLake-v1:map_name=8x8,success_rate=0.6",
-        "discount": 0.99,
-    },
-    "rain": {
-        "simulator": "Taxi-v4:is_rainy=true,rainy_probability=0.8",
-        "target": "Taxi-v4:is_rainy=true,rainy_probability=0.6",
-        "discount": 0.95,
-    },
-    "random-action faults": {
-        "simulator": "Taxi-v4",
-        "target": "Taxi-v4",
-        "discount": 0.95,
-        "noise": 0.05,
-        "faults": 0.2,
-    },
-    "slippery cliff": {
-        "simulator": "CliffWalking-v1",
-        "target": "CliffWalking-v1:is_slippery=true",
-        "discount": 0.95,
-        "noise": 0.1,
-        "rewards": "log",
-    },
+
+
+@dataclass(frozen=True)
+class Case:
+    """Gymnasium's environments as simulator and target, by name.
+
+    Attributes
+    ----------
+    noise : random actions that give the simulator support
+    faults : random actions of the target, which its log does not show
+    rewards : as of ``Problem``
+    """
+
+    simulator: str
+    target: str
+    discount: float = 0.95
+    noise: float = 0.0
+    faults: float = 0.0
+    rewards: Literal["simulator", "log"] = "simulator"
+
+
+LAKE, TAXI_RAIN = "FrozenLake-v1:map_name=8x8,success_rate=", "Taxi-v4:is_rainy=true,rainy_probability="
+CLIFF = "CliffWalking-v1"
+CASES: dict[str, Case] = {
+    "slippery FrozenLake": Case(f"{LAKE}1/3", f"{LAKE}0.6", discount=0.99),
+    "rain": Case(f"{TAXI_RAIN}0.8", f"{TAXI_RAIN}0.6"),
+    "random-action faults": Case("Taxi-v4", "Taxi-v4", noise=0.05, faults=0.2),
+    "slippery cliff": Case(CLIFF, f"{CLIFF}:is_slippery=true", noise=0.1, rewards="log"),
 }
 
 
 @functools.lru_cache(maxsize=4)
 def environments(case: str) -> tuple[FiniteMDP, FiniteMDP, Any]:
     """Simulator (with the noise that gives it support), target, and what steps the target."""
-    settings = CASES[case]
-    simulator = named_task(settings["simulator"], discount=settings["discount"]).mdp
-    target = named_task(settings["target"], discount=settings["discount"])
-    if "noise" in settings:
-        simulator = simulator.with_action_noise(settings["noise"])
-    truth = target.mdp.with_action_noise(settings["faults"]) if "faults" in settings else target.mdp
-    return simulator, truth, target.environment
+    own = CASES[case]
+    simulator, target = (named_task(name, discount=own.discount) for name in (own.simulator, own.target))
+    noisy = simulator.mdp.with_action_noise(own.noise) if own.noise else simulator.mdp
+    truth = target.mdp.with_action_noise(own.faults) if own.faults else target.mdp
+    return noisy, truth, target.environment
 
 
 @functools.lru_cache(maxsize=4)
@@ -93,7 +84,7 @@ def recorded(case: str, behavior: Array, n: int, generator: np.random.Generator)
     """n transitions by stepping Gymnasium's environment; faults replace the action by a random one before it is executed."""
     _, _, make = environments(case)
     environment = make()
-    faults = CASES[case].get("faults", 0.0)
+    faults = CASES[case].faults
     if faults:
         environment = _faulty(environment, faults, generator)
     log = record_episodes(environment, behavior, n_transitions=n, seed=generator)
@@ -123,11 +114,11 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     simulator, target, _ = environments(case)
     behavior = mix(optimal_policy(simulator), uniform_policy(simulator), 0.5)
     log = recorded(case, behavior, n, stream.generator())
-    problem = Problem(simulator, log, behavior_policy=behavior, rewards=CASES[case].get("rewards", "simulator"))
+    problem = Problem(simulator, log, behavior_policy=behavior, rewards=CASES[case].rewards)
     asked = policies(case)
     truths = np.array([policy_value(target, policy) for policy in asked.values()])
     rows = []
-    for name, estimate in ESTIMATORS.items():
+    for name, estimate in estimators_of(CURVES).items():
         values = np.array([estimate(problem, policy, seed=0).value for policy in asked.values()])
         tau = float(stats.kendalltau(values, truths).statistic)
         regret = float(truths.max() - truths[int(np.argmax(values))])
@@ -137,22 +128,14 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Errors, and the rank correlation, against n; a row for each case."""
-    from oee_tabular.plots import plot_curves, plot_errors
-
-    cases = list(table.case.unique())
-    names = [text for case in cases for text in (f"{case}: error", f"{case}: ranking")]
-    axes = panels(figure, names, columns=2, size=(5.4, 3.9))
-    for k, case in enumerate(cases):
-        part = table[table.case == case]
-        n = sorted(part.n.unique())
-        plot_errors(n, series_of(part, "estimator", "n", "error", n), axes[2 * k], slope=None,
-                    ylabel="mean |error| (discounted sum of rewards)")  # fmt: skip
-        plot_curves(n, series_of(part, "estimator", "n", "kendall_tau", n), axes[2 * k + 1],
-                    xlabel="transitions of the target, n", ylabel="Kendall's tau with the true order")  # fmt: skip
-        axes[2 * k + 1].set_xscale("log")
-        axes[2 * k + 1].set_ylim(-1.05, 1.05)
+ERRORS = Errors("error", "estimator", title="{case}: error", ylabel="mean |error| (discounted sum of rewards)")
+RANKING = Panels(
+    "kendall_tau",
+    "estimator",
+    title="{case}: ranking",
+    ylabel="Kendall's tau with the true order",
+    axes={"xscale": "log", "ylim": (-1.05, 1.05)},
+)
 
 
 def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> Experiment:
@@ -164,7 +147,7 @@ def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> 
         run=cell,
         keys=("case", "n", "policy", "estimator"),
         measures=("error", "kendall_tau", "regret"),
-        draw=draw,
+        draw=Beside([ERRORS, RANKING], by=("case",), columns=2, size=(5.4, 3.9)),
         group="gymnasium",
         caption=caption
         + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "

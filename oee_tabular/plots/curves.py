@@ -37,10 +37,6 @@ def plot_curves(
     truth, truth_label : None, a number, or (k,); its name in the legend
     xlabel, ylabel : with units
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -83,10 +79,6 @@ def plot_errors(
     ax, bands, xlabel, ylabel : as in ``plot_curves``
     slope : of the line on logarithmic axes, -1/2 for a parametric rate; None: no line
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -97,11 +89,7 @@ def plot_errors(
     if not (where > 0).all():
         k = int(np.argmin(where > 0))
         raise ValueError(f"n[{k}] must be positive; it is {where[k]:g}")
-    for name, y in found.items():
-        if (y < 0).any():
-            k = int(np.argmax(y < 0))
-            raise ValueError(f"errors[{name!r}][{k}] must be nonnegative; it is {y[k]:g}")
-    plot_curves(where, {name: np.where(y > 0, y, np.nan) for name, y in found.items()}, ax, bands=bands)
+    plot_curves(where, _positive(found, "errors"), ax, bands=bands)
     first = next(iter(found.values()))
     start = np.flatnonzero(first > 0)
     if slope is not None and start.size and len(where) > 1:
@@ -129,10 +117,6 @@ def plot_variance_growth(
     ax, xlabel, ylabel : as in ``plot_curves``
     horizons : (k,); None: 1..k
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -143,16 +127,20 @@ def plot_variance_growth(
         raise ValueError("variances must hold at least one curve; it is empty")
     length = len(next(iter(variances.values())))
     where, found = _curves(np.arange(1, length + 1) if horizons is None else horizons, variances, "horizons")
-    for name, y in found.items():
+    plot_curves(where, _positive(found, "variances"), ax, xlabel=xlabel, ylabel=ylabel)
+    for line in ax.get_lines()[-len(found) :]:
+        line.set_markevery(max(1, len(where) // 8))  # markers tell the curves apart, they are not the data
+    ax.set_yscale("log")
+    return ax
+
+
+def _positive(curves: Mapping[str, Array], name: str) -> dict[str, Array]:
+    """Without zeros, which a logarithmic axis cannot show."""
+    for label, y in curves.items():
         if (y < 0).any():
             k = int(np.argmax(y < 0))
-            raise ValueError(f"variances[{name!r}][{k}] must be nonnegative; it is {y[k]:g}")
-    for k, (name, y) in enumerate(found.items()):
-        style = series(k)
-        every = max(1, len(where) // 8)  # markers tell the curves apart, they are not the data
-        ax.plot(where, np.where(y > 0, y, np.nan), ms=5, lw=1.6, markevery=every, label=shown(name), **style)
-    ax.set_yscale("log")
-    return _finish(ax, xlabel, ylabel)
+            raise ValueError(f"{name}[{label!r}][{k}] must be nonnegative; it is {y[k]:g}")
+    return {label: np.where(y > 0, y, np.nan) for label, y in curves.items()}
 
 
 def _curves(x: Any, curves: Mapping[str, Any], name: str) -> tuple[Array, dict[str, Array]]:

@@ -76,10 +76,6 @@ def plot_grid(
     crossed : (S,) mask of cells to cross out
     ticks : of the colour bar; None: matplotlib's
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -134,10 +130,6 @@ def plot_ratio(values: Any, shape: tuple[int, int], ax: Axes, *, label: str = "r
     values : (S,) positive, nan where there is none; a 0 is drawn as the smallest
     shape, ax, label : as in ``plot_grid``
 
-    Returns
-    -------
-    ax
-
     Examples
     --------
     >>> from matplotlib.figure import Figure
@@ -177,10 +169,6 @@ def plot_coverage(
     counts : (S,) or (S, A), summed over actions
     shape, ax, label : as in ``plot_grid``
     over : (S,) mask of states where an episode is over (left blank, "end")
-
-    Returns
-    -------
-    ax
 
     Examples
     --------
@@ -222,10 +210,6 @@ def plot_occupancy(
     shape, ax, label : as in ``plot_grid``
     unseen : (S,) mask of states to cross out
     over : (S,) mask of states where an episode is over (left blank, "end")
-
-    Returns
-    -------
-    ax
 
     Examples
     --------

@@ -42,6 +42,11 @@ def series(k: int) -> dict[str, Any]:
     return style | {"markerfacecolor": "none"} if again else style
 
 
+def marks(k: int) -> dict[str, Any]:
+    """The k-th series as marks without a line."""
+    return series(k) | {"linestyle": "none"}
+
+
 def ink() -> str:
     """The colour of text in the style that is in force."""
     import matplotlib

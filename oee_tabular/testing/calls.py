@@ -22,14 +22,22 @@ from oee_tabular.testing.cases import Case, case
 
 
 class Broken(Exception):
-    """A law that does not hold: ``outcome`` "fails" or "raises", what was found, and where."""
+    """A law that does not hold: what was found, and where."""
 
-    def __init__(self, outcome: str, text: str, example: str = "") -> None:
+    outcome = "fails"
+
+    def __init__(self, text: str, example: str = "") -> None:
         super().__init__(text)
-        self.outcome, self.text, self.example = outcome, text, example
+        self.text, self.example = text, example
 
 
-class Refused(Broken):
+class Raises(Broken):
+    """The estimator raised an error."""
+
+    outcome = "raises"
+
+
+class Refused(Raises):
     """The estimator raised a ValueError: it may have a right to."""
 
 
@@ -89,7 +97,7 @@ class Subject:
         """The value of one estimate; ``Broken`` where its status is not "ok"."""
         found = self.estimate(pair, log, seed, rollouts=rollouts)
         if found.status != "ok":
-            raise Broken("fails", f"no value: status {shorten(found.status)!r}", f"case {pair.name!r}, seed={seed}")
+            raise Broken(f"no value: status {shorten(found.status)!r}", f"case {pair.name!r}, seed={seed}")
         return float(found.value)
 
     def limit(self, pair: Case, **data: Any) -> float | None:
@@ -107,7 +115,7 @@ class Subject:
                 **data,
             )
         if not is_number(found):
-            raise Broken("fails", f"limit must be a float; it is {type(found).__name__}", f"case {pair.name!r}")
+            raise Broken(f"limit must be a float; it is {type(found).__name__}", f"case {pair.name!r}")
         return float(found)
 
 
@@ -117,7 +125,7 @@ def call(estimator: Any, problem: Problem, policy: Array, seed: Any, where: str)
         found = estimator(problem, policy, seed=seed)
         trouble = malformed(found)
     if trouble:
-        raise Broken("fails", trouble, f"problem {where!r}, seed={seed}")
+        raise Broken(trouble, f"problem {where!r}, seed={seed}")
     assert isinstance(found, Estimate)
     return found
 
@@ -163,10 +171,10 @@ def guarded(what: str, where: str) -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     except ValueError as error:
-        raise Refused("raises", f"{what} raises ValueError: {shorten(str(error))}", f"problem {where!r}") from error
+        raise Refused(f"{what} raises ValueError: {shorten(str(error))}", f"problem {where!r}") from error
     except (Exception, SystemExit) as error:
         name = type(error).__name__
-        raise Broken("raises", f"{what} raises {name}: {shorten(str(error))}", f"problem {where!r}") from error
+        raise Raises(f"{what} raises {name}: {shorten(str(error))}", f"problem {where!r}") from error
     finally:
         random.setstate(state)
         np.random.set_state(numpy_state)  # noqa: NPY002

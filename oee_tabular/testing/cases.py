@@ -58,10 +58,7 @@ class Case:
     @property
     def data_distribution(self) -> Array:
         """(S, A): how the rows of a log are distributed."""
-        running = self.target.with_discount(1.0)
-        time = occupancy(running, self.behavior, horizon=self.steps)
-        time[self.target.absorbing()] = 0.0  # an episode ends on arrival
-        return np.asarray(time / time.sum())
+        return recorded(self.target, self.behavior, self.steps)
 
     def log(self, n: int, *, seed: Any) -> Transitions:
         """``n`` episodes of the behaviour policy in the target."""
@@ -99,6 +96,14 @@ class Case:
         pair = [_renamed(mdp, states, actions) for mdp in (self.simulator, self.target)]
         policies = [_table(table, states, actions) for table in (self.policy, self.behavior)]
         return replace(self, simulator=pair[0], target=pair[1], policy=policies[0], behavior=policies[1])
+
+
+def recorded(target: FiniteMDP, behavior: Array, steps: int) -> Array:
+    """(S, A): how the rows of episodes are distributed; an episode ends on arrival in an absorbing state."""
+    time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
+    alive = np.where(target.absorbing()[:, None], 0.0, time)
+    found = alive if alive.any() else time
+    return np.asarray(found / found.sum())
 
 
 def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Transitions:
@@ -207,9 +212,8 @@ def _ragged(name: str, horizon: int | None, discount: float, steps: int) -> Case
 
 def _moves(name: str, horizon: int | None, discount: float, steps: int) -> Case:
     """Nothing ends, and a reward belongs to the move."""
-    simulator, target = np.zeros((3, 2, 3)), np.zeros((3, 2, 3))
-    target[:] = np.array([[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]]) / 10.0
-    simulator[:] = np.array([[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]]) / 10.0
+    target = np.array([[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]]) / 10.0
+    simulator = np.array([[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]]) / 10.0
     rewards = np.arange(18).reshape(3, 2, 3) * 7 % 11 - 3.0
     rewards[:, :, 0] += 4.0
     policy, behavior = np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)

@@ -1,24 +1,43 @@
-"""What ``oee check module:object`` does."""
+"""What ``oee check module:object`` does: the laws in a process of their own, which may hang, exit or be killed.
+
+What happens to the process is a verdict like any other.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import inspect
+import multiprocessing
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 from typing import Any
 
 from oee_tabular import _checks
-from oee_tabular.testing.apart import check_apart
-from oee_tabular.testing.conformance import Verdicts, check_numbers
+from oee_tabular.estimators import Simulator
+from oee_tabular.testing.calls import one_thread
+from oee_tabular.testing.conformance import (
+    LAWS,
+    Verdict,
+    Verdicts,
+    check_estimator,
+    check_numbers,
+    subject_of,
+    verdict_on,
+)
 
 LONGEST = 1e6  # seconds; operating systems wait for little more
+PREPARING = 3600.0  # seconds that compilation and import of this package may take: no fault of the estimator's
 
 
 def check(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0) -> Verdicts:
     """Import an estimator, from the current directory or what is installed, in a process of its own, and check it there.
+
+    A law that ends the process, or takes longer than ``timeout`` seconds, is broken; another process goes on with the next law.
 
     Parameters
     ----------
@@ -35,10 +54,120 @@ def check(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60
     check_numbers(seed, repetitions)
     seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
     module_and_path(spec, "the estimator", "my_package.mine:MyEstimator")
-    return check_apart(spec, seed, repetitions, seconds)
+    verdicts: dict[str, Verdict] = {}
+    while len(verdicts) < len(LAWS):
+        left = [name for name in LAWS if name not in verdicts]
+        with _process(spec, seed, repetitions, left) as answer:
+            title, claims = _imported(spec, answer, seconds)
+            for name in left:
+                try:
+                    verdicts[name] = Verdict(*answer(seconds))
+                except Ended as ended:
+                    example = f"check_estimator(..., laws=[{name!r}], seed={seed})"
+                    verdicts[name] = Verdict(name, ended.outcome, ended.text, example)
+                    break
+    return Verdicts(title, frozenset(claims), seed, verdicts)
 
 
-@contextlib.contextmanager
+class Ended(Exception):
+    """The process gives no answer: an outcome, "exits" or "hangs", and how."""
+
+    def __init__(self, outcome: str, text: str) -> None:
+        super().__init__(text)
+        self.outcome, self.text = outcome, text
+
+
+def _imported(spec: str, answer: Any, timeout: float) -> tuple[str, list[str]]:
+    """The estimator's name and claims, once it has been imported and made."""
+    answer(PREPARING)
+    try:
+        title, claims, refusal = answer(timeout)
+    except Ended as ended:
+        raise ValueError(f"{spec!r} cannot be imported: {ended.text}") from None
+    if refusal is not None:
+        raise ValueError(refusal)
+    return title, claims
+
+
+@contextmanager
+def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterator[Any]:
+    """A process that checks the laws, as a function: seconds -> its next answer, or ``Ended``. It is killed on leaving."""
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(writer, spec, seed, repetitions, laws))
+    process.start()
+    writer.close()
+
+    def answer(seconds: float) -> Any:
+        if not reader.poll(seconds):
+            raise Ended("hangs", f"no answer within {seconds:g} s (--timeout gives it more)")
+        try:
+            return reader.recv()
+        except (EOFError, OSError):
+            process.join(5.0)
+            raise Ended("exits", _how(process.exitcode)) from None
+
+    try:
+        yield answer
+    finally:
+        _kill(process)
+        reader.close()
+
+
+def _how(code: int | None) -> str:
+    """How a process ended."""
+    if code is None:
+        return "the process closes its connection"
+    if code >= 0:
+        return f"the process ends, with exit code {code}"
+    with suppress(ValueError):
+        return f"the process is killed by {signal.Signals(-code).name}"
+    return f"the process is killed by signal {-code}"
+
+
+def _kill(process: Any) -> None:
+    """The process and those that it has started."""
+    with suppress(ProcessLookupError, PermissionError, AttributeError):  # none left; on Windows, no groups
+        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.join()
+    process.close()
+
+
+def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]) -> None:
+    """What the process does: it says that it is ready, what the estimator is or why there is none, and each verdict."""
+    if hasattr(os, "setsid"):
+        os.setsid()  # a group, with what the estimator starts
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with one_thread():
+        check_estimator(Simulator(), repetitions=3)  # compiles what laws need: the seconds are not the estimator's
+        answers.send("ready")
+        with own_modules():
+            try:
+                title, subject = subject_of(own_estimator(spec), seed, repetitions)
+            except Exception as error:
+                own = isinstance(error, ValueError)
+                answers.send(("", [], str(error) if own else f"{spec!r} raises {type(error).__name__}: {error}"))
+                return
+            answers.send((title, sorted(subject.claims), None))
+            for name in laws:
+                found = verdict_on(name, subject)
+                answers.send((found.law, found.outcome, found.text, found.example))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        if hasattr(os, "killpg"):
+            os.killpg(0, signal.SIGKILL)  # itself as well
+        os._exit(1)
+
+
+# ---- MODULE:OBJECT -----------------------------------------------------------------------------------------------------
+
+
+@contextmanager
 def own_modules() -> Iterator[None]:
     """Modules of the current directory can be imported, as those that are installed."""
     folder = os.getcwd()

@@ -9,7 +9,7 @@ import numpy as np
 from oee_tabular.data import Transitions
 from oee_tabular.testing.calls import Broken, Subject
 from oee_tabular.testing.cases import Case, padded_log, relabelled_log
-from oee_tabular.testing.comparing import exactly, same_mean
+from oee_tabular.testing.laws import exactly, same_mean
 
 EPISODES, FEW_EPISODES = 300, 40
 SCALE, SHIFT = -2.5, 3.0
@@ -94,7 +94,6 @@ def seeds(subject: Subject) -> str:
     if len(set(values)) > 1:
         shown = ", ".join(f"{value:.8g}" for value in values)
         raise Broken(
-            "fails",
             f"{pair.name}: seeds 0 to 3 give {shown}, and it does not claim to be random",
             f"case {pair.name!r}",
         )

@@ -14,7 +14,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.testing.calls import Broken, Refused, Subject, call, guarded, malformed, shorten
+from oee_tabular.testing.calls import Broken, Raises, Refused, Subject, call, guarded, malformed, shorten
 from oee_tabular.testing.cases import Case
 
 FEW, EPISODES = 20, 200
@@ -31,7 +31,7 @@ def well_formed(subject: Subject) -> str:
             refused, example = refused + 1, refusal.text
     total = answered + refused
     if answered == 0:
-        raise Broken("raises", f"all {total} problems are refused, the last: {example}")
+        raise Raises(f"all {total} problems are refused, the last: {example}")
     return f"{answered} of {total} odd problems answered" + (
         f", {refused} refused ({shorten(example, 80)})" if refused else ""
     )
@@ -55,11 +55,11 @@ def input_unchanged(subject: Subject) -> str:
             failure = broken
         for name, value in fields.items():
             if getattr(problem, name) is not value:
-                raise Broken("fails", f"problem.{name} is another object after the call", f"case {pair.name!r}")
+                raise Broken(f"problem.{name} is another object after the call", f"case {pair.name!r}")
         for name, array in arrays.items():
             if not np.array_equal(array, before[name], equal_nan=array.dtype.kind == "f"):
                 changed = int(np.sum(array != before[name]))
-                raise Broken("fails", f"{name} is changed in {changed} of {array.size} places", f"case {pair.name!r}")
+                raise Broken(f"{name} is changed in {changed} of {array.size} places", f"case {pair.name!r}")
         if failure is not None:
             raise failure
         n = len(arrays)
@@ -76,7 +76,7 @@ def reproducible(subject: Subject) -> str:
             one, two = getattr(first, name), getattr(second, name)
             if one != two and not (one is not None and two is not None and np.isnan(one) and np.isnan(two)):
                 text = f"{name} of seed 7 is {one!r}, and when called again {two!r}"
-                raise Broken("fails", f"{pair.name}: {text}", f"case {pair.name!r}, the same problem twice, seed=7")
+                raise Broken(f"{pair.name}: {text}", f"case {pair.name!r}, the same problem twice, seed=7")
         found.append(f"{pair.name}: seed 7 gives {first.value!r} twice")
     return "; ".join(found)
 
@@ -127,7 +127,6 @@ def _no_silent_number(found: Estimate, pair: Case) -> None:
     text = f"{pair.name}: {found.value:.6g} without a word, J_target {pair.truth:.6g}"
     simulator = policy_value(pair.simulator, pair.policy, horizon=pair.horizon)
     raise Broken(
-        "fails",
         f"{text}, J_simulator {simulator:.6g}",
         f"case {pair.name!r}: s=0 -> s'=2 has probability 0 in the simulator",
     )
@@ -169,11 +168,9 @@ def _watched(subject: Subject, pair: Case, log: Transitions, state: int) -> Esti
         moved = before != (random.getstate(), _plain(np.random.get_state()))  # noqa: NPY002
         trouble = malformed(found)
     if trouble:
-        raise Broken("fails", trouble, f"case {pair.name!r}, seed=7")
+        raise Broken(trouble, f"case {pair.name!r}, seed=7")
     if moved:
-        raise Broken(
-            "fails", f"{pair.name}: the global random state (random, numpy.random) is moved", f"case {pair.name!r}"
-        )
+        raise Broken(f"{pair.name}: the global random state (random, numpy.random) is moved", f"case {pair.name!r}")
     assert isinstance(found, Estimate)
     return found
 

@@ -12,11 +12,12 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
-from oee_tabular.exact import efficiency_bound, occupancy, policy_value, trajectory_efficiency_bound
+from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of, one_thread
+from oee_tabular.testing.cases import recorded
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +188,7 @@ def compare_with_oracle(
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
         steps = rollout_horizon(target.discount, optional_steps(horizon, target))
-        data = {"behavior_policy": behavior, "data_distribution": _visits(target, behavior, steps)}
+        data = {"behavior_policy": behavior, "data_distribution": recorded(target, behavior, steps)}
         bound = _or_infinite(target, behavior, pi, steps)
     else:
         shape = (simulator.n_states, simulator.n_actions)
@@ -237,13 +238,6 @@ def _pair(pair: Any) -> tuple[FiniteMDP, FiniteMDP]:
             f"{target.transitions.shape}"
         )
     return simulator, target
-
-
-def _visits(target: FiniteMDP, behavior: Array, steps: int) -> Array:
-    """(S, A): how the rows of such episodes are distributed (an episode ends on arrival in an absorbing state)."""
-    time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
-    alive = np.where(target.absorbing()[:, None], 0.0, time)
-    return np.asarray((alive if alive.any() else time) / (alive if alive.any() else time).sum())
 
 
 def _or_infinite(target: FiniteMDP, behavior: Array, policy: Array, steps: int) -> float:

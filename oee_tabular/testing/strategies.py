@@ -65,7 +65,9 @@ def mdps(
     ...     assert mdp.n_states <= 3 and abs(mdp.transitions.sum(axis=1) - 1).max() < 1e-12
     >>> law()
     """
-    low, high = _sizes(min_states, max_states, "min_states", "max_states")
+    low, high = (_checks.positive_integer(n, f"{end}_states") for n, end in ((min_states, "min"), (max_states, "max")))
+    if low > high:
+        raise ValueError(f"min_states must be at most max_states; they are {low} and {high}")
     actions = _checks.positive_integer(max_actions, "max_actions")
     factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in _some(discounts, "discounts")]
     forms = _some(rewards, "rewards")
@@ -118,7 +120,7 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     >>> law()
     """
     _checks.boolean(zeros, "zeros")
-    return _policies(_require(mdp), list(range(mdp.n_actions)) if not zeros else [])
+    return _policies(_checks.instance(mdp, FiniteMDP, "mdp"), list(range(mdp.n_actions)) if not zeros else [])
 
 
 @st.composite
@@ -211,7 +213,7 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     ...     assert horizon is None or 1 <= horizon <= 3
     >>> law()
     """
-    model = _require(mdp)
+    model = _checks.instance(mdp, FiniteMDP, "mdp")
     finite = st.integers(1, _checks.positive_integer(max_horizon, "max_horizon"))
     rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
     over = model.absorbing()
@@ -250,7 +252,7 @@ def logs(
     >>> law()
     """
     _checks.boolean(rewards, "rewards")
-    model = _require(mdp)
+    model = _checks.instance(mdp, FiniteMDP, "mdp")
     if kind is not None:
         _checks.one_of(kind, "kind", ("episodes", "transitions"))
     even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
@@ -314,17 +316,6 @@ def _row(draw: st.DrawFn, size: int, certain: list[int]) -> Array:
 
 def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
     return matrix.reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
-
-
-def _require(mdp: Any) -> FiniteMDP:
-    return _checks.instance(mdp, FiniteMDP, "mdp")
-
-
-def _sizes(low: Any, high: Any, low_name: str, high_name: str) -> tuple[int, int]:
-    least, most = _checks.positive_integer(low, low_name), _checks.positive_integer(high, high_name)
-    if least > most:
-        raise ValueError(f"{low_name} must be at most {high_name}; they are {least} and {most}")
-    return least, most
 
 
 def _some(values: Sequence[Any], name: str) -> list[Any]:

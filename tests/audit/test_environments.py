@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from scipy import integrate, stats
 
 import oee_tabular as oee
-from oee_tabular.bench.league import league_of, summary
+from oee_tabular.bench.league import league_of
+from oee_tabular.bench.scores import summary
 from oee_tabular.mdp.layout import displacements
 from oee_tabular.tasks.continuous import ContinuousTask, Moves
 from oee_tabular.tasks.discretize_grid import GridInterpolation

@@ -7,7 +7,7 @@ import pytest
 
 import oee_tabular as oee
 from oee_tabular.bench import Family, garnet_worse, tandem
-from oee_tabular.bench import families_gymnasium as gymnasium_own
+from oee_tabular.bench import families_others as others
 
 NAMES = tuple(oee.bench.families())
 QUICK = [name for name in NAMES if name not in ("icu_sepsis", "taxi_rain")]
@@ -79,7 +79,7 @@ def test_sick_patients():
 
 
 def test_without_the_extra_a_family_is_left_out_with_a_sentence(monkeypatch):
-    monkeypatch.setattr(gymnasium_own, "icu_file", lambda: None)
+    monkeypatch.setattr(others, "icu_file", lambda: None)
     every = oee.bench.families()
     assert "icu_sepsis" not in every
     with pytest.raises(KeyError, match=re.escape("pip install 'oee-tabular[bench]'")):

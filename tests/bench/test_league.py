@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oee_tabular.bench.league import RESAMPLES, geometric_mean, league_of, resamples
-from oee_tabular.bench.statement import printed, save
+from oee_tabular.bench.league import league_of
+from oee_tabular.bench.scores import RESAMPLES, geometric_mean, resamples
 
 ML, SIM = "maximum-likelihood", "simulator"
 
@@ -105,7 +105,7 @@ def test_zero_errors_are_no_nan():
     found = league(rows("a", 3, {ML: [1, 1], SIM: [0, 0], "mine": [0, 0], "other": [1, 1]}))
     assert cell(found, "a", 3)["ratio"] == 1.0
     assert math.isinf(cell(found, "a", 3, "other")["ratio"])
-    assert printed(found)
+    assert str(found)
     assert geometric_mean([math.nan]) != geometric_mean([math.nan])
     assert geometric_mean([2.0, 8.0]) == pytest.approx(4.0)
 
@@ -151,7 +151,7 @@ def test_files_are_whole_and_the_same_twice(tmp_path):
     )
     names = {"table.csv", "cells.csv", "league.csv", "league.md", "shown.json", "profile.png", "heat.png"}
     assert {
-        path.name for path in save(found, tmp_path / "one", about={"a|b": "Something."}, command="oee bench")
+        path.name for path in found.save(tmp_path / "one", about={"a|b": "Something."}, command="oee bench")
     } == names
     found.save(tmp_path / "two")
     same = names - {"league.md"}

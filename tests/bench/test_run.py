@@ -10,7 +10,6 @@ import pytest
 
 import oee_tabular as oee
 from oee_tabular.bench.run import plan
-from oee_tabular.bench.statement import markdown
 from oee_tabular.cli import main
 from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.experiments.run import run_experiment
@@ -102,7 +101,7 @@ def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
     league = found.league.set_index("estimator")
     assert league.failed.to_dict() == {"maximum-likelihood": 0, "simulator": 0, "fail": 2, "nothing": 2, "silent": 2, "bare": 2,
                                        "fine": 0}  # fmt: skip
-    assert "no luck" in markdown(found, {}, "")
+    assert "no luck" in found.page({}, "")
 
 
 def test_the_printed_value_and_its_interval():

@@ -13,7 +13,6 @@ import oee_tabular as oee
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.common import grids, zeta_error
-from oee_tabular.experiments.convergence import fitted_slopes
 from oee_tabular.ratio import true_ratio
 
 README = " ".join((Path(__file__).parents[2] / "README.md").read_text().split())
@@ -125,6 +124,15 @@ def test_figure_1bcd_computed():
 
 
 # ---- rates -------------------------------------------------------------------------------------------------------------
+
+
+def fitted_slopes(table, value="squared_error", start=30_000):
+    """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and ratio, from ``start`` on."""
+    late = table[table.n >= start]
+    points = late.groupby(["data", "delta", "ratio", "n"], sort=False)[value].mean().reset_index()
+    return points.groupby(["data", "delta", "ratio"], sort=False)[["n", value]].apply(
+        lambda g: 0.5 * np.polyfit(np.log10(g["n"]), np.log10(g[value]), 1)[0] if len(g) > 1 else np.nan
+    )
 
 
 def test_the_rate_is_a_half():

@@ -126,3 +126,16 @@ def test_a_few_cells_as_a_table():
     assert same[0].equals(same[1])
     with pytest.raises(ValueError, match="axes must be among delta; got 'n'"):
         experiment.table(n=3)
+
+
+def documented(cell, stream):
+    """What the figure shows,
+    in two lines.
+    """
+    return [{"x": 1.0}]
+
+
+def test_the_caption_is_the_cells_docstring():
+    assert made(run=documented).caption == "What the figure shows, in two lines."
+    assert made(run=documented, caption="Another.").caption == "Another."
+    assert made(run=lambda cell, stream: []).caption == ""

@@ -1,0 +1,146 @@
+"""Figures as data: which column of a table is x, which y, what tells its curves apart, and what its panels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular.plots import plot_curves, plot_errors
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIZE = (4.8, 3.9)  # of a panel, inches
+Band = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Curves of a table against one of its columns, in a panel for each group of its rows: a figure of an experiment.
+
+    Attributes
+    ----------
+    y, x : columns; a point is the mean over the rows of an x (the seeds)
+    curves : the column that tells the curves apart; None: there are those of ``extra`` and ``also`` alone
+    by : columns that tell the groups apart
+    title : of a panel, with columns of ``by`` in braces; None: their names and values
+    xlabel, ylabel : with units
+    extra : name -> another column of y, over all rows
+    also : rows -> further curves by name, each a Series over x
+    how : what a point is instead of the mean
+    bands : whether the smallest and the largest row of each point are shown
+    only : rows -> those that are drawn
+    least : curves that nowhere exceed it are left out
+    log : whether y is logarithmic; what is not positive is left out
+    beneath : (ax, rows) -> None, draws what is no curve of the table
+    axes : further settings, as ``Axes.set`` takes them
+    columns : panels side by side, None: all; size : of a panel, inches
+    """
+
+    y: str
+    curves: str | None = None
+    x: str = "n"
+    by: tuple[str, ...] = ()
+    title: str | None = None
+    xlabel: str = "transitions of the target, n"
+    ylabel: str = ""
+    extra: Mapping[str, str] = field(default_factory=dict)
+    also: Callable[[pd.DataFrame], Mapping[str, pd.Series[float]]] | None = None
+    how: Callable[[Any], float] = np.mean
+    bands: bool = False
+    only: Callable[[pd.DataFrame], pd.DataFrame] | None = None
+    least: float = -np.inf
+    log: bool = False
+    beneath: Callable[[Axes, pd.DataFrame], None] | None = None
+    axes: Mapping[str, Any] = field(default_factory=dict)
+    columns: int | None = None
+    size: tuple[float, float] = SIZE
+
+    def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+        """A panel for each group."""
+        Beside([self], self.by, self.columns, self.size)(table, summary, figure)
+
+    def draw(self, table: pd.DataFrame, ax: Axes) -> None:
+        """The panel of these rows."""
+        rows = table if self.only is None else self.only(table)
+        if self.beneath is not None:
+            self.beneath(ax, rows)
+        where = sorted(rows[self.x].unique())
+        curves, bands = self._points(rows, where)
+        shown = {name: y for name, y in curves.items() if not (y <= self.least).all()}
+        self._plot(where, shown, {name: band for name, band in bands.items() if name in shown}, ax)
+        ax.set(**self.axes)
+
+    def title_of(self, values: Mapping[str, Any]) -> str:
+        """The title of a group."""
+        named = ", ".join(f"{name} = {{{name}:g}}" for name in values)
+        return (named if self.title is None else self.title).format(**values)
+
+    def _points(self, rows: pd.DataFrame, where: list[Any]) -> tuple[dict[str, Array], dict[str, Band]]:
+        curves, bands = {}, {}
+        for name, part in [] if self.curves is None else rows.groupby(self.curves, sort=False):
+            groups = part.groupby(self.x)[self.y]
+            curves[str(name)] = groups.apply(self.how)
+            if self.bands:
+                low, high = (end.reindex(where).to_numpy(dtype=float) for end in (groups.min(), groups.max()))
+                bands[str(name)] = low, high
+        curves |= {name: rows.groupby(self.x)[column].mean() for name, column in self.extra.items()}
+        curves |= {} if self.also is None else self.also(rows)
+        return {name: y.reindex(where).to_numpy(dtype=float) for name, y in curves.items()}, bands
+
+    def _plot(self, where: list[Any], curves: dict[str, Array], bands: dict[str, Band], ax: Axes) -> None:
+        if self.log:
+            curves = {name: np.where(y > 0, y, np.nan) for name, y in curves.items()}
+            ax.set_yscale("log")
+        plot_curves(where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel)
+
+
+@dataclass(frozen=True)
+class Errors(Panels):
+    """Errors against n, both logarithmic, with a line of ``slope`` (None: none)."""
+
+    slope: float | None = None
+
+    def _plot(self, where: list[Any], curves: dict[str, Array], bands: dict[str, Band], ax: Axes) -> None:
+        plot_errors(where, curves, ax, bands=bands, slope=self.slope, xlabel=self.xlabel, ylabel=self.ylabel)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Several panels side by side for each group of rows; ``by``, ``columns`` and ``size`` are these."""
+
+    panels: Sequence[Panels]
+    by: tuple[str, ...] = ()
+    columns: int | None = None
+    size: tuple[float, float] = SIZE
+
+    def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+        """Draw it."""
+        groups: list[Any] = list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
+        values = [dict(zip(self.by, key, strict=True)) for key, _ in groups]
+        titles = [panel.title_of(own) for own in values for panel in self.panels]
+        axes = iter(panels(figure, titles, columns=self.columns, size=self.size))
+        for _, rows in groups:
+            for panel in self.panels:
+                panel.draw(rows, next(axes))
+
+
+def panels(
+    figure: Figure, names: list[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
+) -> list[Axes]:
+    """Titled axes side by side, each of ``size`` inches."""
+    across = len(names) if columns is None else min(columns, len(names))
+    down = -(-len(names) // across)
+    figure.set_size_inches(size[0] * across, size[1] * down)
+    axes = list(np.ravel(figure.subplots(down, across, squeeze=False)))
+    for ax, name in zip(axes, names, strict=False):
+        ax.set_title(str(name), fontsize="medium")
+    for ax in axes[len(names) :]:
+        ax.set_visible(False)
+    return axes[: len(names)]
