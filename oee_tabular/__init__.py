@@ -58,8 +58,8 @@ _EXPORTS = {
     "Problem": "estimators",
     "Estimate": "estimators",
     "interval": "inference",
-    "plan_data_collection": "inference",
-    "Plan": "inference",
+    "plan_data_collection": "design",
+    "Plan": "design",
     "Interval": "inference",
     "evaluate": "report",
     "Report": "report",
@@ -67,6 +67,7 @@ _EXPORTS = {
 _MODULES = (
     "bench",
     "data",
+    "design",
     "estimators",
     "exact",
     "inference",
@@ -77,12 +78,14 @@ _MODULES = (
     "simulate",
     "tasks",
     "testing",
+    "theory",
 )
 
 if TYPE_CHECKING:
     from oee_tabular import (
         bench,
         data,
+        design,
         estimators,
         exact,
         inference,
@@ -93,8 +96,10 @@ if TYPE_CHECKING:
         simulate,
         tasks,
         testing,
+        theory,
     )
     from oee_tabular.data import ContinuousTransitions, Transitions
+    from oee_tabular.design import Plan, plan_data_collection
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
         Moments,
@@ -110,7 +115,7 @@ if TYPE_CHECKING:
         weighted_return_moments,
     )
     from oee_tabular.exact.occupancy import occupancy
-    from oee_tabular.inference import Interval, Plan, interval, plan_data_collection
+    from oee_tabular.inference import Interval, interval
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import (
         RatioFit,
@@ -143,6 +148,7 @@ __all__ = [
     "data",
     "density_ratio",
     "density_ratio_samples",
+    "design",
     "doubly_robust_moments",
     "efficiency_bound",
     "estimators",
@@ -169,6 +175,7 @@ __all__ = [
     "state_values",
     "tasks",
     "testing",
+    "theory",
     "trajectory_efficiency_bound",
     "transition_ratio",
     "true_ratio",

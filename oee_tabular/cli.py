@@ -233,7 +233,7 @@ def plan(
     import numpy as np
 
     from oee_tabular import _files
-    from oee_tabular.inference import plan_data_collection
+    from oee_tabular.design import plan_data_collection
 
     if output is not None:
         _files.new_file(output, "--output", overwrite=overwrite)

@@ -9,12 +9,12 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
+from oee_tabular.design import plan_data_collection
+from oee_tabular.design.flow import collection_mdp
 from oee_tabular.estimators import Estimator, ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, ratio_of_ratios_variance
 from oee_tabular.experiments.common import panels, rmse, series_of, small_grids
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
-from oee_tabular.inference import plan_data_collection
-from oee_tabular.inference.design_flow import collection_mdp
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.tasks import gridworld, gridworld_expert, gridworld_policy

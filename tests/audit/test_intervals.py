@@ -11,9 +11,9 @@ from scipy import optimize, stats
 
 import oee_tabular as oee
 from oee_tabular import inference
-from oee_tabular.inference.bounds import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
-from oee_tabular.inference.theorem_1 import excess_risk, renyi_divergence, squared_error_sides
 from oee_tabular.report.quoting import quoted
+from oee_tabular.theory.bounds import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
+from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides
 
 
 def tiny(seed, n_states=3, n_actions=2, discount=0.8, moves=25, left_out=(), form="sa"):
