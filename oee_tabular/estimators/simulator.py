@@ -7,16 +7,19 @@ from typing import Any, Literal
 
 from oee_tabular import _checks
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import Basis, Estimate
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
+from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.population import Population
+
+ALONE = Basis(log=False)
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,18 @@ class Simulator(ExactLimit):
         try:
             found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
         except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
-        return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
+            return Estimate(float("nan"), status=str(divergence), basis=ALONE)
+        return Estimate(
+            found.value,
+            diagnostics={"error_bound": found.error_bound, "method": found.method},
+            findings=findings.linear_algebra(found.error_bound, found.value),
+            basis=ALONE,
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return OF_COUNTS | {"identical", "shift"}
 
     def limit_of(self, people: Population) -> float:
         """J in the simulator."""
@@ -114,7 +127,16 @@ class Oracle(ExactLimit):
                 "method": found.method,
                 "largest_weight": float(ratio.values.data.max()),
             },
+            findings=findings.linear_algebra(found.error_bound, found.value),
         )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        if self.evaluation == "exact":
+            return OF_COUNTS | {"consistent", "unbiased", "shift"}
+        known = of_products(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
+        return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, people: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
