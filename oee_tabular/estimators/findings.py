@@ -13,7 +13,7 @@ class Finding:
     Attributes
     ----------
     kind : a word for it
-    severity : the larger the worse, among findings of one kind
+    severity : the larger the worse, among findings of one kind; of a problem's data 0 where no model's value depends on it
     text : a sentence that may hold ``{}``, where the figure stands; "": nothing is said of a value that has an interval
     figure : what differs from policy to policy
     alone : the sentence where the value has no interval, if that is another
@@ -161,3 +161,27 @@ def linear_algebra(bound: float, value: float) -> tuple[Finding, ...]:
     if not bound > 1e-6 * max(1.0, abs(value)):
         return ()
     return (Finding("linear algebra", bound, text, f"{bound:.1e}"),)
+
+
+def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
+    """The log's rewards are not the simulator's."""
+    if log_pays:
+        remedy = "The oee and model-based values pay the log's mean where it has seen a move."
+    else:
+        remedy = (
+            'The simulator, oee and model-based values pay the simulator\'s; rewards="log" (--rewards log) pays what the '
+            "log has seen."
+        )
+    text = str(conflict)
+    return Finding("rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}")
+
+
+def behavior_contradicts(rows: int) -> tuple[Finding, ...]:
+    """The policy that is said to have recorded the log did not."""
+    text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."
+    return (Finding("behavior", 0.0, text, str(rows)),) if rows else ()
+
+
+NO_HORIZON = Finding(
+    "horizon", 0.0, "At discount 1 without a horizon there is no coverage, and no standard error of a model's value."
+)

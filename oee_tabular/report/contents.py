@@ -51,7 +51,10 @@ MEANINGS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval."""
+    """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval.
+
+    ``from_log`` is False where it is what the simulator alone says.
+    """
 
     policy: str
     value: float
@@ -63,6 +66,7 @@ class Answer:
     truth: float | None
     coverage: float | None
     sentence: str
+    from_log: bool
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -90,16 +94,17 @@ def between(lower: float | None, upper: float | None, joint: str = " to ") -> st
 
 def answers(report: Report) -> list[Answer]:
     """One answer a policy: the value that the log corrects, where there is one, with its interval."""
-    found = []
+    found, rows = [], report.records()
     for policy in dict.fromkeys(result.policy for result in report.results):
         own = [result for result in report.results if result.policy == policy]
-        first, rows = headline(own), [row for row in report.records() if row["policy"] == policy]
-        best = rows[own.index(first)]
-        simulator = next((row["value"] for row in rows if row["estimator"] == "simulator"), None)
+        first = headline(own)
+        best = rows[report.results.index(first)]
+        alone = next((r.estimate.value * report.scale for r in own if not r.estimate.basis.log), None)
         found.append(
             Answer(
-                policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"], simulator,
-                best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
+                policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
+                alone, best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
+                first.estimate.basis.log,
             )
         )  # fmt: skip
     return found
@@ -126,7 +131,7 @@ def first_words(report: Report, found: list[Answer]) -> tuple[str, str]:
 def _known(answer: Answer) -> str:
     """What the simulator says, and the truth where it is known."""
     told = []
-    if answer.simulator is not None and answer.estimator != "simulator":
+    if answer.simulator is not None and answer.from_log:
         told.append(f"The simulator alone says {number(answer.simulator)}.")
     if answer.truth is not None:
         told.append(f"The exact value in the target, which is known here, is {number(answer.truth)}.")

@@ -15,9 +15,10 @@ import numpy as np
 from oee_tabular import __version__, _files, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.quoting import METHODS, OWN, VALUES, corrected
-from oee_tabular.sureness import Sureness, as_records
+from oee_tabular.report.quoting import METHODS, OWN
+from oee_tabular.report.sureness import Sureness, as_records
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +49,7 @@ def headline(results: Sequence[Result]) -> Result:
 
     def order(result: Result) -> tuple[bool, bool, bool]:
         estimate = result.estimate
-        return not math.isfinite(estimate.value), not corrected(estimate), result.estimator == "simulator"
+        return not math.isfinite(estimate.value), estimate.basis.model_value is None, not estimate.basis.log
 
     return min(results, key=order)
 
@@ -126,7 +127,7 @@ class Report:
                     "status": estimate.status,
                     "notes": list(self.notes.get((result.policy, result.estimator), ())),
                     **{
-                        name: x * factor if name in VALUES else x
+                        name: x * factor if name in IN_VALUES_UNIT else x
                         for name, x in estimate.diagnostics.items()
                         if name != "interval_method"
                     },
