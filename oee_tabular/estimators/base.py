@@ -31,6 +31,13 @@ class Basis:
     measured : share of the policy's time in state-action pairs whose variance the standard error counts
     log : False of what the simulator alone says
     episodes : whether the log's own episodes and rewards are averaged
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> oee.estimators.Simulator()(pair.problem(1000, seed=0), pair.policy).basis.log
+    False
     """
 
     model_value: float | None = None

@@ -11,6 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING
 
 from oee_tabular import __version__, _printing
+from oee_tabular.estimators.names import NAMED
 from oee_tabular.inference import Interval
 from oee_tabular.report.quoting import LIKELIHOOD, METHODS
 from oee_tabular.report.results import headline
@@ -21,32 +22,6 @@ if TYPE_CHECKING:
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
 CALLED: Mapping[str, str] = {"robust": "guaranteed"}
-
-MEANINGS: Mapping[str, str] = {
-    "simulator": "The policy's exact value in the simulator as it is: what one would believe without a log.",
-    "oee": "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log supports, and "
-    "the policy is evaluated exactly in the corrected simulator; where the log speaks against that, the value moves towards "
-    "the one-step value, which rests on the log alone wherever the log has moves.",
-    "oee-product": "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
-    "oee-product-sn": "Products of ratios, divided by their sum.",
-    "oee-trajectory": "One product of ratios for each whole simulated episode.",
-    "ratio-of-ratios": "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
-    "model-based": "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves.",
-    "is": "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
-    "wis": "Importance sampling with weights that are divided by their sum.",
-    "pdis": "Importance sampling, reward by reward (per decision); needs no simulator.",
-    "wpdis": "Importance sampling reward by reward, with weights that are divided by their sum.",
-    "dr": "Doubly robust: a model's value, corrected by the log.",
-    "dr-beta": "Doubly robust, with the ratio of occupancies as weights.",
-    "dr-rollouts": "Doubly robust on simulated episodes.",
-    "dr-episodes": "Doubly robust on the log's episodes.",
-    "wdr": "Doubly robust on the log's episodes, with weights that are divided by their sum.",
-    "magic": "A blend of model and importance sampling, chosen for the smallest error.",
-    "marginalized": "The log's rewards, weighted by how much more often the policy is in each place.",
-    "dualdice": "The same weights, from a saddle-point problem.",
-    "oracle": "The value with the true ratio, which only someone who knows the target has.",
-    "oracle-product": "Products of the true ratio along simulated episodes: what the noise alone does.",
-}
 
 
 @dataclass(frozen=True)
@@ -203,7 +178,7 @@ def versions() -> list[tuple[str, str]]:
 def glossary(report: Report) -> list[tuple[str, str]]:
     """What the words of the tables mean, for a reader who did not run it."""
     used = dict.fromkeys(result.estimator for result in report.results)
-    found = [(name, MEANINGS[name]) for name in used if name in MEANINGS]
+    found = [(name, NAMED[name].meaning) for name in used if name in NAMED]
     if any("robust" in methods for methods in report.sureness.intervals.values()):
         found.append(
             ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
