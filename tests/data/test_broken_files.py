@@ -357,7 +357,7 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     from pathlib import Path
 
     from oee_tabular.cli import main
-    from oee_tabular.cli_inputs import policy_array
+    from oee_tabular.mdp.policies import policy_array
 
     def refuse(*_, **__):
         raise AssertionError("the network")
