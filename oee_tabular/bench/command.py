@@ -30,8 +30,6 @@ def bench(
     """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
     if seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
-    if seed < 0:
-        raise ValueError(f"--seed must be nonnegative; got {seed}")
     planned = plan(
         _names(estimators), families=families, sizes=SIZES if sizes is None else _numbers(sizes), seeds=seeds, seed=seed
     )

@@ -46,8 +46,6 @@ def reproduce(
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
-    if seed < 0:
-        raise ValueError(f"--seed must be nonnegative; got {seed}")
     chosen: list[Experiment] = []
     left_out: list[ImportError] = []
     for experiment in EXPERIMENTS.choose(names, everything=everything):
