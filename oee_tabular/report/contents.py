@@ -191,5 +191,5 @@ def glossary(report: Report) -> list[tuple[str, str]]:
         ("eff. n", "Effective sample size: how many equally informative moves (or episodes) the value rests on."),
         ("coverage", "Share of the policy's discounted time in state-action pairs that the log has seen."),
         ("max weight", "The largest ratio, target over simulator or policy over behaviour."),
-        ("row-sum error", "How far rows of corrected probabilities are from summing to 1."),
+        ("row-sum err.", "How far rows of corrected probabilities are from summing to 1."),
     ]  # fmt: skip

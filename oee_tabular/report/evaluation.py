@@ -106,20 +106,13 @@ def evaluate(
         likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]
         results.append(replace(result, estimate=quoted(result.estimate, likelihood, problem, policy, level, scale)))
     sure = _told(sure, results, problem, named_policies, scale)
-    general = [*left_out, *(str(finding) for finding in problem.findings)]
-    on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
-    told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
-    notes = {
-        (r.policy, r.estimator): (() if r.estimate.basis.episodes else on_models)
-        + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)
-        for r in results
-    }
+    warnings, notes = _noted(problem, results, left_out)
     known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
     known |= facts or {}
     return Report(
         tuple(results),
         truth,
-        (*general, *(sentence for sentence, _ in told)),
+        warnings,
         notes,
         level,
         normalized,
@@ -145,6 +138,21 @@ def _told(
         simulator = Simulator()(problem, policy).value
         about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator, scale))))
     return ranked(replace(sure, policies=about), values)
+
+
+def _noted(
+    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+) -> tuple[tuple[str, ...], dict[tuple[str, str], tuple[int, ...]]]:
+    """Every sentence to be read before use, and of each (policy, estimator) the numbers of those that concern it."""
+    general = [*left_out, *(str(finding) for finding in problem.findings)]
+    on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
+    told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
+    notes = {
+        (r.policy, r.estimator): (() if r.estimate.basis.episodes else on_models)
+        + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)
+        for r in results
+    }
+    return (*general, *(sentence for sentence, _ in told)), notes
 
 
 def _named(policies: Any) -> dict[str, Any]:
