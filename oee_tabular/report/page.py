@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.report import contents, figures
-from oee_tabular.report.portrait import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
+from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
 from oee_tabular.report.results import COLUMNS, diagnostic_cells, shown
 
 if TYPE_CHECKING:
