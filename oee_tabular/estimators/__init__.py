@@ -20,22 +20,18 @@ if TYPE_CHECKING:
     from oee_tabular.estimators.problem import Problem
     from oee_tabular.estimators.simulator import Oracle, Simulator
 
-_EXPORTS = {  # name -> module, imported on first use: ``oee --help`` reads the table of names alone
-    "Basis": "base",
-    "DoublyRobust": "doubly_robust",
-    "DualDice": "marginalized",
-    "Estimate": "base",
-    "Estimator": "base",
-    "Finding": "findings",
-    "ImportanceSampling": "importance_sampling",
-    "Magic": "magic",
-    "Marginalized": "marginalized",
-    "ModelBased": "model_based",
-    "OffEnvironment": "off_environment",
-    "Oracle": "simulator",
-    "Problem": "problem",
-    "Simulator": "simulator",
-    "calibrate": "calibrated",
+_EXPORTS = {  # module -> names, imported on first use: ``oee --help`` reads the table of names alone
+    "base": "Basis Estimate Estimator",
+    "calibrated": "calibrate",
+    "doubly_robust": "DoublyRobust",
+    "findings": "Finding",
+    "importance_sampling": "ImportanceSampling",
+    "magic": "Magic",
+    "marginalized": "DualDice Marginalized",
+    "model_based": "ModelBased",
+    "off_environment": "OffEnvironment",
+    "problem": "Problem",
+    "simulator": "Oracle Simulator",
 }
 __all__ = [
     "Basis",
@@ -57,8 +53,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _EXPORTS:
+    room = next((module for module, names in _EXPORTS.items() if name in names.split()), None)
+    if room is None:
         raise AttributeError(f"module 'oee_tabular.estimators' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"oee_tabular.estimators.{_EXPORTS[name]}"), name)
-    globals()[name] = value
+    value = globals()[name] = getattr(importlib.import_module(f"oee_tabular.estimators.{room}"), name)
     return value
