@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +14,15 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._sparse import row_sums
+from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.family import Family
 from oee_tabular.bench.league import League, league_of
 from oee_tabular.bench.measured import REFERENCES, chosen_estimators, measure
 from oee_tabular.bench.source import Source, source_of
+from oee_tabular.bench.statement import printed, save
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import efficiency_bound, occupancy
-from oee_tabular.experiments.output import table_of
+from oee_tabular.experiments.output import describe, table_of
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.run import Sweep, run_experiment
 from oee_tabular.experiments.store import Store, alone
@@ -171,6 +175,59 @@ def carry_out(planned: Plan, folder: Path, **options: Any) -> tuple[League, Swee
     sweep = run_experiment(planned.experiment, folder, planned.settings, **options)
     table = table_of(Store(folder, planned.settings)).drop(columns="repetition")
     return league_of(table), sweep
+
+
+def run_command(
+    *,
+    estimators: str,
+    sizes: str | None,
+    seeds: int,
+    seed: int,
+    families: str | None,
+    jobs: int,
+    dask: str | None,
+    output: Path,
+    fresh: bool,
+    say: Callable[[str], None],
+) -> None:
+    """``oee bench``: bad arguments, families that cannot be made and other settings' folders are refused before it begins."""
+    if seeds < 1:
+        raise ValueError(f"--seeds must be at least 1; got {seeds}")
+    planned = plan(
+        _words(estimators), families=families, sizes=SIZES if sizes is None else _numbers(sizes), seeds=seeds, seed=seed
+    )
+    if not fresh:
+        Store(output, planned.settings)
+    start = time.perf_counter()
+    with alone(output):
+        found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
+        about = {name: planned.source.family(name, seed).about for name in planned.source.names}
+        save(found, output, about=about, command=_command(planned, estimators, sizes, families))
+    say(printed(found))
+    say(f"\n{describe(sweep)} ({time.perf_counter() - start:.0f} s)")
+    if families is None:
+        for sentence in own_families(seed).left_out.values():
+            say(sentence)
+
+
+def _words(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise ValueError(f"--sizes must be numbers with commas between them, 0.3,1,3; got {text!r}") from None
+
+
+def _command(planned: Plan, estimators: str, sizes: str | None, families: str | None) -> str:
+    """What makes the same folder again."""
+    words = ["oee bench", f"--estimators {estimators}"]
+    words += [] if sizes is None else [f"--sizes {sizes}"]
+    words += [f"--seeds {planned.settings.repetitions}"] if planned.settings.repetitions != SEEDS else []
+    words += [f"--seed {planned.settings.seed}"] if planned.settings.seed else []
+    return " ".join([*words, *([] if families is None else [f"--families {families}"])])
 
 
 def _sizes(sizes: Any) -> tuple[float, ...]:

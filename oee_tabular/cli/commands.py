@@ -294,7 +294,7 @@ def bench(
     fresh: Annotated[bool, typer.Option("--fresh", help="Empty the folder first.")] = False,
 ) -> None:
     """Measure estimators on families of environment shift where the truth is exact. An interrupted run goes on."""
-    from oee_tabular.bench.command import bench as run
+    from oee_tabular.bench.run import run_command as run
 
     run(estimators=estimators, sizes=sizes, seeds=seeds, seed=seed, families=families, jobs=jobs, dask=dask, output=output,
         fresh=fresh, say=typer.echo)  # fmt: skip
