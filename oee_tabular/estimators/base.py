@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from oee_tabular import _printing
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.problem import Problem
@@ -98,6 +98,9 @@ class Estimate:
     basis: Basis = Basis()
 
     def __post_init__(self) -> None:
+        for k, finding in enumerate(_checks.collection(self.findings, "findings", "Findings")):
+            _checks.instance(finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)")
+        _checks.instance(self.basis, Basis, "basis")
         number = isinstance(self.value, float | int | np.number)
         if number and self.status == "ok" and not np.isfinite(self.value):
             object.__setattr__(self, "status", UNEXPLAINED)

@@ -182,7 +182,7 @@ def _made(
         # rewards differ within a cell: no contradiction of the simulator's mean
         episodes = encoded if encoded.episode is not None else None
         bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
-    share = uncovered_share(counts, model.mdp)
+    share = uncovered_share(counts, model.mdp) if counts.nnz else 0.0
     if share > 0.0:
         raise ValueError(
             f"log must stay where the simulator has probability: {share:.2g} of its moves have none on "

@@ -141,6 +141,16 @@ def test_what_a_problem_s_data_contradict():
     assert str(endless).startswith("At discount 1 without a horizon there is no coverage")
 
 
+@pytest.mark.parametrize(("options", "text"), [
+    ({"findings": "look out"}, "findings must be Findings; got str"),
+    ({"findings": ("look out",)}, r"findings\[0\] must be a Finding\(kind, severity, text\); got str"),
+    ({"basis": {"log": False}}, "basis must be Basis; got dict"),
+])  # fmt: skip
+def test_what_is_no_finding(options, text):
+    with pytest.raises(ValueError, match=text):
+        Estimate(1.0, **options)
+
+
 def test_a_user_s_own_finding_is_told():
     problem, _ = recorded_problem(n=30, horizon=4)
 
