@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -184,9 +185,14 @@ def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:
     return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
 
 
-def without_divergence(make: Callable[[], Estimate]) -> Estimate:
-    """The estimate, or nan with a status where the sum that it needs does not exist."""
-    try:
-        return make()
-    except DivergentKernelError as divergence:
-        return Estimate(float("nan"), status=str(divergence))
+def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]:
+    """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
+
+    @functools.wraps(call)
+    def answer(self: Any, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        try:
+            return call(self, problem, policy, seed=seed)
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
+
+    return answer

@@ -89,11 +89,9 @@ class DoublyRobust(ExactLimit):
         OffEnvironment(ratio=self.ratio)  # or an error
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         if self.data == "transitions":

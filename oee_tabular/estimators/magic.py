@@ -62,11 +62,9 @@ class Magic(ExactLimit):
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)

@@ -68,11 +68,9 @@ class Marginalized(ExactLimit):
         check_box(self.lower, self.upper, normalized=False)
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
         model = reweight(problem.model, zeta)

@@ -13,12 +13,12 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import ROUNDING, Basis, Estimate
+from oee_tabular.estimators.base import ROUNDING, Basis, Estimate, without_divergence
 from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
-from oee_tabular.exact.linear import DivergentKernelError, exponent
+from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
 
@@ -57,15 +57,13 @@ class ModelBased(ExactLimit):
         _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         totals = row_sums(problem.counts)
         model = self.model(problem)
-        try:
-            found = evaluate_policy(model, pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
+        found = evaluate_policy(model, pi, horizon=problem.horizon)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
         told = findings.linear_algebra(found.error_bound, found.value)
         if model.discount == 1.0 and problem.horizon is None:  # the time has no shares

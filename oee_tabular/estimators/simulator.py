@@ -8,13 +8,12 @@ from typing import Any, Literal
 from oee_tabular import _checks
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Basis, Estimate
+from oee_tabular.estimators.base import Basis, Estimate, without_divergence
 from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.population import Population
@@ -37,13 +36,11 @@ class Simulator(ExactLimit):
     """
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
-        try:
-            found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence), basis=ALONE)
+        found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
         return Estimate(
             found.value,
             diagnostics={"error_bound": found.error_bound, "method": found.method},
@@ -101,6 +98,7 @@ class Oracle(ExactLimit):
         _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
         pi = checked_policy(problem, policy)
@@ -116,10 +114,7 @@ class Oracle(ExactLimit):
                 n_rollouts=self.n_rollouts,
                 seed=seed,
             )
-        try:
-            found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
+        found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
         return Estimate(
             found.value,
             diagnostics={
