@@ -9,7 +9,7 @@ from oee_tabular.theory.bounds import (
     unnormalised_bound,
     unnormalised_sides,
 )
-from oee_tabular.theory.pairs import Sides, SimulationLemma, simulation_lemma
+from oee_tabular.theory.simulation_lemma import Sides, SimulationLemma, simulation_lemma
 from oee_tabular.theory.theorem_1 import (
     EstimationCounterexample,
     estimation_bound,
