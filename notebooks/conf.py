@@ -42,7 +42,9 @@ MODULES = (
     "tasks",
     "ratio",
     "estimators",
+    "theory",
     "inference",
+    "design",
     "testing",
     "report",
     "plots",
@@ -115,8 +117,18 @@ def write_api(app):
             else:
                 shown = repr(value) if len(repr(value)) < 300 else f"{type(value).__name__} of {len(value)}"
                 text += [f".. py:data:: {title}.{name}", "", f"   ``{shown}``", ""]
-        write(folder / f"{module}.rst", "\n".join(text))
+        write(folder / f"{module}.rst", "\n".join([*text, *short_names(module)]))
     write(folder / "dependencies.md", dependencies.page())
+
+
+def short_names(module):
+    """On the page of estimators: those that the command and ``evaluate`` know by name."""
+    if module != "estimators":
+        return []
+    from oee_tabular.estimators.names import NAMED
+
+    rows = [line for name, named in NAMED.items() for line in (f"``{name}``", f"    {escaped(named.meaning)}", "")]
+    return ["Short names", "-----------", "", *rows]
 
 
 def write(page, content):

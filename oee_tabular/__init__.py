@@ -25,64 +25,32 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# name -> module; imported on first use, so that "import oee_tabular" and "oee --help" stay quick
+# module -> its names at the top; imported on first use, so that "import oee_tabular" and "oee --help" stay quick
 _EXPORTS = {
-    "FiniteMDP": "mdp",
-    "uniform_policy": "mdp",
-    "mix": "mdp",
-    "policy_value": "exact",
-    "state_values": "exact",
-    "action_values": "exact",
-    "occupancy": "exact",
-    "optimal_policy": "exact",
-    "Moments": "exact",
-    "return_moments": "exact",
-    "weighted_return_moments": "exact",
-    "policy_is_moments": "exact",
-    "doubly_robust_moments": "exact",
-    "efficiency_bound": "exact",
-    "trajectory_efficiency_bound": "exact",
-    "ContinuousTransitions": "data",
-    "Transitions": "data",
-    "sample_episodes": "simulate",
-    "sample_returns": "simulate",
-    "sample_transitions": "simulate",
-    "record_episodes": "tasks",
-    "density_ratio": "ratio",
-    "density_ratio_samples": "ratio",
-    "check_assumptions": "ratio",
-    "transition_ratio": "ratio",
-    "true_ratio": "ratio",
-    "RatioFit": "ratio",
-    "TransitionRatio": "ratio",
-    "Problem": "estimators",
-    "Estimate": "estimators",
-    "interval": "inference",
-    "plan_data_collection": "inference",
-    "Plan": "inference",
-    "Interval": "inference",
-    "evaluate": "report",
-    "Report": "report",
+    "bench": "",
+    "data": "ContinuousTransitions Transitions",
+    "design": "plan_data_collection Plan",
+    "estimators": "Problem Estimate",
+    "exact": "policy_value state_values action_values occupancy optimal_policy Moments return_moments "
+    "weighted_return_moments policy_is_moments doubly_robust_moments efficiency_bound "
+    "trajectory_efficiency_bound",
+    "inference": "interval Interval",
+    "mdp": "FiniteMDP uniform_policy mix",
+    "plots": "",
+    "ratio": "density_ratio density_ratio_samples check_assumptions transition_ratio true_ratio RatioFit "
+    "TransitionRatio",
+    "report": "evaluate Report",
+    "simulate": "sample_episodes sample_returns sample_transitions",
+    "tasks": "record_episodes",
+    "testing": "",
+    "theory": "",
 }
-_MODULES = (
-    "bench",
-    "data",
-    "estimators",
-    "exact",
-    "inference",
-    "mdp",
-    "plots",
-    "ratio",
-    "report",
-    "simulate",
-    "tasks",
-    "testing",
-)
 
 if TYPE_CHECKING:
     from oee_tabular import (
         bench,
         data,
+        design,
         estimators,
         exact,
         inference,
@@ -93,8 +61,10 @@ if TYPE_CHECKING:
         simulate,
         tasks,
         testing,
+        theory,
     )
     from oee_tabular.data import ContinuousTransitions, Transitions
+    from oee_tabular.design import Plan, plan_data_collection
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
         Moments,
@@ -110,7 +80,7 @@ if TYPE_CHECKING:
         weighted_return_moments,
     )
     from oee_tabular.exact.occupancy import occupancy
-    from oee_tabular.inference import Interval, Plan, interval, plan_data_collection
+    from oee_tabular.inference import Interval, interval
     from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
     from oee_tabular.ratio import (
         RatioFit,
@@ -143,6 +113,7 @@ __all__ = [
     "data",
     "density_ratio",
     "density_ratio_samples",
+    "design",
     "doubly_robust_moments",
     "efficiency_bound",
     "estimators",
@@ -169,6 +140,7 @@ __all__ = [
     "state_values",
     "tasks",
     "testing",
+    "theory",
     "trajectory_efficiency_bound",
     "transition_ratio",
     "true_ratio",
@@ -178,13 +150,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _EXPORTS:
-        value = getattr(importlib.import_module(f"oee_tabular.{_EXPORTS[name]}"), name)
-    elif name in _MODULES:
-        value = importlib.import_module(f"oee_tabular.{name}")
-    else:
+    room = name if name in _EXPORTS else next((m for m, names in _EXPORTS.items() if name in names.split()), None)
+    if room is None:
         raise AttributeError(f"module 'oee_tabular' has no attribute {name!r}")
-    globals()[name] = value
+    module = importlib.import_module(f"oee_tabular.{room}")
+    value = globals()[name] = module if room == name else getattr(module, name)
     return value
 
 

@@ -17,7 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular import _memory
+from oee_tabular import _checks
 
 KIND = "oee_tabular_kind"
 KINDS = {
@@ -197,9 +197,9 @@ def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]
                 raise ValueError(f"{member.filename} must be stored or deflated; its method is {member.compress_type}")
             if member.compress_size > size or member.file_size > _PACKED * (member.compress_size + 1):
                 raise ValueError(
-                    f"{member.filename} must be as long as it says, {_memory.words(member.file_size)}; it is not"
+                    f"{member.filename} must be as long as it says, {_checks.bytes_in_words(member.file_size)}; it is not"
                 )
-        _memory.require(sum(member.file_size for member in members), repr(name))
+        _checks.require_memory(sum(member.file_size for member in members), repr(name), size=1)
         arrays = {}
         for member in members:
             with archive.open(member) as stream:
@@ -224,9 +224,10 @@ def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
     declared, stored = dtype.itemsize * math.prod(shape), size - stream.tell()
     if min(shape, default=1) < 0 or declared > stored:
         raise ValueError(
-            f"an array of {dtype} of shape {shape} needs {_memory.words(declared)}; the file has {_memory.words(stored)}"
+            f"an array of {dtype} of shape {shape} needs {_checks.bytes_in_words(declared)}; "
+            f"the file has {_checks.bytes_in_words(stored)}"
         )
-    _memory.require(declared, repr(name))
+    _checks.require_memory(declared, repr(name), size=1)
     stream.seek(0)
     found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
     return found

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.cli_inputs import policy_array
-
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
     from oee_tabular.data import ContinuousTransitions
@@ -121,15 +119,15 @@ def recorded_states(
 def described(file: str) -> str:
     """What a file or data set holds."""
     from oee_tabular import _files
-    from oee_tabular.cli_inputs import report_summary
     from oee_tabular.data import ContinuousTransitions, Transitions
     from oee_tabular.data.continuous_files import holds_states
+    from oee_tabular.report.files import summary
 
     path = Path(_files.local(file))
     if path.is_dir() and (path / "report.json").is_file():
         path = path / "report.json"
     if path.suffix.lower() == ".json":
-        return report_summary(path)
+        return summary(path)
     if holds_states(file):
         return _states(ContinuousTransitions.load(file))
     if path.suffix.lower() not in (".npz", ".npy"):
@@ -185,6 +183,8 @@ def _settings(given: dict[str, Any]) -> Settings:
 
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; the expert where there are none."""
+    from oee_tabular.mdp.policies import policy_array
+
     found: dict[str, Any] = {}
     for text in specs or ["expert"]:
         name, equals, spec = text.partition("=")
@@ -203,6 +203,7 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
     _refuse_arrays(spec, simulator, name)
+    from oee_tabular.mdp.policies import policy_array
     from oee_tabular.report.continuous import as_function, as_table
 
     model = simulator.build()

@@ -11,7 +11,7 @@ from typing import Any
 from oee_tabular.bench.families import families
 from oee_tabular.bench.family import Family
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
-from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.names import named_estimators, names
 from oee_tabular.testing.command import own_estimator, own_modules, own_object
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
@@ -49,7 +49,7 @@ def chosen_estimators(given: Any) -> dict[str, Any]:
     for name, item in found.items():
         if name in REFERENCES and item != name:
             raise ValueError(f"estimators must not be called {name!r}, which is a reference; {item!r} is")
-        if isinstance(item, str) and item not in REFERENCES and not item.startswith("oracle"):
+        if isinstance(item, str) and item not in REFERENCES and item not in names(needs_target=True):
             resolved(item)
     return found
 
@@ -80,7 +80,9 @@ def estimator_of(name: str, given: Any, family: Family) -> Estimator:
     if not isinstance(given, str):
         own: Estimator = given
         return own
-    return named_estimators([given], family.target)[given] if given.startswith("oracle") else resolved(given)
+    if given in names(needs_target=True):
+        return named_estimators([given], family.target)[given]
+    return resolved(given)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from oee_tabular import _files, _memory
+from oee_tabular import _checks, _files
 
 WIDE = 1000  # columns from which on only the known ones are read: pandas then overlooks a row with more fields than the header
 NAMED = 10  # of the columns that are left out
@@ -64,7 +64,7 @@ def parquet_frame(path: str, known: Callable[[str], bool]) -> Any:
         again = sorted({label for label in asked if labels.count(label) > 1})
         if again:
             raise ValueError(f"its columns must differ; it has {again[0]!r} twice")
-        _memory.require(8.0 * file.metadata.num_rows * len(asked), repr(path))
+        _checks.require_memory(file.metadata.num_rows * len(asked), repr(path))
         frame = file.read(columns=asked).to_pandas(ignore_metadata=True)
         frame.attrs["labels"] = labels
         return frame

@@ -2,18 +2,64 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from oee_tabular import _printing
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What a value rests on, for whoever acts on it: ``Estimate.diagnostics`` are for reading.
+
+    Attributes
+    ----------
+    model_value : of what the log corrects, the exact value of zeta * P, whose rows sum to 1; None of any other value
+    one_step_value : of such a value, what it is when moved all the way to the log; None where that is not known
+    moved : by what share of that way it was moved
+    replaced_value, replaced_by : in a report, a value that the log rules out, and what stands in its place
+    normal : whether the interval is the value plus or minus 1.96 standard errors, so that it follows the level
+    measured : share of the policy's time in state-action pairs whose variance the standard error counts
+    log : False of what the simulator alone says
+    episodes : whether the log's own episodes and rewards are averaged
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> oee.estimators.Simulator()(pair.problem(1000, seed=0), pair.policy).basis.log
+    False
+    """
+
+    model_value: float | None = None
+    one_step_value: float | None = None
+    moved: float = 0.0
+    replaced_value: float | None = None
+    replaced_by: str = ""
+    normal: bool = False
+    measured: float = 1.0
+    log: bool = True
+    episodes: bool = False
+
+
+EPISODES = Basis(episodes=True)
+
+IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
+    (
+        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
+        "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,6 +78,8 @@ class Estimate:
         (share of the policy's discounted time in (s, a) that the log has seen), ``fallback_share`` (the rest),
         ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs)
     status : "ok", or what is wrong and what would help
+    findings : what to know before the value is used; a report prints them
+    basis : what the value rests on
 
     Examples
     --------
@@ -47,8 +95,13 @@ class Estimate:
     interval: tuple[float, float] | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     status: str = "ok"
+    findings: tuple[Finding, ...] = ()
+    basis: Basis = Basis()
 
     def __post_init__(self) -> None:
+        for k, finding in enumerate(_checks.collection(self.findings, "findings", "Findings")):
+            _checks.instance(finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)")
+        _checks.instance(self.basis, Basis, "basis")
         number = isinstance(self.value, float | int | np.number)
         if number and self.status == "ok" and not np.isfinite(self.value):
             object.__setattr__(self, "status", UNEXPLAINED)
@@ -132,9 +185,14 @@ def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:
     return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
 
 
-def without_divergence(make: Callable[[], Estimate]) -> Estimate:
-    """The estimate, or nan with a status where the sum that it needs does not exist."""
-    try:
-        return make()
-    except DivergentKernelError as divergence:
-        return Estimate(float("nan"), status=str(divergence))
+def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]:
+    """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
+
+    @functools.wraps(call)
+    def answer(self: Any, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        try:
+            return call(self, problem, policy, seed=seed)
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
+
+    return answer

@@ -11,13 +11,14 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate, effective_sample_size, identified, mean_and_error, without_divergence
-from oee_tabular.estimators.episodes import episode_limit, episode_terms
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import Basis, Estimate, identified, mean_and_error, without_divergence
+from oee_tabular.estimators.episodes import episode_estimate, episode_limit, episode_terms
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.model_based import delta_error
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
+from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import (
     Model,
     evaluate_policy,
@@ -30,6 +31,7 @@ from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.population import Population
 from oee_tabular.simulate.sampler import Sampler, sampler
 
@@ -87,11 +89,9 @@ class DoublyRobust(ExactLimit):
         OffEnvironment(ratio=self.ratio)  # or an error
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         if self.data == "transitions":
@@ -100,25 +100,31 @@ class DoublyRobust(ExactLimit):
         if self.data == "rollouts":
             return self._on_rollouts(problem, pi, zeta, generator)
         found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
-        value, error = found.total, found.error
-        diagnostics = {
-            "standard_error_of": "log",
-            "n_episodes": len(found.values),
-            "effective_sample_size": effective_sample_size(found.last),
-            "largest_weight": float(found.last.max()),
-            "gap": zeta.gap,
-        }
-        return Estimate(value, error, diagnostics=diagnostics, status=weight_status(value))
+        return episode_estimate(found, zeta, found.total, found.error)
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        known = of_ratio(self.ratio)
+        if self.data == "transitions":  # with "beta" no zeta is fitted
+            return known | {"shift"} if self.weights == "occupancy" else OF_COUNTS | {"identical", "shift"}
+        if self.data == "rollouts":
+            return known | {"random"}
+        if self.self_normalized:
+            return known - {"after_end"} | {"consistent"}
+        return known | ({"consistent", "unbiased"} if isinstance(self.ratio, TransitionRatio) else {"consistent"})
 
     def _on_transitions(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
         model = problem.model
         base = evaluate_policy(model, policy, horizon=problem.horizon)
         where: Model = model
         diagnostics: dict[str, Any] = {"standard_error_of": "log", "simulator_value": base.value}
+        unsolved: tuple[findings.Finding, ...] = ()
         if self.weights == "occupancy":
             zeta = OffEnvironment(ratio=self.ratio).fit(problem, policy, generator)
             where = reweight(model, zeta)
             diagnostics["gap"] = zeta.gap
+            unsolved = findings.gap(zeta.gap)
         gradient = transition_gradient(where, policy, horizon=problem.horizon, values_of=model)
         observed, _ = align(problem.counts, model.transitions)
         total = row_sums(model.transitions, observed)
@@ -127,9 +133,16 @@ class DoublyRobust(ExactLimit):
         frequency = np.divide(observed, total[rows], out=np.zeros_like(observed), where=seen)
         change = float(gradient[seen] @ (frequency - model.transitions.data)[seen])
         error = delta_error(model.transitions, frequency, total, gradient)
-        diagnostics |= coverage(problem, where, policy, total.reshape(model.n_states, -1))
-        error_or_none = identified(error, gradient, model.transitions.indptr)
-        return Estimate(base.value + change, error_or_none, diagnostics=diagnostics)
+        time = coverage(problem, where, policy, total.reshape(model.n_states, -1))
+        told = identified(error, gradient, model.transitions.indptr)
+        unseen = findings.unseen_time(time.get("fallback_share", 0.0), bare=told is not None, judged=True)
+        return Estimate(
+            base.value + change,
+            told,
+            diagnostics=diagnostics | time,
+            findings=(*unseen, *findings.varied(told), *unsolved),
+            basis=Basis(measured=time.get("coverage", 1.0)),
+        )
 
     def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
         model = problem.model
@@ -143,6 +156,7 @@ class DoublyRobust(ExactLimit):
             value,
             error,
             diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
+            findings=(*findings.varied(error), *findings.gap(zeta.gap)),
         )
 
     def limit_of(self, people: Population) -> float:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.estimators.base import mean_and_error
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import EPISODES, Estimate, effective_sample_size, mean_and_error
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.rollouts import rollout_horizon, segment_products
+from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import Model, action_values, state_values
 from oee_tabular.exact.walks import per_decision, walk_of
+from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.population import Population
 
 
@@ -45,6 +48,28 @@ class EpisodeTerms:
             with np.errstate(invalid="ignore"):
                 totals[b] = float(((products @ number) / (self.weights @ number)).sum())
         return totals
+
+
+def episode_estimate(
+    found: EpisodeTerms, zeta: TransitionRatio, value: float, error: float | None, **more: Any
+) -> Estimate:
+    """An estimate from the log's episodes with a model zeta * P; ``more`` joins the diagnostics."""
+    n, effective = len(found.values), effective_sample_size(found.last)
+    return Estimate(
+        value,
+        error,
+        diagnostics={
+            "standard_error_of": "log",
+            "n_episodes": n,
+            "effective_sample_size": effective,
+            "largest_weight": float(found.last.max()),
+            **more,
+            "gap": zeta.gap,
+        },
+        status=weight_status(value),
+        findings=(*findings.varied(error), *findings.weights(effective, n, "episodes"), *findings.gap(zeta.gap)),
+        basis=EPISODES,
+    )
 
 
 def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:

@@ -11,13 +11,13 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
-from oee_tabular.estimators.base import Estimate, effective_sample_size
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import EPISODES, Estimate, effective_sample_size
 from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import forward_measure, walk_of
-from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
 
 LARGEST_WEIGHT = 1e150  # its square is still a float
@@ -99,22 +99,51 @@ class ImportanceSampling(ExactLimit):
             keep_last=self.ragged == "pad",
             per_decision=self.kind == "per_decision",
         )
-        diagnostics = {
-            "standard_error_of": "log",
-            "n_episodes": len(last),
-            "effective_sample_size": effective_sample_size(last),
-            "largest_weight": float(weight.max()),
-            "mean_weight": float(last.mean()),
-            **_truncation(log, problem, lengths, last, self.self_normalized),
-            **_starts(log, problem.simulator),
-        }
+        n, effective = len(last), effective_sample_size(last)
+        cut_off, bound = _truncation(log, problem, lengths, last, self.self_normalized)
+        foreign = float((problem.simulator.initial[log.state[starts[:-1]]] == 0).mean())
         status = weight_status(value)
-        if self.self_normalized and effective_sample_size(last) < 2.0:
+        if self.self_normalized and effective < 2.0:
             error = None  # one episode decides: its value has no spread to show
         if not last.any():
             error = None
             status = "the weight of every whole episode is 0: none of the log is one that the policy could have made"
-        return Estimate(value, error, diagnostics=diagnostics, status=status)
+        return Estimate(
+            value,
+            error,
+            diagnostics={
+                "standard_error_of": "log",
+                "n_episodes": n,
+                "effective_sample_size": effective,
+                "largest_weight": float(weight.max()),
+                "mean_weight": float(last.mean()),
+                "truncated_share": cut_off / n,
+                "truncation_bias_bound": bound,
+                "foreign_starts_share": foreign,
+            },
+            status=status,
+            findings=(
+                *findings.varied(error),
+                *findings.weights(effective, n, "episodes"),
+                *findings.truncated(cut_off, n, bound, value, error),
+                *findings.foreign_starts(foreign),
+            ),
+            basis=EPISODES,
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        per_decision = self.kind == "per_decision"
+        found = {"relabelling", "scale"}
+        if not (self.self_normalized and per_decision and self.ragged == "zero"):
+            found |= {"consistent", "padding"}
+        if self.self_normalized:
+            found.add("shift")
+        else:
+            found |= {"after_end"} if per_decision else set()
+            found |= {"unbiased"} if self.behavior == "recorded" else set()
+        return frozenset(found)
 
     def ratios(self, problem: Problem, policy: Array) -> Array:
         """policy(a | s) / behaviour(a | s) of each row of the log (of ``problem.episodes`` where there are some)."""
@@ -192,8 +221,8 @@ def _limit_without_the_finished(people: Population, behavior: Array) -> float:
 
 def _truncation(
     log: Transitions, problem: Problem, lengths: Any, last: Array, self_normalized: bool
-) -> dict[str, float]:
-    """Share of episodes cut before the horizon, and a bound on what their missing rewards can change.
+) -> tuple[int, float]:
+    """How many episodes are cut before the horizon, and a bound on what their missing rewards can change.
 
     A missing reward has at most the largest size that the log or the simulator's moves have, and in expectation the
     episode's last weight.
@@ -205,7 +234,7 @@ def _truncation(
     ended = over & (lengths == np.diff(starts))
     missing = ~ended if problem.horizon is None else ~ended & (lengths < problem.horizon)
     if not missing.any():
-        return {"truncated_share": 0.0, "truncation_bias_bound": 0.0}
+        return 0, 0.0
     gamma = problem.simulator.discount
     paid = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
     largest = max(float(np.abs(problem.rewards_of(log)).max()), float(np.abs(paid).max()))
@@ -221,12 +250,4 @@ def _truncation(
         bound = float(np.sum(last[counted] / mass * tail[counted])) * largest if mass > 0 else 0.0
     if gamma < 1.0 or problem.horizon is not None:
         bound = min(bound, float(np.finfo(float).max))  # there is one, even where no float holds it
-    return {"truncated_share": float(missing.mean()), "truncation_bias_bound": bound}
-
-
-def _starts(log: Transitions, simulator: FiniteMDP) -> dict[str, float]:
-    """Share of episodes that start where the simulator never does."""
-    starts = log.episode_starts
-    assert starts is not None
-    outside = simulator.initial[log.state[starts[:-1]]] == 0
-    return {"foreign_starts_share": float(outside.mean())}
+    return int(missing.sum()), bound

@@ -15,6 +15,9 @@ from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio.population import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
+# what an estimator claims (testing.CLAIMS) that reads the log's counts alone
+OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
+
 
 def population(
     simulator: FiniteMDP,

@@ -11,11 +11,11 @@ from scipy.optimize import nnls
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import ROUNDING, Estimate, effective_sample_size, without_divergence
+from oee_tabular.estimators.base import ROUNDING, Estimate, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
-from oee_tabular.estimators.episodes import episode_terms
+from oee_tabular.estimators.episodes import episode_estimate, episode_terms
 from oee_tabular.estimators.limits import ExactLimit
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
@@ -62,11 +62,9 @@ class Magic(ExactLimit):
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
@@ -84,19 +82,19 @@ class Magic(ExactLimit):
         bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
         weights = simplex_minimum(covariance + np.outer(bias, bias))
         error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
-        return Estimate(
+        return episode_estimate(
+            found,
+            zeta,
             float(weights @ totals),
             error if error > ROUNDING * float(np.abs(n * parts).max()) else None,
-            diagnostics={
-                "standard_error_of": "log",
-                "n_episodes": n,
-                "effective_sample_size": effective_sample_size(found.last),
-                "largest_weight": float(found.last.max()),
-                "share_of_model": float(weights[0]),
-                "share_of_log": float(weights[-1]),
-                "gap": zeta.gap,
-            },
+            share_of_model=float(weights[0]),
+            share_of_log=float(weights[-1]),
         )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return of_ratio(self.ratio) - {"after_end"} | {"consistent", "random"}
 
     def limit_of(self, people: Population) -> float:
         """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""

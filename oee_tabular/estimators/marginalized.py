@@ -11,10 +11,11 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
+from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Estimate, without_divergence
-from oee_tabular.estimators.limits import ExactLimit, expected_rewards
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
@@ -67,11 +68,9 @@ class Marginalized(ExactLimit):
         check_box(self.lower, self.upper, normalized=False)
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
-        return without_divergence(lambda: self._estimate(problem, policy, seed))
-
-    def _estimate(self, problem: Problem, policy: Any, seed: Any) -> Estimate:
         pi = checked_policy(problem, policy)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
         model = reweight(problem.model, zeta)
@@ -79,13 +78,24 @@ class Marginalized(ExactLimit):
         pay = _rewards_of_rows(problem)
         value, weights, gap = self._value(model, problem.simulator, pi, problem.horizon, counts, pay)
         share = counts / counts.sum()
-        diagnostics: dict[str, Any] = {
-            "gap": max(gap, zeta.gap),
-            "largest_weight": float(weights.max()),
-            "mean_weight": float(share @ weights),
-            **coverage(problem, model, pi, counts.reshape(model.n_states, -1)),
-        }
-        return Estimate(value, None, diagnostics=diagnostics)
+        worst, seen = max(gap, zeta.gap), coverage(problem, model, pi, counts.reshape(model.n_states, -1))
+        return Estimate(
+            value,
+            diagnostics={
+                "gap": worst,
+                "largest_weight": float(weights.max()),
+                "mean_weight": float(share @ weights),
+                **seen,
+            },
+            findings=(*findings.unseen_time(seen.get("fallback_share", 0.0)), *findings.gap(worst)),
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``: rows that the log never visited pay nothing, so that rewards cannot be shifted."""
+        known = of_ratio(self.ratio) - {"shift"}
+        boxed = self.lower is not None or self.upper is not None
+        return known - {"consistent", "padding", "after_end"} if boxed else known
 
     def _value(
         self, model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None, counts: Array, pay: Array
@@ -165,6 +175,11 @@ class DualDice(ExactLimit):
                 "residual": missed,
             },
         )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return OF_COUNTS | {"consistent", "shift", "infinite"}
 
     def limit_of(self, people: Population) -> float:
         """J of the target's rows where the data are, the simulator's elsewhere."""

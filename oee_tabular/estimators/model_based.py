@@ -12,12 +12,13 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import ROUNDING, Estimate
-from oee_tabular.estimators.limits import ExactLimit, expected_rewards
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import ROUNDING, Basis, Estimate, without_divergence
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
-from oee_tabular.exact.linear import DivergentKernelError, exponent
+from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.population import Population
 
@@ -56,35 +57,43 @@ class ModelBased(ExactLimit):
         _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         totals = row_sums(problem.counts)
         model = self.model(problem)
-        try:
-            found = evaluate_policy(model, pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
-        shape = (model.n_states, model.n_actions)
+        found = evaluate_policy(model, pi, horizon=problem.horizon)
         diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
-        diagnostics |= coverage(problem, model, pi, totals.reshape(shape))
-        if diagnostics.get("coverage") is not None:
-            repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
-            known = coverage(problem, model, pi, repeated.reshape(shape))["coverage"]
-            diagnostics["single_share"] = diagnostics["coverage"] - known
-        error = None
-        if model.discount < 1.0 or problem.horizon is not None:
-            error = delta_error(
-                model.transitions,
-                model.transitions.data,
-                totals,
-                transition_gradient(model, pi, horizon=problem.horizon),
-            )
-            diagnostics["standard_error_of"] = "log"
-            certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
-            if not certain and error <= ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max())):
-                error = None
-        return Estimate(found.value, error, diagnostics=diagnostics)
+        told = findings.linear_algebra(found.error_bound, found.value)
+        if model.discount == 1.0 and problem.horizon is None:  # the time has no shares
+            return Estimate(found.value, diagnostics=diagnostics, findings=told)
+        shape = (model.n_states, model.n_actions)
+        seen = coverage(problem, model, pi, totals.reshape(shape))
+        repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
+        known = coverage(problem, model, pi, repeated.reshape(shape))["coverage"]
+        single = seen["coverage"] - known
+        gradient = transition_gradient(model, pi, horizon=problem.horizon)
+        delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
+        certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
+        least = ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max()))
+        error = delta if certain or delta > least else None
+        return Estimate(
+            found.value,
+            error,
+            diagnostics=diagnostics | seen | {"single_share": single, "standard_error_of": "log"},
+            findings=(
+                *findings.unseen_time(seen["fallback_share"], bare=error is not None, judged=True),
+                *findings.single_moves(single, error),
+                *told,
+            ),
+            basis=Basis(measured=known),
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return OF_COUNTS | {"consistent", "shift"}
 
     def limit_of(self, people: Population) -> float:
         """J of the target's rows where the data are, the fallback's elsewhere."""

@@ -1,63 +1,135 @@
-"""Short names of estimators, for the command line and for tables."""
+"""The estimators that have a short name, for the command line, reports and tables: the one list of them."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from oee_tabular.estimators.base import Estimator
-from oee_tabular.estimators.doubly_robust import DoublyRobust
-from oee_tabular.estimators.importance_sampling import ImportanceSampling
-from oee_tabular.estimators.magic import Magic
-from oee_tabular.estimators.marginalized import DualDice, Marginalized
-from oee_tabular.estimators.model_based import ModelBased
-from oee_tabular.estimators.off_environment import OffEnvironment
-from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.simulator import Oracle, Simulator
-from oee_tabular.mdp import FiniteMDP
+if TYPE_CHECKING:
+    from oee_tabular.estimators.base import Estimator
+    from oee_tabular.estimators.problem import Problem
+    from oee_tabular.mdp import FiniteMDP
 
-NAMED: Mapping[str, Callable[[], Estimator]] = {
-    "simulator": Simulator,
-    "oee": OffEnvironment,
-    "oee-product": lambda: OffEnvironment(evaluation="monte_carlo"),
-    "oee-product-sn": lambda: OffEnvironment(evaluation="monte_carlo", self_normalized=True),
-    "oee-trajectory": lambda: OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
-    "ratio-of-ratios": lambda: OffEnvironment(ratio="ratio_of_ratios"),
-    "model-based": ModelBased,
-    "is": lambda: ImportanceSampling(kind="trajectory"),
-    "wis": lambda: ImportanceSampling(kind="trajectory", self_normalized=True),
-    "pdis": ImportanceSampling,
-    "wpdis": lambda: ImportanceSampling(self_normalized=True),
-    "dr": DoublyRobust,
-    "dr-beta": lambda: DoublyRobust(weights="beta"),
-    "dr-rollouts": lambda: DoublyRobust(data="rollouts"),
-    "dr-episodes": lambda: DoublyRobust(data="episodes"),
-    "wdr": lambda: DoublyRobust(data="episodes", self_normalized=True),
-    "magic": Magic,
-    "marginalized": Marginalized,
-    "dualdice": DualDice,
+
+@dataclass(frozen=True)
+class Named:
+    """An estimator by its class in ``oee_tabular.estimators`` and its options, and what it is, in a sentence or two.
+
+    ``needs_target``: it is made from the target, which only someone who knows it has.
+    """
+
+    kind: str
+    options: Mapping[str, Any]
+    meaning: str
+    needs_target: bool = False
+
+    def __call__(self, target: FiniteMDP | None = None) -> Estimator:
+        """The estimator."""
+        make = getattr(importlib.import_module("oee_tabular.estimators"), self.kind)
+        made: Estimator = make(target, **self.options) if self.needs_target else make(**self.options)
+        return made
+
+
+def _named(kind: str, meaning: str, /, **options: Any) -> Named:
+    return Named(kind, options, meaning)
+
+
+def _of_target(kind: str, meaning: str, /, **options: Any) -> Named:
+    return Named(kind, options, meaning, needs_target=True)
+
+
+NAMED: Mapping[str, Named] = {
+    "simulator": _named(
+        "Simulator", "The policy's exact value in the simulator as it is: what one would believe without a log."
+    ),
+    "oee": _named(
+        "OffEnvironment",
+        "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log "
+        "supports, and the policy is evaluated exactly in the corrected simulator; where the log speaks against "
+        "that, the value moves towards the one-step value, which rests on the log alone wherever the log has moves.",
+    ),
+    "oee-product": _named(
+        "OffEnvironment",
+        "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
+        evaluation="monte_carlo",
+    ),
+    "oee-product-sn": _named(
+        "OffEnvironment", "Products of ratios, divided by their sum.", evaluation="monte_carlo", self_normalized=True
+    ),
+    "oee-trajectory": _named(
+        "OffEnvironment",
+        "One product of ratios for each whole simulated episode.",
+        evaluation="monte_carlo",
+        weighting="trajectory",
+    ),
+    "ratio-of-ratios": _named(
+        "OffEnvironment",
+        "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
+        ratio="ratio_of_ratios",
+    ),
+    "model-based": _named(
+        "ModelBased", "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves."
+    ),
+    "is": _named(
+        "ImportanceSampling",
+        "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
+        kind="trajectory",
+    ),
+    "wis": _named(
+        "ImportanceSampling",
+        "Importance sampling with weights that are divided by their sum.",
+        kind="trajectory",
+        self_normalized=True,
+    ),
+    "pdis": _named("ImportanceSampling", "Importance sampling, reward by reward (per decision); needs no simulator."),
+    "wpdis": _named(
+        "ImportanceSampling",
+        "Importance sampling reward by reward, with weights that are divided by their sum.",
+        self_normalized=True,
+    ),
+    "dr": _named("DoublyRobust", "Doubly robust: a model's value, corrected by the log."),
+    "dr-beta": _named("DoublyRobust", "Doubly robust, with the ratio of occupancies as weights.", weights="beta"),
+    "dr-rollouts": _named("DoublyRobust", "Doubly robust on simulated episodes.", data="rollouts"),
+    "dr-episodes": _named("DoublyRobust", "Doubly robust on the log's episodes.", data="episodes"),
+    "wdr": _named(
+        "DoublyRobust",
+        "Doubly robust on the log's episodes, with weights that are divided by their sum.",
+        data="episodes",
+        self_normalized=True,
+    ),
+    "magic": _named("Magic", "A blend of model and importance sampling, chosen for the smallest error."),
+    "marginalized": _named(
+        "Marginalized", "The log's rewards, weighted by how much more often the policy is in each place."
+    ),
+    "dualdice": _named("DualDice", "The same weights, from a saddle-point problem."),
+    "oracle": _of_target("Oracle", "The value with the true ratio, which only someone who knows the target has."),
+    "oracle-product": _of_target(
+        "Oracle",
+        "Products of the true ratio along simulated episodes: what the noise alone does.",
+        evaluation="monte_carlo",
+    ),
 }
-WITH_TARGET: Mapping[str, Callable[[FiniteMDP], Estimator]] = {
-    "oracle": Oracle,
-    "oracle-product": lambda target: Oracle(target, evaluation="monte_carlo"),
-}
+
+
+def names(*, needs_target: bool = False) -> list[str]:
+    """Those that are made without the target, or those that need it."""
+    return [name for name, named in NAMED.items() if named.needs_target == needs_target]
 
 
 def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
     """The estimators of these names; a ValueError with the nearest names for an unknown one."""
     found: dict[str, Estimator] = {}
     for name in names:
-        if name in NAMED:
-            found[name] = NAMED[name]()
-        elif name in WITH_TARGET and target is not None:
-            found[name] = WITH_TARGET[name](target)
-        elif name in WITH_TARGET:
-            raise ValueError(f"estimator {name!r} needs the target environment, which is not given (--target)")
-        else:
-            known = [*NAMED, *WITH_TARGET]
-            near = difflib.get_close_matches(name, known, n=1)
+        if name not in NAMED:
+            near = difflib.get_close_matches(name, NAMED, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ValueError(f"estimators must be among {', '.join(known)}; got {name!r}{hint}")
+            raise ValueError(f"estimators must be among {', '.join(NAMED)}; got {name!r}{hint}")
+        if NAMED[name].needs_target and target is None:
+            raise ValueError(f"estimator {name!r} needs the target environment, which is not given (--target)")
+        found[name] = NAMED[name](target)
     if not found:
         raise ValueError("estimators must name at least one; it is empty")
     return found
@@ -65,12 +137,12 @@ def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> d
 
 def default_names(problem: Problem) -> tuple[list[str], list[str]]:
     """The estimators that this problem's data allow, and a sentence for each that they do not."""
-    names, left_out = ["simulator", "oee", "model-based"], []
+    found, left_out = ["simulator", "oee", "model-based"], []
     log = problem.log if problem.episodes is None else problem.episodes
     if log.episode is None:
         left_out.append("Importance sampling is left out: the log has no episodes.")
     elif log.behavior_probability is None and problem.behavior_policy is None:
         left_out.append("Importance sampling is left out: the behaviour policy is not known.")
     else:
-        names += ["pdis", "wpdis"]
-    return names, left_out
+        found += ["pdis", "wpdis"]
+    return found, left_out

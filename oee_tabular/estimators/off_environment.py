@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any, Literal
@@ -13,10 +13,11 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate, identified
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import Basis, Estimate, identified
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate, rollout_horizon
+from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate, rollout_horizon
 from oee_tabular.exact import (
     Model,
     ReweightedModel,
@@ -34,7 +35,12 @@ from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)
 AGAINST = 5.0  # z^2 up to which the value stays at the centre (4 to 6 differ by less than the noise in `oee bench`)
-NAMED = ("conditional", "ratio_of_ratios", "joint")  # methods that need no options
+_SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
+NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
+    "conditional": OF_COUNTS | {"consistent", "shift"},
+    "ratio_of_ratios": _SAMPLED,  # its rows have any sum
+    "joint": _SAMPLED | {"shift"},
+}
 RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
 
 
@@ -89,7 +95,7 @@ class OffEnvironment(ExactLimit):
 
     def __post_init__(self) -> None:
         if isinstance(self.ratio, str):
-            _checks.one_of(self.ratio, "ratio", NAMED)
+            _checks.one_of(self.ratio, "ratio", tuple(NAMED))
         elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
             raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {self.ratio!r}")
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
@@ -113,7 +119,8 @@ class OffEnvironment(ExactLimit):
                 n_rollouts=self.n_rollouts,
                 seed=generator,
             )
-            return replace(estimate, diagnostics=estimate.diagnostics | {"gap": zeta.gap})
+            told = (*estimate.findings, *findings.gap(zeta.gap))
+            return replace(estimate, diagnostics=estimate.diagnostics | {"gap": zeta.gap}, findings=told)
         return _exact(problem, zeta, pi)
 
     def fit(self, problem: Problem, policy: Array, generator: np.random.Generator) -> TransitionRatio:
@@ -135,6 +142,12 @@ class OffEnvironment(ExactLimit):
             behavior_policy=problem.behavior_policy,
             seed=generator,
         )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        known = of_ratio(self.ratio)
+        return known if self.evaluation == "exact" else of_products(known, self_normalized=self.self_normalized)
 
     @property
     def _method(self) -> Method:
@@ -170,6 +183,16 @@ class OffEnvironment(ExactLimit):
         ).mean  # fmt: skip
 
 
+def of_ratio(ratio: RatioOption) -> frozenset[str]:
+    """What the exact value of zeta * P claims by the way zeta is found.
+
+    A zeta that is given is right for one pair only; a function promises nothing but that it does not look at rewards.
+    """
+    if isinstance(ratio, TransitionRatio):
+        return OF_COUNTS | {"shift"} if ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
+    return NAMED[ratio] if isinstance(ratio, str) else frozenset({"scale"})
+
+
 def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     model = reweight(problem.model, zeta)
     diagnostics: dict[str, Any] = {
@@ -182,14 +205,24 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     except DivergentKernelError as divergence:
         return Estimate(float("nan"), diagnostics=diagnostics, status=str(divergence))
     diagnostics |= {"error_bound": found.error_bound, "method": found.method}
+    told = (
+        *findings.row_sums(zeta.row_sum_error),
+        *findings.gap(zeta.gap),
+        *findings.linear_algebra(found.error_bound, found.value),
+    )
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
-        return Estimate(found.value, diagnostics=diagnostics)
-    diagnostics |= coverage(problem, model, policy, zeta.counts)
+        return Estimate(found.value, diagnostics=diagnostics, findings=told)
+    seen = coverage(problem, model, policy, zeta.counts)
+    diagnostics |= seen
     diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
     diagnostics["standard_error_of"] = None
-    if model.discount == 1.0 and problem.horizon is None:
-        return Estimate(found.value, diagnostics=diagnostics)
-    return _moved(problem, zeta, policy, model, Estimate(found.value, diagnostics=diagnostics))
+    if not seen:  # at discount 1 without a horizon
+        return Estimate(found.value, diagnostics=diagnostics, findings=told)
+    basis = Basis(model_value=found.value, measured=seen["coverage"])
+    exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
+    step = _moved(problem, zeta, policy, model, exact)
+    unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied="n_keys" in zeta.details)
+    return replace(step, findings=(*unseen, *step.findings))
 
 
 def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate) -> Estimate:
@@ -224,7 +257,15 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
         )
     told = identified(error, gradient, problem.model.transitions.indptr)
     interval = (value - NORMAL * error, value + NORMAL * error) if told is not None and np.isfinite(error) else None
-    return replace(exact, value=value, standard_error=told, interval=interval, diagnostics=diagnostics)
+    return replace(
+        exact,
+        value=value,
+        standard_error=told,
+        interval=interval,
+        diagnostics=diagnostics,
+        findings=(*findings.varied(told), *findings.moved(share), *exact.findings),
+        basis=replace(exact.basis, one_step_value=exact.value + step.change, moved=share, normal=True),
+    )
 
 
 def nearer(first: float, second: float) -> float:

@@ -13,6 +13,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
 from oee_tabular.data import Transitions
+from oee_tabular.estimators.findings import NO_HORIZON, Finding, behavior_contradicts, rewards_contradict
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.mdp.horizons import optional_steps
@@ -187,6 +188,16 @@ class Problem:
             return 0
         given = self.behavior_policy[log.state, log.action]
         return int(np.sum(np.abs(given - log.behavior_probability) > 1e-6))
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is odd about the data, whatever the policy."""
+        conflict, endless = self.reward_conflict, self.simulator.discount == 1.0 and self.horizon is None
+        return (
+            *(() if conflict is None else (rewards_contradict(conflict, log_pays=self.rewards == "log"),)),
+            *behavior_contradicts(self.behavior_conflict),
+            *((NO_HORIZON,) if endless else ()),
+        )
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's where the log has none."""

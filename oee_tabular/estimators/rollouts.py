@@ -14,6 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio
@@ -67,6 +68,7 @@ def product_estimate(
         value, error = _by_episode(drawn.whole, drawn.weights)
     else:
         value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
+    effective = effective_sample_size(drawn.weights)
     return Estimate(
         value,
         error,
@@ -74,12 +76,22 @@ def product_estimate(
         diagnostics={
             "standard_error_of": "rollouts",
             "n_rollouts": n_rollouts,
-            "effective_sample_size": effective_sample_size(drawn.weights),
+            "effective_sample_size": effective,
             "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
             "mean_weight": float(drawn.weights.mean()),
             "row_sum_error": ratio.row_sum_error,
         },
+        findings=(
+            *findings.varied(error),
+            *findings.row_sums(ratio.row_sum_error),
+            *findings.weights(effective, n_rollouts, "rollouts"),
+        ),
     )
+
+
+def of_products(known: frozenset[str], *, self_normalized: bool) -> frozenset[str]:
+    """What products of ratios claim: they move with the rewards where they are divided by the sum of their weights."""
+    return known | {"random", "shift"} if self_normalized else (known - {"shift"}) | {"random"}
 
 
 def weight_status(value: float) -> str:

@@ -7,16 +7,18 @@ from typing import Any, Literal
 
 from oee_tabular import _checks
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import Estimate
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.base import Basis, Estimate, without_divergence
+from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_estimate
+from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
 from oee_tabular.exact import evaluate_policy, reweight
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.population import Population
+
+ALONE = Basis(log=False)
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,22 @@ class Simulator(ExactLimit):
     """
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
-        try:
-            found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
-        return Estimate(found.value, diagnostics={"error_bound": found.error_bound, "method": found.method})
+        found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
+        return Estimate(
+            found.value,
+            diagnostics={"error_bound": found.error_bound, "method": found.method},
+            findings=findings.linear_algebra(found.error_bound, found.value),
+            basis=ALONE,
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return OF_COUNTS | {"identical", "shift"}
 
     def limit_of(self, people: Population) -> float:
         """J in the simulator."""
@@ -88,6 +98,7 @@ class Oracle(ExactLimit):
         _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
+    @without_divergence
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
         pi = checked_policy(problem, policy)
@@ -103,10 +114,7 @@ class Oracle(ExactLimit):
                 n_rollouts=self.n_rollouts,
                 seed=seed,
             )
-        try:
-            found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
+        found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
         return Estimate(
             found.value,
             diagnostics={
@@ -114,7 +122,16 @@ class Oracle(ExactLimit):
                 "method": found.method,
                 "largest_weight": float(ratio.values.data.max()),
             },
+            findings=findings.linear_algebra(found.error_bound, found.value),
         )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        if self.evaluation == "exact":
+            return OF_COUNTS | {"consistent", "unbiased", "shift"}
+        known = of_products(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
+        return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, people: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""

@@ -1,73 +1,38 @@
-"""How sure: intervals, comparisons of policies, what to record next, and the paper's theorems with both sides of each."""
+"""How sure: intervals, comparisons of policies, and where the log contradicts the simulator.
 
-from oee_tabular.inference.bounds import (
-    kl_path_bound,
-    kl_path_sides,
-    normalised_bound,
-    normalised_sides,
-    path_kl,
-    unnormalised_bound,
-    unnormalised_sides,
-)
+The theorems (``oee_tabular.theory``) and plans (``oee_tabular.design``) are reachable here as well.
+"""
+
+from __future__ import annotations
+
+import importlib
+
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
-from oee_tabular.inference.design_plan import Outlook, Plan
-from oee_tabular.inference.experimental_design import plan_data_collection
 from oee_tabular.inference.intervals import Interval, interval
-from oee_tabular.inference.pairs import Sides, SimulationLemma, simulation_lemma
-from oee_tabular.inference.theorem_1 import (
-    EstimationCounterexample,
-    estimation_bound,
-    estimation_sides,
-    excess_risk,
-    renyi_divergence,
-    squared_error_sides,
-    sup_error_bound,
-    universal_constant_counterexample,
-)
-from oee_tabular.inference.theorem_2 import (
-    corrected_value_error_bound,
-    ratio_error_bound,
-    ratio_error_sides,
-    value_bound_counterexample,
-    value_error_bound,
-    value_error_sides,
-)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from oee_tabular.design import *  # noqa: F403
+    from oee_tabular.theory import *  # noqa: F403
 
 __all__ = [
     "Comparison",
-    "EstimationCounterexample",
     "Interval",
-    "Outlook",
-    "Plan",
     "RowChanges",
     "Selection",
-    "Sides",
-    "SimulationLemma",
     "compare_policies",
-    "corrected_value_error_bound",
-    "estimation_bound",
-    "estimation_sides",
-    "excess_risk",
     "interval",
-    "kl_path_bound",
-    "kl_path_sides",
-    "normalised_bound",
-    "normalised_sides",
-    "path_kl",
-    "plan_data_collection",
-    "ratio_error_bound",
-    "ratio_error_sides",
-    "renyi_divergence",
     "row_changes",
     "selection_measures",
-    "simulation_lemma",
-    "squared_error_sides",
-    "sup_error_bound",
-    "universal_constant_counterexample",
-    "unnormalised_bound",
-    "unnormalised_sides",
-    "value_bound_counterexample",
-    "value_error_bound",
-    "value_error_sides",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for room in ("theory", "design"):
+        module = importlib.import_module(f"oee_tabular.{room}")
+        if name in module.__all__:
+            return getattr(module, name)
+    raise AttributeError(f"module 'oee_tabular.inference' has no attribute {name!r}")

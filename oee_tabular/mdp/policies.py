@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray
 
 
@@ -127,3 +127,13 @@ def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
     policy = np.zeros((len(actions), n_actions))
     policy[np.arange(len(actions)), actions] = 1.0
     return policy
+
+
+def policy_array(spec: str, name: str) -> Array:
+    """The array that a .npy or .npz file holds."""
+    arrays = _files.read_npz(spec)
+    if _files.npz_kind(arrays) is not None:
+        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
+    if "policy" not in arrays and len(arrays) != 1:
+        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
+    return arrays.get("policy", next(iter(arrays.values())))

@@ -11,6 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING
 
 from oee_tabular import __version__, _printing
+from oee_tabular.estimators.names import NAMED
 from oee_tabular.inference import Interval
 from oee_tabular.report.quoting import LIKELIHOOD, METHODS
 from oee_tabular.report.results import headline
@@ -22,36 +23,13 @@ LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matpl
 
 CALLED: Mapping[str, str] = {"robust": "guaranteed"}
 
-MEANINGS: Mapping[str, str] = {
-    "simulator": "The policy's exact value in the simulator as it is: what one would believe without a log.",
-    "oee": "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log supports, and "
-    "the policy is evaluated exactly in the corrected simulator; where the log speaks against that, the value moves towards "
-    "the one-step value, which rests on the log alone wherever the log has moves.",
-    "oee-product": "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
-    "oee-product-sn": "Products of ratios, divided by their sum.",
-    "oee-trajectory": "One product of ratios for each whole simulated episode.",
-    "ratio-of-ratios": "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
-    "model-based": "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves.",
-    "is": "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
-    "wis": "Importance sampling with weights that are divided by their sum.",
-    "pdis": "Importance sampling, reward by reward (per decision); needs no simulator.",
-    "wpdis": "Importance sampling reward by reward, with weights that are divided by their sum.",
-    "dr": "Doubly robust: a model's value, corrected by the log.",
-    "dr-beta": "Doubly robust, with the ratio of occupancies as weights.",
-    "dr-rollouts": "Doubly robust on simulated episodes.",
-    "dr-episodes": "Doubly robust on the log's episodes.",
-    "wdr": "Doubly robust on the log's episodes, with weights that are divided by their sum.",
-    "magic": "A blend of model and importance sampling, chosen for the smallest error.",
-    "marginalized": "The log's rewards, weighted by how much more often the policy is in each place.",
-    "dualdice": "The same weights, from a saddle-point problem.",
-    "oracle": "The value with the true ratio, which only someone who knows the target has.",
-    "oracle-product": "Products of the true ratio along simulated episodes: what the noise alone does.",
-}
-
 
 @dataclass(frozen=True)
 class Answer:
-    """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval."""
+    """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval.
+
+    ``from_log`` is False where it is what the simulator alone says.
+    """
 
     policy: str
     value: float
@@ -63,6 +41,7 @@ class Answer:
     truth: float | None
     coverage: float | None
     sentence: str
+    from_log: bool
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -90,16 +69,17 @@ def between(lower: float | None, upper: float | None, joint: str = " to ") -> st
 
 def answers(report: Report) -> list[Answer]:
     """One answer a policy: the value that the log corrects, where there is one, with its interval."""
-    found = []
+    found, rows = [], report.records()
     for policy in dict.fromkeys(result.policy for result in report.results):
         own = [result for result in report.results if result.policy == policy]
-        first, rows = headline(own), [row for row in report.records() if row["policy"] == policy]
-        best = rows[own.index(first)]
-        simulator = next((row["value"] for row in rows if row["estimator"] == "simulator"), None)
+        first = headline(own)
+        best = rows[report.results.index(first)]
+        alone = next((r.estimate.value * report.scale for r in own if not r.estimate.basis.log), None)
         found.append(
             Answer(
-                policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"], simulator,
-                best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
+                policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
+                alone, best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
+                first.estimate.basis.log,
             )
         )  # fmt: skip
     return found
@@ -126,7 +106,7 @@ def first_words(report: Report, found: list[Answer]) -> tuple[str, str]:
 def _known(answer: Answer) -> str:
     """What the simulator says, and the truth where it is known."""
     told = []
-    if answer.simulator is not None and answer.estimator != "simulator":
+    if answer.simulator is not None and answer.from_log:
         told.append(f"The simulator alone says {number(answer.simulator)}.")
     if answer.truth is not None:
         told.append(f"The exact value in the target, which is known here, is {number(answer.truth)}.")
@@ -198,7 +178,7 @@ def versions() -> list[tuple[str, str]]:
 def glossary(report: Report) -> list[tuple[str, str]]:
     """What the words of the tables mean, for a reader who did not run it."""
     used = dict.fromkeys(result.estimator for result in report.results)
-    found = [(name, MEANINGS[name]) for name in used if name in MEANINGS]
+    found = [(name, NAMED[name].meaning) for name in used if name in NAMED]
     if any("robust" in methods for methods in report.sureness.intervals.values()):
         found.append(
             ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
@@ -211,5 +191,5 @@ def glossary(report: Report) -> list[tuple[str, str]]:
         ("eff. n", "Effective sample size: how many equally informative moves (or episodes) the value rests on."),
         ("coverage", "Share of the policy's discounted time in state-action pairs that the log has seen."),
         ("max weight", "The largest ratio, target over simulator or policy over behaviour."),
-        ("row-sum error", "How far rows of corrected probabilities are from summing to 1."),
+        ("row-sum err.", "How far rows of corrected probabilities are from summing to 1."),
     ]  # fmt: skip

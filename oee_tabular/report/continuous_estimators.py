@@ -11,9 +11,10 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
+from oee_tabular.estimators.base import IN_VALUES_UNIT, Basis
+from oee_tabular.estimators.findings import uncovered
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.report.quoting import VALUES
 from oee_tabular.tasks import ContinuousTask, MonteCarlo, StatePolicy, monte_carlo_value
 
 
@@ -80,7 +81,8 @@ class Supported:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's, with ``uncovered_mass``, ``largest_zeta`` and ``d_inf``."""
         found = self.estimator(problem, policy, seed=seed)
-        return replace(found, diagnostics=found.diagnostics | dict(self.support))
+        told = uncovered(*(self.support[name] for name in ("uncovered_mass", "largest_zeta", "d_inf")))
+        return replace(found, diagnostics=found.diagnostics | dict(self.support), findings=(*found.findings, *told))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,8 @@ class Calibrated:
         )
         facts = found.diagnostics
         value, error = facts["calibrated_value"], facts["calibrated_standard_error"]
-        raw_only = VALUES | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
+        raw_only = IN_VALUES_UNIT | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
         kept = {name: x for name, x in facts.items() if name not in raw_only}
         ends = None if found.interval is None or error is None else (value - 1.96 * error, value + 1.96 * error)
-        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept)
+        basis = Basis(normal=True, measured=found.basis.measured)
+        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept, basis=basis)

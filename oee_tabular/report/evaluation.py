@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks, advice
+from oee_tabular import _checks
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.report.quoting import LIKELIHOOD, quoted, way
+from oee_tabular.report.quoting import LIKELIHOOD, quoted, sentences, way
 from oee_tabular.report.results import Report, Result, headline
-from oee_tabular.sureness import Sureness, how_sure, ranked
+from oee_tabular.report.sureness import Sureness, how_sure, ranked
 
 
 @one_thread
@@ -103,28 +103,16 @@ def evaluate(
     sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
     results = []
     for result in raw:
-        likelihood = sure.intervals.get(result.policy, {}).get(LIKELIHOOD)
-        found = quoted(result.estimate, likelihood, problem, named_policies[result.policy], level)
-        results.append(replace(result, estimate=found))
+        likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]
+        results.append(replace(result, estimate=quoted(result.estimate, likelihood, problem, policy, level, scale)))
     sure = _told(sure, results, problem, named_policies, scale)
-    findings = [f for r in results for f in advice.about_estimate(r.policy, r.estimator, r.estimate, scale)]
-    about = [*((text, False) for text in left_out), *advice.about_problem(problem)]
-    general = [text for text, _ in about]
-    on_models = tuple(k for k, (_, concerns) in enumerate(about, start=1) if concerns)
-    told = advice.sentences(findings)
-    notes = {
-        (result.policy, result.estimator): (() if "n_episodes" in result.estimate.diagnostics else on_models)
-        + tuple(
-            k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (result.policy, result.estimator) in pairs
-        )
-        for result in results
-    }
+    warnings, notes = _noted(problem, results, left_out)
     known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
     known |= facts or {}
     return Report(
         tuple(results),
         truth,
-        (*general, *(sentence for sentence, _ in told)),
+        warnings,
         notes,
         level,
         normalized,
@@ -150,6 +138,21 @@ def _told(
         simulator = Simulator()(problem, policy).value
         about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator, scale))))
     return ranked(replace(sure, policies=about), values)
+
+
+def _noted(
+    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
+) -> tuple[tuple[str, ...], dict[tuple[str, str], tuple[int, ...]]]:
+    """Every sentence to be read before use, and of each (policy, estimator) the numbers of those that concern it."""
+    general = [*left_out, *(str(finding) for finding in problem.findings)]
+    on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
+    told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
+    notes = {
+        (r.policy, r.estimator): (() if r.estimate.basis.episodes else on_models)
+        + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)
+        for r in results
+    }
+    return (*general, *(sentence for sentence, _ in told)), notes
 
 
 def _named(policies: Any) -> dict[str, Any]:

@@ -1,10 +1,15 @@
-"""Whether what a report writes can be written, asked before the work is done."""
+"""Files of reports: whether they can be written, asked before the work is done, and what one says."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+from oee_tabular import _printing
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
@@ -73,3 +78,27 @@ def check_page(path: str | os.PathLike[str]) -> Path:
         raise ValueError(f"report must be a file; {str(file)!r} is a folder")
     check_output(file.parent, "report's folder")
     return file
+
+
+def summary(path: Path) -> str:
+    """What a report.json says, in a few lines."""
+    try:
+        report = json.loads(path.read_text())
+        lines = [
+            f"Report of {report['unit']}",
+            f"Simulator: {report['facts']['simulator']}",
+            f"Log: {report['facts']['log']}",
+        ]
+        lines += [
+            f"{row['policy']}  {row['estimator']}  {row['value']}{_interval_of(row)}" for row in report["results"]
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
+    return "\n".join(lines)
+
+
+def _interval_of(row: Mapping[str, Any]) -> str:
+    """With its method, where a row has one."""
+    if row["lower"] is None or row["upper"] is None:
+        return ""
+    return f"  {_printing.interval(row['lower'], row['upper'])} ({row.get('interval_method')})"

@@ -5,19 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.report import contents, figures
-from oee_tabular.report.portrait import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
+from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
+from oee_tabular.report.results import COLUMNS, diagnostic_cells, shown
 
 if TYPE_CHECKING:
     from oee_tabular.report.results import Report
-
-DIAGNOSTICS = (
-    ("standard_error", "std. error", ".2g"),
-    ("error", "error", "+.2g"),
-    ("effective_sample_size", "eff. n", ".0f"),
-    ("coverage", "coverage", ".1%"),
-    ("largest_weight", "max weight", ".3g"),
-    ("row_sum_error", "row-sum error", ".1g"),
-)
 
 
 def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
@@ -59,7 +51,7 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
         coverage=None if portrait is None else _coverage(portrait, report, Markup),
         changes=None if portrait is None else _changes(portrait, Markup),
         diagnostics=_diagnostics(report),
-        diagnostics_header=[name for key, name, _ in DIAGNOSTICS if key != "error" or report.truth],
+        diagnostics_header=["std. error", *(["error"] if report.truth else []), *(title for _, title, _ in COLUMNS)],
         methods=contents.method_facts(report),
         versions=contents.versions(),
         seed=contents.seed_words(report.seed),
@@ -146,12 +138,7 @@ def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
 def _diagnostics(report: Report) -> list[dict[str, Any]]:
     table = []
     for row in report.records():
-        cells = []
-        for key, _, form in DIAGNOSTICS:
-            if key == "error" and not report.truth:
-                continue
-            value = row.get(key)
-            tiny = key == "row_sum_error" and value is not None and value < 1e-9
-            cells.append("" if value is None else "0" if tiny else format(value, form).replace("-", "−"))
+        errors = [shown(row["standard_error"], ".2g"), *([shown(row["error"], "+.2g")] if report.truth else [])]
+        cells = [cell.replace("-", "−") for cell in (*errors, *diagnostic_cells(row))]
         table.append({"policy": row["policy"], "estimator": row["estimator"], "cells": cells, "status": row["status"]})
     return table

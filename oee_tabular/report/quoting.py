@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Any
 
 from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, ModelBased, Problem
+from oee_tabular.estimators.findings import NEVER_VARIED, Finding, no_value, outside
 from oee_tabular.inference import Interval
-from oee_tabular.sureness import ENOUGH
+from oee_tabular.report.sureness import ENOUGH
 
 LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {
@@ -24,61 +24,91 @@ METHODS: Mapping[str, str] = {
 _OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 
 
-def corrected(estimate: Estimate) -> bool:
-    """Whether it is the exact value of a model zeta * P, rows summing to 1, whatever it is called."""
-    return {"row_sum_error", "coverage"} <= estimate.diagnostics.keys()
-
-
-def quoted(estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float) -> Estimate:
-    """The estimate with the interval to quote, and a value inside it.
+def quoted(
+    estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float, scale: float = 1.0
+) -> Estimate:
+    """The estimate with the interval to quote, a value inside it, and the findings that are to be told.
 
     A value that the log corrects has the likelihood interval ``sure``, where there is one; outside of it stands no value: the
     one-step value takes its place, or else maximum likelihood's (``replaced_value``, ``replaced_by``). Others have the
     estimator's own interval, at ``level``, or value plus or minus a normal quantile times the standard error, where that
     counts what matters: not below ``ENOUGH``, not where the variance is not known.
-    ``diagnostics["interval_method"]`` names what it is.
+    ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
     """
-    facts = estimate.diagnostics
-    if sure is not None and sure.status == "ok" and corrected(estimate):
-        return _inside(estimate, sure, problem, policy)
+    if sure is not None and sure.status == "ok" and estimate.basis.model_value is not None:
+        found = _inside(estimate, sure, problem, policy, scale)
+    else:
+        found = _with_own_interval(estimate, level)
+    lacking = found.interval is None and (found.standard_error is not None or found.status == "ok")
+    told = [] if found.status == "ok" else [no_value(found.status, found.value)]
+    for finding in found.findings:
+        text = finding.alone if lacking and finding.alone is not None else finding.text
+        told += [replace(finding, text=text, alone=None)] if text else []
+    return replace(found, findings=tuple(told))
+
+
+def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
     if estimate.interval is not None:
-        if "interval_method" not in facts or level == _OWN_LEVEL:
+        if not estimate.basis.normal or level == _OWN_LEVEL:
             return estimate
         factor = quantile / NormalDist().inv_cdf(0.5 + _OWN_LEVEL / 2.0)
         lower, upper = (estimate.value + factor * (end - estimate.value) for end in estimate.interval)
         return replace(estimate, interval=(lower, upper))
-    error = estimate.standard_error
-    if error is None or not math.isfinite(estimate.value) or _measured(facts) < ENOUGH:
+    error, facts = estimate.standard_error, estimate.diagnostics
+    if error is None or not math.isfinite(estimate.value) or estimate.basis.measured < ENOUGH:
         return estimate
     if error <= 1e-12 * abs(estimate.value):  # 0, to roundoff: what does not vary has no error to show
-        return replace(estimate, standard_error=None, diagnostics={"standard_error_of": "log"} | facts)
+        told = (*estimate.findings, NEVER_VARIED)
+        return replace(estimate, standard_error=None, diagnostics={"standard_error_of": "log"} | facts, findings=told)
     ends = (estimate.value - quantile * error, estimate.value + quantile * error)
     return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
 
 
-def _measured(facts: Mapping[str, Any]) -> float:
-    """The share of the policy's time in state-action pairs whose variance the log tells; 1 where that has no meaning."""
-    return float(facts.get("coverage", 1.0) - facts.get("single_share", 0.0))
-
-
-def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array) -> Estimate:
+def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array, scale: float) -> Estimate:
     facts, value = estimate.diagnostics | {"interval_method": LIKELIHOOD}, estimate.value
     room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
     low, high = sure.lower - room, sure.upper + room
+    if low <= value <= high:
+        ends = (min(sure.lower, value), max(sure.upper, value))
+        return replace(estimate, interval=ends, diagnostics=facts)
+    own, by = value, "the one-step value"
+    value = math.nan if estimate.basis.one_step_value is None else estimate.basis.one_step_value
     if not low <= value <= high:
-        facts |= {"replaced_value": value, "replaced_by": "the one-step value"}
-        value = facts.get("one_step_value", math.nan)
-    if not low <= value <= high:
-        facts["replaced_by"] = "the maximum-likelihood value"
+        by = "the maximum-likelihood value"
         value = ModelBased(fallback="simulator")(problem, policy).value
     ends = (min(sure.lower, value), max(sure.upper, value))
-    return replace(estimate, value=value, interval=ends, diagnostics=facts)
+    shown = format(own * scale, _printing.spec(ends[0] * scale, ends[1] * scale))
+    return replace(
+        estimate,
+        value=value,
+        interval=ends,
+        diagnostics=facts | {"replaced_value": own, "replaced_by": by},
+        findings=(*estimate.findings, outside(shown, max(ends[0] - own, own - ends[1]), by)),
+        basis=replace(estimate.basis, replaced_value=own, replaced_by=by),
+    )
+
+
+def sentences(told: list[tuple[str, str, Finding]]) -> list[tuple[str, frozenset[tuple[str, str]]]]:
+    """One sentence per kind and estimator of (policy, estimator, finding), with the pairs that it is about."""
+    groups: dict[tuple[str, str, str], list[tuple[str, Finding]]] = {}
+    for policy, estimator, finding in told:
+        groups.setdefault((estimator, finding.kind, finding.text), []).append((policy, finding))
+    found = []
+    for (estimator, _, _), members in groups.items():
+        name, worst = max(members, key=lambda member: member[1].severity)
+        figure = worst.figure if len(members) == 1 else f"{worst.figure} ({name} is the worst)"
+        names = ", ".join(policy for policy, _ in members)
+        pairs = frozenset((policy, estimator) for policy, _ in members)
+        found.append((f"{estimator} ({names}): {worst.told(figure)}", pairs))
+    return found
 
 
 def way(estimates: Mapping[str, Estimate], simulator: float, scale: float) -> str:
     """How the values that the log corrects, by estimator, move from the ``simulator``'s, and where they were left."""
-    told = {name: _steps(estimate, scale) for name, estimate in estimates.items() if corrected(estimate)}
+    told = {
+        name: _steps(estimate, scale) for name, estimate in estimates.items() if estimate.basis.model_value is not None
+    }
     if not told:
         return ""
     listed = ": " + "; ".join(f"{name} {text}" for name, text in told.items())
@@ -87,23 +117,17 @@ def way(estimates: Mapping[str, Estimate], simulator: float, scale: float) -> st
 
 
 def _steps(estimate: Estimate, scale: float) -> str:
-    facts = estimate.diagnostics
+    basis = estimate.basis
     form = ".4g" if estimate.interval is None else _printing.spec(*(end * scale for end in estimate.interval))
-    show = {name: format(x * scale, form) for name, x in facts.items() if name in VALUES}
-    value = format(estimate.value * scale, form)
-    steps = [f"exact value of zeta * P {show.get('model_value', show.get('replaced_value', value))}"]
-    if "one_step_value" in facts:
-        steps.append(f"one-step {show['one_step_value']}")
-        steps.append(f"moved {facts.get('moved', 0.0):.0%}")
-    if "replaced_by" in facts:
-        steps[-1] += f" to {show['replaced_value']}" if "one_step_value" in facts else ""
-        steps[-1] += f": outside the interval, so this is {facts['replaced_by']}"
-    return f"{value} ({', '.join(steps)})"
 
+    def show(value: float | None) -> str:
+        return "" if value is None else format(value * scale, form)
 
-VALUES = frozenset(  # diagnostics that are values, or errors of values
-    (
-        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
-        "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
-    )
-)  # fmt: skip
+    steps = [f"exact value of zeta * P {show(basis.model_value)}"]
+    if basis.one_step_value is not None:
+        steps.append(f"one-step {show(basis.one_step_value)}")
+        steps.append(f"moved {basis.moved:.0%}")
+    if basis.replaced_by:
+        steps[-1] += f" to {show(basis.replaced_value)}" if basis.one_step_value is not None else ""
+        steps[-1] += f": outside the interval, so this is {basis.replaced_by}"
+    return f"{show(estimate.value)} ({', '.join(steps)})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +15,21 @@ import numpy as np
 from oee_tabular import __version__, _files, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.quoting import METHODS, OWN, VALUES, corrected
-from oee_tabular.sureness import Sureness, as_records
+from oee_tabular.report.quoting import METHODS, OWN
+from oee_tabular.report.sureness import Sureness, as_records
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (  # of diagnostics, in the table and on the page
+    ("effective_sample_size", "eff. n", "{:.0f}".format),
+    ("coverage", "coverage", "{:.1%}".format),
+    ("largest_weight", "max weight", "{:.3g}".format),
+    ("row_sum_error", "row-sum err.", lambda error: "0" if error < 1e-9 else f"{error:.2g}"),
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +57,7 @@ def headline(results: Sequence[Result]) -> Result:
 
     def order(result: Result) -> tuple[bool, bool, bool]:
         estimate = result.estimate
-        return not math.isfinite(estimate.value), not corrected(estimate), result.estimator == "simulator"
+        return not math.isfinite(estimate.value), estimate.basis.model_value is None, not estimate.basis.log
 
     return min(results, key=order)
 
@@ -126,7 +135,7 @@ class Report:
                     "status": estimate.status,
                     "notes": list(self.notes.get((result.policy, result.estimator), ())),
                     **{
-                        name: x * factor if name in VALUES else x
+                        name: x * factor if name in IN_VALUES_UNIT else x
                         for name, x in estimate.diagnostics.items()
                         if name != "interval_method"
                     },
@@ -142,22 +151,8 @@ class Report:
         return pd.DataFrame(self.records())
 
     def _header(self) -> list[str]:
-        level = f"{self.confidence:.0%} interval"
-        header = [
-            "policy",
-            "estimator",
-            "value",
-            "std. error",
-            level,
-            "eff. n",
-            "coverage",
-            "max weight",
-            "row-sum err.",
-            "note",
-        ]
-        if self.truth:
-            header.insert(5, "error")
-        return header
+        interval = [f"{self.confidence:.0%} interval", *(["error"] if self.truth else [])]
+        return ["policy", "estimator", "value", "std. error", *interval, *(title for _, title, _ in COLUMNS), "note"]
 
     def _legend(self) -> list[str]:
         """What the column of intervals holds: for each method its estimators, and what it is."""
@@ -193,23 +188,16 @@ class Report:
     def _cells(self, row: Mapping[str, Any]) -> list[str]:
         ends = row["lower"], row["upper"]
         form, interval = (".5g", "") if ends[0] is None else (_printing.spec(*ends), _printing.interval(*ends))
-        coverage = row.get("coverage")
-        row_sum = row.get("row_sum_error")
-        cells = [
+        return [
             row["policy"],
             row["estimator"],
             format(row["value"], form),
-            _number(row["standard_error"], ".2g"),
+            shown(row["standard_error"], ".2g"),
             interval,
-            _number(row.get("effective_sample_size"), ".0f"),
-            "" if coverage is None else f"{100 * coverage:.1f}%",
-            _number(row.get("largest_weight"), ".3g"),
-            "" if row_sum is None else ("0" if row_sum < 1e-9 else f"{row_sum:.2g}"),
-            "".join(f"[{k}]" for k in self.notes.get((row["policy"], row["estimator"]), ())),
+            *([shown(row["error"], "+.2g")] if self.truth else []),
+            *diagnostic_cells(row),
+            "".join(f"[{k}]" for k in row["notes"]),
         ]
-        if self.truth:
-            cells.insert(5, _number(row["error"], "+.2g"))
-        return cells
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
@@ -307,8 +295,14 @@ class Report:
         )
 
 
-def _number(value: float | None, form: str) -> str:
+def shown(value: float | None, form: str) -> str:
+    """A number, or nothing."""
     return "" if value is None else format(value, form)
+
+
+def diagnostic_cells(row: Mapping[str, Any]) -> list[str]:
+    """A record's ``COLUMNS``, empty where it has none."""
+    return ["" if row.get(key) is None else words(row[key]) for key, _, words in COLUMNS]
 
 
 def _aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks, _memory
+from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP, mix
 from oee_tabular.mdp.policies import deterministic_policy
@@ -49,13 +49,12 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     FiniteMDP(100 states, 4 actions, 1576 transitions, rewards r(s, a, s'), discount 0.99)
     """
     n = _checks.positive_integer(size, "size")
-    _checks.require_memory(100.0 * n * n, "size", n)
+    _checks.require_memory(STATE_BYTES * n * n, "size", n, size=1)
     if n < 2:
         raise ValueError(f"size must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
     n_states = n * n
-    _memory.require(STATE_BYTES * n_states, f"a gridworld of {n} x {n} cells")
     goal = n_states - 1
     destinations = _destinations(n)
     destinations[goal] = goal

@@ -12,7 +12,7 @@ import pytest
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import _files, _memory
+from oee_tabular import _checks, _files
 from oee_tabular.tasks import CartPole, Discretization
 
 GRID = oee.tasks.gridworld(3, 0.3)
@@ -107,7 +107,7 @@ def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, c
     from oee_tabular.cli import main
 
     path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(2**18))})
-    monkeypatch.setattr(_memory, "available", lambda: 2.0**20)
+    monkeypatch.setattr(_checks, "free_memory", lambda: 2.0**20)
     with pytest.raises(MemoryError, match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free"):
         _files.read_npz(path)
     with pytest.raises(SystemExit) as ended:
@@ -128,7 +128,7 @@ def test_a_gridworld_that_no_machine_holds(capsys):
         main(["policy", "gridworld:1000000,slip=0.1", "uniform", "--output", "p.npy"])
     assert ended.value.code == 2
     assert "size must be small enough for this machine's memory" in capsys.readouterr().err
-    assert 0 < _memory.available() < 2.0**60
+    assert 0 < _checks.free_memory() < 2.0**60
 
 
 def test_a_pickle_is_never_opened(tmp_path):
@@ -357,7 +357,7 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     from pathlib import Path
 
     from oee_tabular.cli import main
-    from oee_tabular.cli_inputs import policy_array
+    from oee_tabular.mdp.policies import policy_array
 
     def refuse(*_, **__):
         raise AssertionError("the network")

@@ -4,12 +4,14 @@ import functools
 
 import numpy as np
 import pytest
+from estimators.four_states import BEHAVIOR, FULL, POLICY, SIMULATOR, TARGET, environments
 from helpers import dense, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
+from oee_tabular import FiniteMDP
 from oee_tabular.estimators import (
     DoublyRobust,
     DualDice,
@@ -21,6 +23,7 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
+from oee_tabular.estimators.limits import expected_rewards, population
 
 LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
 
@@ -378,3 +381,146 @@ def test_bad_calls(name):
     call, text = BAD[name]
     with pytest.raises(ValueError, match=text):
         call()
+
+
+EVERY = [
+    Simulator(), OffEnvironment(), OffEnvironment(evaluation="monte_carlo"), ModelBased(), ModelBased("simulator"),
+    ImportanceSampling(), DoublyRobust(), DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"), Magic(),
+    Marginalized(), DualDice(),
+]  # fmt: skip
+
+
+ARGUMENTS = {
+    "simulator": ({"simulator": 3}, r"^simulator must be a FiniteMDP; got int$"),
+    "target": ({"target": 3}, r"^target must be a FiniteMDP; got int$"),
+    "policy": ({"policy": POLICY * 2}, r"^policy\[0\] must sum to 1"),
+    "data": ({"data_distribution": FULL * 2}, r"^data_distribution must sum to 1"),
+    "behaviour": ({"behavior_policy": BEHAVIOR * 2}, r"^behavior_policy\[0\] must sum to 1"),
+    "horizon": ({"horizon": 0}, r"^horizon must be a positive integer; it is 0$"),
+    "size": ({"target": FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.9)},
+             r"^target and simulator must have the same states and actions; .* shapes \(1, 1\) and \(8, 4\)$"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+@pytest.mark.parametrize("estimator", EVERY, ids=repr)
+def test_bad_arguments_of_limits(estimator, name):
+    changed, text = ARGUMENTS[name]
+    if isinstance(estimator, DualDice) and name == "horizon":
+        return  # it has none
+    arguments = {"simulator": SIMULATOR, "target": TARGET, "policy": POLICY} | changed
+    with pytest.raises(ValueError, match=text):
+        estimator.limit(**arguments)
+
+
+def test_populations():
+    """Uniform data where none are given; the support; counts; models; zeta on the support."""
+    people = population(SIMULATOR, TARGET, POLICY)
+    assert_array_equal(people.distribution, FULL)
+    assert people.support.all()
+    assert people.behavior is None
+    share = FULL.copy()
+    share[1], share[0] = 0.0, 0.25
+    part = population(SIMULATOR, TARGET, POLICY, data_distribution=share, behavior_policy=BEHAVIOR, horizon=3)
+    assert_array_equal(part.support, share.reshape(-1) > 0)
+    assert_array_equal(part.behavior, BEHAVIOR)
+    assert part.horizon == 3
+    counts = part.counts().toarray().reshape(4, 2, 4)
+    assert_allclose(counts, 1e12 * share[:, :, None] * dense(TARGET)[0])
+    mixed = part.model(SIMULATOR.transitions)
+    keep = share[:, :, None] > 0
+    assert_allclose(dense(mixed)[0], np.where(keep, dense(TARGET)[0], dense(SIMULATOR)[0]))
+    assert_allclose(part.value(mixed), oee.policy_value(mixed, POLICY, horizon=3))
+    zeta = oee.ratio.Conditional(prior="simulator").limit(part).toarray().reshape(4, 2, 4)
+    true = oee.true_ratio(TARGET, SIMULATOR).values.toarray().reshape(4, 2, 4)
+    assert_allclose(zeta, np.where(keep, true, 1.0 * (dense(SIMULATOR)[0] > 0)))
+    assert_allclose(
+        expected_rewards(SIMULATOR, TARGET.transitions),
+        (dense(TARGET)[0] * dense(SIMULATOR)[1]).sum(axis=2).reshape(-1),
+    )
+    flat = environments(2)[0]
+    assert_array_equal(expected_rewards(flat, TARGET.transitions), flat.rewards.reshape(-1))
+
+
+@pytest.mark.parametrize("horizon", [None, 4])
+@pytest.mark.parametrize("form", [2, 3])
+def test_limits_where_the_data_miss_a_row(form, horizon):
+    """The fallbacks of the model: the row stays where it is and pays r(s, a, s), else r(s, a); or moves as the simulator."""
+    simulator, target = environments(form)
+    share = FULL.copy()
+    share[1, 0], share[1, 1] = 0.0, 0.25
+    rows, options = dense(target)[0].copy(), {"data_distribution": share, "horizon": horizon}
+    pay = expected_rewards(simulator, target.transitions).reshape(4, 2).copy()
+    own = simulator.transition_rewards
+    pay[1, 0] = simulator.rewards[1, 0] if own is None else own[[2]].toarray()[0, 1]
+    rows[1, 0] = np.eye(4)[1]
+    stay = FiniteMDP(rows, pay, simulator.initial, simulator.discount)
+    limit = ModelBased().limit(simulator, target, POLICY, **options)
+    assert_allclose(limit, oee.policy_value(stay, POLICY, horizon=horizon), rtol=1e-12)
+    rows[1, 0] = dense(simulator)[0][1, 0]
+    moves = oee.policy_value(simulator.with_transitions(rows), POLICY, horizon=horizon)
+    assert_allclose(ModelBased("simulator").limit(simulator, target, POLICY, **options), moves, rtol=1e-12)
+    if horizon is None:
+        assert_allclose(DualDice().limit(simulator, target, POLICY, data_distribution=share), moves, rtol=1e-12)
+    assert_allclose(
+        Simulator().limit(simulator, target, POLICY, **options), oee.policy_value(simulator, POLICY, horizon=horizon)
+    )
+
+
+def test_the_oracle_s_limit_is_its_own_target_s():
+    simulator, target = environments()
+    zeta = oee.true_ratio(target, simulator)
+    assert_allclose(Oracle(target).limit(simulator, simulator, POLICY), oee.policy_value(target, POLICY))
+    assert_allclose(
+        Oracle(target).limit(simulator, simulator, POLICY, horizon=3), oee.policy_value(target, POLICY, horizon=3)
+    )
+    oracle = Oracle(target, "monte_carlo", "trajectory", self_normalized=True)
+    expected = oee.weighted_return_moments(simulator, zeta, POLICY, kind="trajectory", self_normalized=True, horizon=3)
+    assert_allclose(oracle.limit(simulator, simulator, POLICY, horizon=3), expected.mean, rtol=1e-10)
+
+
+def test_limits_of_importance_sampling_without_the_finished():
+    """gamma^t E[rho r_t] / E[rho 1{going at t}], term by term."""
+    simulator, target = environments(2)
+    transitions, alive = dense(target)[0], np.array([1.0, 1, 1, 0])
+    found, reached = 0.0, target.initial
+    for t in range(5):
+        paid = reached @ (POLICY * target.rewards).sum(axis=1)
+        found += 0.9**t * paid / (reached @ alive)
+        reached = np.einsum("s,sa,sat->t", reached, POLICY, transitions)
+    estimator = ImportanceSampling(self_normalized=True, ragged="zero")
+    limit = estimator.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
+    assert_allclose(limit, found, rtol=1e-12)
+    guessed = ImportanceSampling(self_normalized=True, ragged="zero", behavior="estimated")
+    assert_allclose(guessed.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5), found, rtol=1e-12)
+    assert_allclose(estimator.limit(simulator, target, POLICY, horizon=5), found, rtol=1e-12)  # any policy with support
+    lacking = BEHAVIOR.copy()
+    lacking[1] = [1.0, 0.0]  # what it never does is lost: weights there are 0
+    kept = POLICY * (lacking > 0)
+    found, reached = 0.0, target.initial
+    for t in range(5):
+        found += 0.9**t * (reached @ (kept * target.rewards).sum(axis=1)) / (reached @ (alive * kept.sum(axis=1)))
+        reached = np.einsum("s,sa,sat->t", reached, np.where(alive[:, None] > 0, kept, POLICY), transitions)
+    assert_allclose(estimator.limit(simulator, target, POLICY, behavior_policy=lacking, horizon=5), found, rtol=1e-12)
+    for options in ({"kind": "trajectory"}, {"ragged": "pad"}):
+        other = ImportanceSampling(**({"self_normalized": True, "ragged": "zero"} | options))
+        limit = other.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
+        assert_allclose(limit, oee.policy_value(target, POLICY, horizon=5), rtol=1e-12)
+
+
+def test_the_limit_on_episodes_without_support_is_what_the_model_makes_of_the_rest():
+    """D = V + sum over the actions that are taken of pi (r + gamma P' D' - Q), backwards."""
+    simulator, target = environments(2)
+    lacking = BEHAVIOR.copy()
+    lacking[1] = [1.0, 0.0]
+    kept = np.where(lacking > 0, POLICY, 0.0)
+    ahead = np.zeros(4)
+    for left in range(1, 5):
+        v, q = (f(simulator, POLICY, horizon=left) for f in (oee.state_values, oee.action_values))
+        ahead = v + (kept * (target.rewards + 0.9 * dense(target)[0] @ ahead - q)).sum(axis=1)
+    options = {"behavior_policy": lacking, "horizon": 4}
+    estimator = DoublyRobust(data="episodes", ratio=oee.true_ratio(simulator, simulator))
+    assert_allclose(estimator.limit(simulator, target, POLICY, **options), target.initial @ ahead, rtol=1e-10)
+    truth = oee.policy_value(target, POLICY, horizon=4)
+    assert abs(target.initial @ ahead - truth) > 1e-3
+    assert_allclose(estimator.limit(simulator, target, POLICY, horizon=4), truth)

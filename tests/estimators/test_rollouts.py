@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from estimators.four_states import POLICY, plain_episodes, recorded_problem, reweighted_zeta
 from helpers import printed_with_threads, random_mdp, random_policy, survival_chain
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.estimators import DoublyRobust, OffEnvironment, Oracle
 from oee_tabular.estimators.base import effective_sample_size
-from oee_tabular.estimators.rollouts import rollout_horizon
+from oee_tabular.estimators.rollouts import rollout_horizon, segment_products
 
 KINDS = ("per_decision", "trajectory")
 
@@ -214,3 +215,49 @@ def test_rollouts_of_the_infinite_sum_with_control_variates_stop_with_their_epis
     found = DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=20_000)(problem_of(chain), np.ones((2, 1)), seed=0)
     model = oee.exact.reweight(chain, zeta)
     assert abs(found.value - oee.policy_value(model, np.ones((2, 1)))) < 4 * found.standard_error
+
+
+@pytest.mark.parametrize("form", [2, 3])
+@pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
+@pytest.mark.parametrize("horizon", [None, 4])
+def test_a_product_is_the_mean_over_its_rollouts(form, weighting, horizon):
+    """The same rollouts, gone through move by move; and what is said of their weights."""
+    problem, target = recorded_problem(form, horizon=horizon)
+    simulator = problem.simulator
+    zeta = reweighted_zeta(simulator, target, 1.1)
+    steps = horizon or rollout_horizon(0.9, None)
+    log = oee.sample_returns(simulator, POLICY, 40, steps, seed=np.random.default_rng(5), record=True).log
+    table = zeta.values.toarray().reshape(4, 2, 4)
+    totals, lasts, every = [], [], []
+    for moves, _ in plain_episodes(log):
+        ratios = np.array([table[s, a, j] for s, a, j, _ in moves])
+        after = np.cumprod(ratios)
+        weights = after if form == 3 else np.concatenate([[1.0], after[:-1]])
+        last = after[-1] if form == 3 or len(moves) < steps else weights[-1]
+        if weighting == "trajectory":
+            weights = np.full(len(moves), last)
+        totals.append(sum(0.9**t * weights[t] * r for t, (_, _, _, r) in enumerate(moves)))
+        lasts.append(last)
+        every.append(weights.max())
+    estimator = OffEnvironment(zeta, "monte_carlo", weighting, n_rollouts=40)
+    found = estimator(problem, POLICY, seed=5)
+    assert_allclose(found.value, np.mean(totals), rtol=1e-10)
+    assert_allclose(found.standard_error, np.std(totals, ddof=1) / np.sqrt(40), rtol=1e-10)
+    facts, lasts = found.diagnostics, np.array(lasts)
+    assert facts["n_rollouts"] == 40
+    assert_allclose(facts["effective_sample_size"], lasts.sum() ** 2 / (lasts**2).sum())
+    assert_allclose(facts["largest_weight"], np.max(every))
+    assert_allclose(facts["mean_weight"], lasts.mean())
+    assert_allclose(facts["row_sum_error"], 0.1)
+    oracle = Oracle(target, "monte_carlo", weighting, n_rollouts=40)(problem, POLICY, seed=np.random.default_rng(5))
+    true = OffEnvironment(oee.true_ratio(target, simulator), "monte_carlo", weighting, n_rollouts=40)(
+        problem, POLICY, seed=5
+    )
+    assert (oracle.value, oracle.standard_error) == (true.value, true.standard_error)
+    normalised = Oracle(target, "monte_carlo", weighting, self_normalized=True, n_rollouts=40)(problem, POLICY, seed=5)
+    assert normalised.value != oracle.value
+
+
+def test_products_within_episodes():
+    found = segment_products(np.array([2.0, 3.0, 0.0, 5.0, 7.0, 4.0]), np.array([0, 2, 5, 6]))
+    assert_array_equal(found, [2, 6, 0, 0, 0, 4])

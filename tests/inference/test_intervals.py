@@ -18,7 +18,7 @@ from oee_tabular.exact import evaluate_policy
 from oee_tabular.inference import ambiguity, likelihood, robust
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
-from oee_tabular.inference.reference import rectangular_program
+from oee_tabular.inference.statements import rectangular_program
 from oee_tabular.kernels import ambiguity as kernel
 
 

@@ -129,3 +129,23 @@ def test_wrappers_that_may_change_anything_are_refused(wrap):
         FiniteMDP.from_gymnasium(wrap(gymnasium.make("FrozenLake-v1")))
     harmless = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.make("FrozenLake-v1"))
     assert FiniteMDP.from_gymnasium(harmless).n_states == 16
+
+
+class Corridor(gymnasium.Env):
+    """State 2, the last one, is begun in and never entered; an outcome of probability 0 leads there."""
+
+    observation_space, action_space = gymnasium.spaces.Discrete(3), gymnasium.spaces.Discrete(1)
+    initial_state_distrib = np.array([0.0, 0.0, 1.0])
+    P = {
+        0: {0: [(1.0, 0, 0.0, True)]},
+        1: {0: [(0.5, 0, 0.0, True), (0.5, 1, 0.0, False), (0.0, 2, 7.0, False)]},
+        2: {0: [(1.0, 1, 1.0, False)]},
+    }
+
+
+def test_a_table_whose_last_state_is_never_entered():
+    mdp = FiniteMDP.from_gymnasium(Corridor(), discount=0.5)
+    assert mdp.n_states == 3
+    assert_array_equal(mdp.transitions.toarray(), [[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0]])
+    assert_array_equal(mdp.initial, [0, 0, 1])
+    assert_array_equal(oee.state_values(mdp, np.ones((3, 1))), [0, 0, 1])

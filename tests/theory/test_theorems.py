@@ -358,7 +358,7 @@ def test_the_sup_error_bound_by_hand():
 
 def test_chernoff_with_a_third_needs_e_below_one():
     """Where e_p > 1, the plain e_p = sqrt(3 L / (n p)) is too small: 1 of 50 against a claimed 1 of 148."""
-    from oee_tabular.inference.theorem_1 import _chernoff
+    from oee_tabular.theory.theorem_1 import _chernoff
 
     mean, log_term = 0.02, 5.0
     short = math.sqrt(3 * log_term / mean)

@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
+from oee_tabular.estimators.base import Basis
 from oee_tabular.report import evaluation
 from oee_tabular.report.contents import answers, between, within
 
@@ -48,7 +49,8 @@ class Corrected:
             "model_value": self.value, "moved": 0.0, "coverage": 0.5, "row_sum_error": 0.0,
         }  # fmt: skip
         ends = (self.value - 1.96 * self.error, self.value + 1.96 * self.error)
-        return Estimate(self.value, self.error, ends, facts | self.facts)
+        basis = Basis(model_value=self.value, one_step_value=self.one_step, normal=True, measured=0.5)
+        return Estimate(self.value, self.error, ends, facts | self.facts, basis=basis)
 
 
 def row_of(report, estimator="oee", policy=None):
@@ -127,7 +129,7 @@ def test_the_same_interval_stands_everywhere(tmp_path):
 
 
 def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
-    from oee_tabular import sureness
+    from oee_tabular.report import sureness
 
     monkeypatch.setattr(sureness, "LARGEST", 10)
     found = oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0, 2.2)})

@@ -91,7 +91,7 @@ def test_diagnostics_that_are_values_are_in_the_reports_unit():
 
 def test_where_there_are_no_likelihood_intervals_it_is_said(monkeypatch):
     """At discount 1 without a horizon, and of too many moves; guaranteed ones are refused there."""
-    from oee_tabular import sureness
+    from oee_tabular.report import sureness
 
     log = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 900, seed=0)
     endless = oee.Problem(SIMULATOR.with_discount(1.0), log)

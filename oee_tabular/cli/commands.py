@@ -1,14 +1,27 @@
-"""The command ``oee``. What is slow to import (numba, cvxpy, pandas) is imported where it is used."""
+"""What each word after ``oee`` does, and its options."""
 
 from __future__ import annotations
 
-import sys
-import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from oee_tabular.cli.inputs import (
+    ESTIMATORS_HELP,
+    FEATURES_HELP,
+    POLICY_HELP,
+    SIMULATOR_HELP,
+    TIE_HELP,
+    embedded,
+    from_files,
+    policies_of,
+    policy_of,
+    problem_of,
+    recorded,
+    task_of,
+    write_array,
+)
 from oee_tabular.cli_continuous import (
     CALIBRATION_HELP,
     EPISODES_HELP,
@@ -23,20 +36,6 @@ from oee_tabular.cli_continuous import (
     refuse_settings,
     settings_of,
 )
-from oee_tabular.cli_inputs import (
-    ESTIMATORS_HELP,
-    FEATURES_HELP,
-    POLICY_HELP,
-    SIMULATOR_HELP,
-    TIE_HELP,
-    embedded,
-    from_files,
-    policies_of,
-    policy_of,
-    problem_of,
-    recorded,
-    task_of,
-)
 
 app = typer.Typer(
     help="What return will a policy get in the target, given a simulator and a log of the target?",
@@ -49,7 +48,13 @@ app = typer.Typer(
 Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
 Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists (a Minari folder: never).")]
+Policies = Annotated[
+    list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY_HELP}.")
+]
+Confidence = Annotated[float, typer.Option(help="Level of the intervals.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same bits.")]
+Jobs = Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")]
+Dask = Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")]
 
 
 @app.command()
@@ -58,9 +63,7 @@ def evaluate(
     log: Annotated[
         Path | None, typer.Option(help="Log of the target: .npz, .csv, .parquet, Minari folder or id.")
     ] = None,
-    policy: Annotated[
-        list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY_HELP}.")
-    ] = None,
+    policy: Policies = None,
     behavior: Annotated[str | None, typer.Option(help="Policy that recorded the log, as for --policy.")] = None,
     target: Annotated[str | None, typer.Option(help="The true target, as for --simulator, to show errors.")] = None,
     horizon: Annotated[
@@ -78,7 +81,7 @@ def evaluate(
     action_noise: Annotated[
         float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
     ] = 0.0,
-    confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+    confidence: Confidence = 0.95,
     guaranteed: Annotated[
         bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
     ] = False,
@@ -176,15 +179,9 @@ def policy(
     discount: Discount = None,
 ) -> None:
     """Write a policy of a simulator to a file."""
-    import numpy as np
-
-    from oee_tabular import _files
-
-    task = task_of(simulator, discount)
-    pi = policy_of(spec, task, "policy")
+    pi = policy_of(spec, task_of(simulator, discount), "policy")
     there = output.exists()
-    with _files.whole_file(output, (".npy",)) as handle:
-        np.save(handle, pi, allow_pickle=False)
+    write_array(output, pi)
     typer.echo(f"{output}{' (replaced)' * there}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
 
 
@@ -215,9 +212,7 @@ def plan(
     simulator: Annotated[str, typer.Option(help=SIMULATOR_HELP)],
     log: Annotated[Path, typer.Option(help="Log of the target so far, as in evaluate.")],
     transitions: Annotated[int, typer.Option(help="How many more transitions to record.")],
-    policy: Annotated[
-        list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable; SPEC: {POLICY_HELP}.")
-    ] = None,
+    policy: Policies = None,
     output: Annotated[
         Path | None, typer.Option(help="The behaviour policy to record with (--free: each (s, a)'s share): .npy.")
     ] = None,
@@ -226,14 +221,12 @@ def plan(
     ] = False,
     horizon: Annotated[int | None, typer.Option(help="As in evaluate.")] = None,
     discount: Discount = None,
-    confidence: Annotated[float, typer.Option(help="Level of the intervals.")] = 0.95,
+    confidence: Confidence = 0.95,
     overwrite: Overwrite = False,
 ) -> None:
     """What to record next: a behaviour policy, and the width of each value's interval before and after."""
-    import numpy as np
-
     from oee_tabular import _files
-    from oee_tabular.inference import plan_data_collection
+    from oee_tabular.design import plan_data_collection
 
     if output is not None:
         _files.new_file(output, "--output", overwrite=overwrite)
@@ -248,8 +241,7 @@ def plan(
     )
     typer.echo(str(found))
     if output is not None:
-        with _files.whole_file(output, (".npy",)) as handle:
-            np.save(handle, found.distribution if free else found.behavior_policy, allow_pickle=False)
+        write_array(output, found.distribution if free else found.behavior_policy)
         typer.echo(f"{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}")
 
 
@@ -263,8 +255,8 @@ def reproduce(
         int | None, typer.Option(help="Repetitions of each cell, instead of the experiment's own.")
     ] = None,
     seed: Seed = 0,
-    jobs: Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")] = -1,
-    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
     output: Annotated[
         Path, typer.Option(help="Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.")
     ] = Path("results"),
@@ -294,8 +286,8 @@ def bench(
         str | None, typer.Option(help="Names, comma-separated, or MODULE:FUNCTION of your own.", show_default="all")
     ] = None,
     seed: Seed = 0,
-    jobs: Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")] = -1,
-    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
     output: Annotated[
         Path, typer.Option(help="Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.")
     ] = Path("results/bench"),
@@ -347,28 +339,3 @@ def options(
     ] = False,
 ) -> None:
     """Evaluate policies in a target environment, given a simulator and a log."""
-
-
-def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
-    typer.echo(f"oee: warning: {message}", err=True)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command; an error of the user's is one line on stderr and exit code 2."""
-    warnings.showwarning = _tell
-    try:
-        app(arguments, standalone_mode=True)
-    except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
-        typer.echo(f"oee: {_sentence(error)}", err=True)
-        sys.exit(2)
-
-
-def _sentence(error: Exception) -> str:
-    if isinstance(error, MemoryError):
-        words = str(error).replace("Unable to allocate", "this needs", 1)
-        return f"not enough memory; {words or 'this needs more than there is'}"
-    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    if isinstance(error, FileNotFoundError) and error.filename:
-        return f"{'no such folder' if error.strerror == 'no such folder' else 'no such file'}: {error.filename}"
-    return str(error)

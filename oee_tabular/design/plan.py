@@ -9,7 +9,7 @@ from scipy import special
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.inference.design_programs import evaluate
+from oee_tabular.design.programs import evaluate
 
 
 @dataclass(frozen=True)

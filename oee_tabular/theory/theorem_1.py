@@ -17,8 +17,8 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.inference.bounds import divergence_terms
-from oee_tabular.inference.pairs import Sides, check_box, in_box
+from oee_tabular.theory.bounds import divergence_terms
+from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
 
 
 def renyi_divergence(p: Any, q: Any, order: float) -> float:

@@ -2,7 +2,7 @@
 
 q is the distribution over rows x = (s, a) of the next m observations, b_x = n_x / m what the log has of each, C_k the costs of
 policy k divided by m and by the best that a plan for that policy alone can reach, so that F_k is its relative inefficiency.
-q is any distribution ("free"), or one that a behaviour policy can have (``design_flow``).
+q is any distribution ("free"), or one that a behaviour policy can have (``design.flow``).
 
 Both are solved by a fully corrective Frank-Wolfe method [1]: q is the best mixture of a few columns, found by a
 primal-dual interior-point method in the mixture's weights; the multipliers w of the policies then define the single

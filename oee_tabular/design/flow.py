@@ -27,8 +27,8 @@ from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import canonical, row_sums
+from oee_tabular.design.programs import TOLERANCE, Design, evaluate, fill, minimise
 from oee_tabular.exact import occupancy, optimal_policy, state_values
-from oee_tabular.inference.design_programs import TOLERANCE, Design, evaluate, fill, minimise
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 
 _BLENDS = (0.0, 0.03, 0.3, 1.0)  # of the best policy's value into beta's, in the bound

@@ -22,9 +22,9 @@ from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.inference.pairs import Sides, check_pair, forward_distributions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import followed, optional_steps
+from oee_tabular.theory.simulation_lemma import Sides, check_pair, forward_distributions
 
 _LONGEST, _NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import find, row_of_entry
 from oee_tabular.data.tables import csv_frame, require_columns
 from oee_tabular.estimators import Estimator, OffEnvironment
@@ -47,11 +48,11 @@ def features_of(path: Path, simulator: FiniteMDP) -> tuple[Array, list[str]]:
     feature, which is 0 in moves that are not in the file.
     """
     if _is_table(path, "--features"):
-        names, columns, entry = _table(path, simulator)
-        values = np.zeros((simulator.transitions.nnz, len(names)))
+        columns, entry = _table(path, simulator)
+        values = np.zeros((simulator.transitions.nnz, len(columns)))
         for k, column in enumerate(columns):
-            values[entry, k] = _finite(column, names[k], path)
-        return values, names
+            values[entry, k] = column.finite()
+        return values, [column.label for column in columns]
     found = np.asarray(_entries(path, simulator, columns=True), dtype=np.float64).reshape(simulator.transitions.nnz, -1)
     bad = np.argwhere(~np.isfinite(found))
     if bad.size:
@@ -68,10 +69,11 @@ def tie_of(path: Path, simulator: FiniteMDP) -> NDArray[Any]:
         if keys.dtype.kind not in "iu":
             raise ValueError(f"{str(path)!r} must hold integer keys; it holds {keys.dtype}")
         return keys
-    names, columns, entry = _table(path, simulator)
-    if len(names) > 1:
-        raise ValueError(f"{str(path)!r} must have one column of keys beside {_words(MOVE)}; it has {_words(names)}")
-    written = _integers(columns[0], names[0], path)
+    columns, entry = _table(path, simulator)
+    if len(columns) > 1:
+        found = _words(column.label for column in columns)
+        raise ValueError(f"{str(path)!r} must have one column of keys beside {_words(MOVE)}; it has {found}")
+    written = columns[0].integers()
     matrix = simulator.transitions
     absent = np.setdiff1d(np.arange(matrix.nnz), entry)
     if absent.size:
@@ -111,8 +113,8 @@ def _entries(path: Path, simulator: FiniteMDP, *, columns: bool) -> NDArray[Any]
     return array
 
 
-def _table(path: Path, simulator: FiniteMDP) -> tuple[list[str], list[Any], IntArray]:
-    """Names and columns of a .csv beside its moves, and the entry of the simulator's transitions that each row is about."""
+def _table(path: Path, simulator: FiniteMDP) -> tuple[list[_Column], IntArray]:
+    """The columns of a .csv beside its moves, and the entry of the simulator's transitions that each row is about."""
     frame = csv_frame(str(path))
     require_columns(str(path), MOVE, frame.columns)
     names = [str(label) for label in frame.columns if label not in MOVE]
@@ -124,7 +126,7 @@ def _table(path: Path, simulator: FiniteMDP) -> tuple[list[str], list[Any], IntA
         rule = "a column of numbers beside its moves" if len(frame) else "at least one row"
         raise ValueError(f"{str(path)!r} must have {rule}; it has none")
     sizes = (simulator.n_states, simulator.n_actions, simulator.n_states)
-    s, a, following = (_below(frame[label], label, size, path) for label, size in zip(MOVE, sizes, strict=True))
+    s, a, following = (_Column(label, path, frame[label]).below(size) for label, size in zip(MOVE, sizes, strict=True))
     entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
 
     def move(row: int) -> str:
@@ -142,50 +144,47 @@ def _table(path: Path, simulator: FiniteMDP) -> tuple[list[str], list[Any], IntA
         row = int(again[0])
         before = int(np.argmax(entry == entry[row]))
         raise ValueError(f"row {row} of {str(path)!r} must be a move of its own; {move(row)} is row {before} already")
-    return names, [frame[label] for label in names], entry
+    return [_Column(label, path, frame[label]) for label in names], entry
 
 
-def _below(column: Any, label: str, size: int, path: Path) -> IntArray:
-    """Integers in 0..size-1."""
-    numbers = _integers(column, label, path)
-    bad = np.flatnonzero((numbers < 0) | (numbers >= size))
-    if bad.size:
-        raise ValueError(f"{_column(label, path)} must be in 0..{size - 1}; row {bad[0]} has {numbers[bad[0]]}")
-    return numbers.astype(np.int64)
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """A column of a .csv; its errors name it, its file and the first bad row."""
 
+    label: str
+    path: Path
+    values: Any
 
-def _integers(column: Any, label: str, path: Path) -> NDArray[Any]:
-    """Whole numbers, as integers."""
-    if column.dtype.kind in "iu":
-        return np.asarray(column.to_numpy())
-    numbers = _finite(column, label, path)
-    bad = np.flatnonzero((numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE))
-    if bad.size:
-        raise ValueError(
-            f"{_column(label, path)} must have an integer in every row; row {bad[0]} has {numbers[bad[0]]}"
-        )
-    return numbers.astype(np.int64)
+    def refuse(self, bad: BoolArray, rule: str, found: Any) -> None:
+        """A ValueError where a row is ``bad``."""
+        if bad.any():
+            row = int(np.argmax(bad))
+            told = "none or nan" if found is None else found[row]
+            raise ValueError(f"column {self.label!r} of {str(self.path)!r} must {rule}; row {row} has {told}")
 
+    def finite(self) -> Array:
+        """Finite numbers."""
+        import pandas as pd
 
-def _finite(column: Any, label: str, path: Path) -> Array:
-    """Finite numbers."""
-    import pandas as pd
+        rule = "have a finite number in every row"
+        self.refuse(self.values.isna().to_numpy(), rule, None)
+        numbers = pd.to_numeric(self.values, errors="coerce").to_numpy(dtype=np.float64)
+        self.refuse(~np.isfinite(numbers), rule, self.values.to_numpy())
+        return np.asarray(numbers)
 
-    missing = np.flatnonzero(column.isna().to_numpy())
-    if missing.size:
-        raise ValueError(
-            f"{_column(label, path)} must have a finite number in every row; row {missing[0]} has none or nan"
-        )
-    numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        found = column.iloc[int(bad[0])]
-        raise ValueError(f"{_column(label, path)} must have a finite number in every row; row {bad[0]} has {found}")
-    return np.asarray(numbers)
+    def integers(self) -> NDArray[Any]:
+        """Whole numbers, as integers."""
+        if self.values.dtype.kind in "iu":
+            return np.asarray(self.values.to_numpy())
+        numbers = self.finite()
+        self.refuse((numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE), "have an integer in every row", numbers)
+        return numbers.astype(np.int64)
 
-
-def _column(label: str, path: Path) -> str:
-    return f"column {label!r} of {str(path)!r}"
+    def below(self, size: int) -> IntArray:
+        """Integers in 0..size-1."""
+        numbers = self.integers()
+        self.refuse((numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers)
+        return numbers.astype(np.int64)
 
 
 def _words(names: Any) -> str:

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.cli import main
-from oee_tabular.cli_entries import features_of, tie_of
+from oee_tabular.cli.entries import features_of, tie_of
 from oee_tabular.mdp import displacements
 
 GRID = oee.tasks.gridworld(3, 0.3)

@@ -6,7 +6,7 @@ From n_x observations of each row x = (s, a) the best estimator of J has the asy
     sum_x c_x / (n_x + n q_x),
 
 convex in q. A plan minimises it over all q (``sampling="free"``: where nothing has been recorded Neyman's n_x ~ sqrt(c_x),
-value (sum sqrt c)^2 / n), or over the occupancies of behaviour policies ("behavior", ``design_flow``); for several policies
+value (sum sqrt c)^2 / n), or over the occupancies of behaviour policies ("behavior", ``design.flow``); for several policies
 it minimises the largest relative inefficiency max_pi [variance of pi / the least that a plan for pi alone reaches]. Since
 the log's counts are in the criterion, planning again with the longer log is the sequential design.
 
@@ -25,12 +25,12 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
+from oee_tabular.design.costs import row_costs
+from oee_tabular.design.flow import certify, collection_mdp, flow_design, policy_of
+from oee_tabular.design.plan import Outlook, Plan, greedy_pairs
+from oee_tabular.design.programs import Design, evaluate, fill, free_design
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
-from oee_tabular.inference.design_costs import row_costs
-from oee_tabular.inference.design_flow import certify, collection_mdp, flow_design, policy_of
-from oee_tabular.inference.design_plan import Outlook, Plan, greedy_pairs
-from oee_tabular.inference.design_programs import Design, evaluate, fill, free_design
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import transition_ratio
@@ -82,12 +82,12 @@ def plan_data_collection(
     lower_ratio, upper_ratio : the prior box for rows without spread, see ``optimistic``; None: any distribution there
     optimistic : True
         (s, a) that ``model`` makes deterministic cost the largest variance that is plausible, not 0: they would never be
-        tested (``inference.design_costs`` has the set: another action is carried out or nothing happens, within the box,
+        tested (``design.costs`` has the set: another action is carried out or nothing happens, within the box,
         and the less often the more of the log says otherwise).
     restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
     restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
         in the state that ended it
-    solver : "frank_wolfe" (certified; see ``inference.design_programs``), "CLARABEL" (the conic reference), or "auto": the
+    solver : "frank_wolfe" (certified; see ``design.programs``), "CLARABEL" (the conic reference), or "auto": the
         first, and the second as well where its gap stays above 1%
     confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
 
@@ -222,7 +222,7 @@ def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list
 
 
 def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
-    from oee_tabular.inference.design_reference import conic_design
+    from oee_tabular.inference.statements import conic_design
 
     q, weights = conic_design(costs, base, collection)
     if collection is not None:

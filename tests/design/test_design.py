@@ -9,14 +9,15 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular.design import collection
+from oee_tabular.design.collection import plan_data_collection
+from oee_tabular.design.costs import largest_variance, row_costs
+from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
+from oee_tabular.design.plan import greedy_pairs
+from oee_tabular.design.programs import evaluate, fill, free_design, minimise
 from oee_tabular.exact import transition_gradient
-from oee_tabular.inference import design_reference, experimental_design
-from oee_tabular.inference.design_costs import largest_variance, row_costs
-from oee_tabular.inference.design_flow import Flow, collection_mdp, flow_design, policy_of
-from oee_tabular.inference.design_plan import greedy_pairs
-from oee_tabular.inference.design_programs import evaluate, fill, free_design, minimise
-from oee_tabular.inference.design_reference import conic_design
-from oee_tabular.inference.experimental_design import plan_data_collection
+from oee_tabular.inference import statements
+from oee_tabular.inference.statements import conic_design
 from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.programs import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
@@ -421,8 +422,8 @@ def test_auto_asks_clarabel_where_the_certificate_is_poor(monkeypatch):
     def poor(mdp, costs, base, policies):
         return flow_design(mdp, costs, base, policies, tolerance=0.5)
 
-    monkeypatch.setattr(experimental_design, "flow_design", poor)
-    monkeypatch.setattr(experimental_design, "LARGEST_GAP", 1e-4)
+    monkeypatch.setattr(collection, "flow_design", poor)
+    monkeypatch.setattr(collection, "LARGEST_GAP", 1e-4)
     plan = plan_data_collection(SIMULATOR, POLICY, n=10, sampling="behavior")
     assert plan.solver == "CLARABEL"
     assert plan.status == "ok"
@@ -430,7 +431,7 @@ def test_auto_asks_clarabel_where_the_certificate_is_poor(monkeypatch):
     def fails(*arguments):
         raise SolverStatusError("no")
 
-    monkeypatch.setattr(design_reference, "conic_design", fails)
+    monkeypatch.setattr(statements, "conic_design", fails)
     plan = plan_data_collection(SIMULATOR, POLICY, n=10, sampling="behavior")
     assert plan.solver == "frank_wolfe"
     assert plan.status.startswith("not finished: another plan may be better by up to")

@@ -16,9 +16,9 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.inference.pairs import Sides, check_box, check_pair, in_box
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import followed
+from oee_tabular.theory.simulation_lemma import Sides, check_box, check_pair, in_box
 
 
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:

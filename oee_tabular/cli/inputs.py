@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _printing
+from oee_tabular.estimators.names import names
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
@@ -31,37 +30,7 @@ _ENTRIES = (
 )
 FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
 TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."
-ESTIMATORS_HELP = (
-    "simulator, oee, oee-product, oee-product-sn, oee-trajectory, ratio-of-ratios, model-based, is, wis, pdis, wpdis, dr, "
-    "dr-beta, dr-rollouts, dr-episodes, wdr, magic, marginalized, dualdice; with "
-    "--target: oracle, oracle-product"
-)
-
-
-def report_summary(path: Path) -> str:
-    """What a report.json says, in a few lines."""
-    import json
-
-    try:
-        report = json.loads(path.read_text())
-        lines = [
-            f"Report of {report['unit']}",
-            f"Simulator: {report['facts']['simulator']}",
-            f"Log: {report['facts']['log']}",
-        ]
-        lines += [
-            f"{row['policy']}  {row['estimator']}  {row['value']}{_interval_of(row)}" for row in report["results"]
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
-    return "\n".join(lines)
-
-
-def _interval_of(row: Mapping[str, Any]) -> str:
-    """With its method, where a row has one."""
-    if row["lower"] is None or row["upper"] is None:
-        return ""
-    return f"  {_printing.interval(row['lower'], row['upper'])} ({row.get('interval_method')})"
+ESTIMATORS_HELP = f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))}"
 
 
 def task_of(spec: str, discount: float | None) -> NamedTask:
@@ -75,6 +44,7 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     """The policy that ``spec`` names, in the MDP of ``task``."""
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
+    from oee_tabular.mdp.policies import policy_array
 
     if spec == "uniform":
         return uniform_policy(task.mdp)
@@ -93,28 +63,31 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
 
 
-def policy_array(spec: str, name: str) -> Array:
-    """The array that a .npy or .npz file holds."""
-    from oee_tabular import _files
-
-    arrays = _files.read_npz(spec)
-    if _files.npz_kind(arrays) is not None:
-        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
-    if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
-    return arrays.get("policy", next(iter(arrays.values())))
-
-
-def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
-    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
-    found: dict[str, Any] = {}
-    for text in specs or ["optimal"]:
+def named_specs(specs: list[str]) -> dict[str, str]:
+    """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name."""
+    found: dict[str, str] = {}
+    for text in specs:
         name, equals, spec = text.partition("=")
         label, source = (name, spec) if equals else (text, text)
         if label in found:
             raise ValueError(f"--policy names must differ; {label!r} is given twice")
-        found[label] = policy_of(source, task, "--policy")
+        found[label] = source
     return found
+
+
+def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}
+
+
+def write_array(path: Path, array: Array) -> None:
+    """A .npy file, which appears whole or not at all."""
+    import numpy as np
+
+    from oee_tabular import _files
+
+    with _files.whole_file(path, (".npy",)) as handle:
+        np.save(handle, array, allow_pickle=False)
 
 
 def recorded(
@@ -185,7 +158,7 @@ def from_files(
     """The report on a simulator, a log and policies from files."""
     from dataclasses import replace
 
-    from oee_tabular.cli_entries import own_rows
+    from oee_tabular.cli.entries import own_rows
     from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
 

@@ -17,7 +17,7 @@ from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
 
-LARGEST = 200_000  # entries beyond which the likelihood interval is left out: its fixed point takes minutes
+LARGEST = 2_000_000  # reachable moves beyond which the likelihood interval is left out: it takes minutes
 
 SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
@@ -70,8 +70,11 @@ def how_sure(
     lacking = ""
     if endless:
         lacking = "at discount 1 they need a horizon"
-    elif len(evidence.phat) > LARGEST:
-        lacking = f"the reachable moves are {len(evidence.phat)}, more than {LARGEST}"
+    elif (
+        len(evidence.phat) > LARGEST
+        and (moves := int(np.diff(evidence.indptr)[reached_rows(evidence)].sum())) > LARGEST
+    ):
+        lacking = f"the reachable moves are {moves}, more than {LARGEST}"
     if lacking and guaranteed:
         raise ValueError(f"guaranteed must be False here: {lacking}")
     intervals: dict[str, dict[str, Interval]] = {}

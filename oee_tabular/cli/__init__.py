@@ -1,0 +1,36 @@
+"""The command ``oee``: what is slow to import (numba, cvxpy, pandas) is imported where it is used."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any
+
+import typer
+
+from oee_tabular.cli.commands import app
+
+
+def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    typer.echo(f"oee: warning: {message}", err=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; an error of the user's is one line on stderr and exit code 2."""
+    warnings.showwarning = _tell
+    try:
+        app(arguments, standalone_mode=True)
+    except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
+        typer.echo(f"oee: {_sentence(error)}", err=True)
+        sys.exit(2)
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        words = str(error).replace("Unable to allocate", "this needs", 1)
+        return f"not enough memory; {words or 'this needs more than there is'}"
+    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"{'no such folder' if error.strerror == 'no such folder' else 'no such file'}: {error.filename}"
+    return str(error)

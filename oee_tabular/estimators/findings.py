@@ -1,0 +1,187 @@
+"""What a reader must know before using an estimate: each finding in its words, made where the fact is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to know about a value; findings of one kind and text about several policies are told in one sentence.
+
+    Attributes
+    ----------
+    kind : a word for it
+    severity : the larger the worse, among findings of one kind; of a problem's data 0 where no model's value depends on it
+    text : a sentence that may hold ``{}``, where the figure stands; "": nothing is said of a value that has an interval
+    figure : what differs from policy to policy
+    alone : the sentence where the value has no interval, if that is another
+
+    Examples
+    --------
+    >>> str(Finding("units", 2.0, "the log's rewards are {} times the simulator's.", "2"))
+    "the log's rewards are 2 times the simulator's."
+    """
+
+    kind: str
+    severity: float
+    text: str
+    figure: str = ""
+    alone: str | None = None
+
+    def __str__(self) -> str:
+        return self.told(self.figure)
+
+    def told(self, figure: str) -> str:
+        """The sentence with a figure."""
+        return self.text.replace("{}", figure)
+
+
+NEVER_VARIED = Finding(
+    "constant",
+    1.0,
+    "",
+    "no standard error",
+    "there is {} and no interval: what was seen never varied, which does not make the value certain.",
+)
+
+
+def varied(error: float | None) -> tuple[Finding, ...]:
+    """Whether the data vary: what does not has no standard error."""
+    return (NEVER_VARIED,) if error is None else ()
+
+
+def no_value(status: str, value: float) -> Finding:
+    """Why a value is not to be used."""
+    text = "no value: {}." if math.isnan(value) or math.isinf(value) else "do not rely on the value: {}."
+    return Finding("status", 1.0, text, status)
+
+
+def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied: bool = False) -> tuple[Finding, ...]:
+    """``share`` of the policy's discounted time is where the log has nothing.
+
+    ``bare``: the standard error leaves it out; ``judged``: the value has an error or should have, so that the lack of an
+    interval is explained; ``tied``: moves of the same kind speak for what was not seen.
+    """
+    if share <= 0.02:
+        return ()
+    text = "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
+    if tied:
+        text += "What is said of them comes from moves of the same kind elsewhere (the tie)"
+    else:
+        text += "Nothing there is learned from the target"
+        text += ", and the standard error does not cover it" if bare else ""
+    alone = f"{text}: there is no interval." if judged and not tied else None
+    return (Finding("coverage", share, f"{text}.", f"{share:.0%}", alone),)
+
+
+def single_moves(share: float, error: float | None) -> tuple[Finding, ...]:
+    """``share`` of the policy's discounted time is where the log has one move, whose variance nobody knows."""
+    if share <= 0.02:
+        return varied(error)
+    alone = (
+        "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is not "
+        "known: there is no interval."
+    )
+    return (Finding("single", share, "", f"{share:.0%}", alone),)
+
+
+def row_sums(error: float) -> tuple[Finding, ...]:
+    """How far rows of zeta * P are from summing to 1."""
+    text = (
+        "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) does "
+        "not have them."
+    )
+    return (Finding("row sums", error, text, f"{error:.2g}"),) if error > 1e-3 else ()
+
+
+def weights(effective: float, samples: int, noun: str) -> tuple[Finding, ...]:
+    """How few of the samples carry the weight."""
+    if not effective < max(10.0, 0.05 * samples):
+        return ()
+    text = f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, its standard error too small."
+    return (Finding("weights", -effective, text, f"{effective:.1f}"),)
+
+
+def truncated(number: int, episodes: int, bound: float, value: float, error: float | None) -> tuple[Finding, ...]:
+    """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
+    if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
+        return ()
+    reach = f"by up to {bound:.3g} (as a discounted sum)" if bound < math.inf else "without bound at discount 1"
+    text = f"{number} of {episodes} episodes were cut before they were over; what they lack can change the value {{}}."
+    return (Finding("truncation", bound, text, reach),)
+
+
+def foreign_starts(share: float) -> tuple[Finding, ...]:
+    """Episodes begin where the simulator never does."""
+    text = (
+        "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
+        "own starts."
+    )
+    return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
+
+
+def moved(share: float) -> tuple[Finding, ...]:
+    """The log speaks against the centre: by how much the value gives way."""
+    text = (
+        "the log speaks against every kind of change that was tried along this policy, so the value is moved by {} "
+        "from the corrected simulator towards what the log alone says. If you know what may differ, say it: features of "
+        "moves (features=, on the command line --features) or moves that are alike (tie=, --tie)."
+    )
+    return (Finding("against", share, text, f"{share:.0%}"),) if share > 0 else ()
+
+
+def outside(value: str, severity: float, by: str) -> Finding:
+    """The estimator's own value is one that the log rules out."""
+    text = f"the estimator's own value, {{}}, lies outside the interval that the log allows; {by} stands in its place."
+    return Finding("outside", severity, text, value)
+
+
+def uncovered(share: float, largest: float, nats: float) -> tuple[Finding, ...]:
+    """Moves of the log that only the defensive share of a continuous simulator makes possible."""
+    text = (
+        "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "
+        f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
+        "A simulator under parameters that bracket the target (tasks.defensive_mixture), process noise or wider cells "
+        "would cover them."
+    )
+    return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()
+
+
+def gap(nats: float) -> tuple[Finding, ...]:
+    """How far the ratio's program is from its optimum."""
+    text = "the ratio's program is solved only to a gap of {} nats."
+    return (Finding("gap", nats, text, f"{nats:.1e}"),) if nats > 1e-6 else ()
+
+
+def linear_algebra(bound: float, value: float) -> tuple[Finding, ...]:
+    """What rounding can have done to the value."""
+    text = "the linear algebra is certain only to {}."
+    if not bound > 1e-6 * max(1.0, abs(value)):
+        return ()
+    return (Finding("linear algebra", bound, text, f"{bound:.1e}"),)
+
+
+def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
+    """The log's rewards are not the simulator's."""
+    if log_pays:
+        remedy = "The oee and model-based values pay the log's mean where it has seen a move."
+    else:
+        remedy = (
+            'The simulator, oee and model-based values pay the simulator\'s; rewards="log" (--rewards log) pays what the '
+            "log has seen."
+        )
+    text = str(conflict)
+    return Finding("rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}")
+
+
+def behavior_contradicts(rows: int) -> tuple[Finding, ...]:
+    """The policy that is said to have recorded the log did not."""
+    text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."
+    return (Finding("behavior", 0.0, text, str(rows)),) if rows else ()
+
+
+NO_HORIZON = Finding(
+    "horizon", 0.0, "At discount 1 without a horizon there is no coverage, and no standard error of a model's value."
+)

@@ -1,0 +1,149 @@
+"""What an estimate says: its words, its line, its shares of the policy's time, and its seed."""
+
+import numpy as np
+import pytest
+from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular.estimators import (
+    DoublyRobust,
+    Estimate,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Oracle,
+    Simulator,
+)
+from oee_tabular.estimators.base import effective_sample_size, mean_and_error
+from oee_tabular.estimators.names import named_estimators
+
+COVERAGE = {"unseen", "coverage", "fallback_share", "effective_sample_size"}
+
+
+ONE_STEP = {"one_step_value", "one_step_standard_error", "unseen_standard_error", "one_step_distance", "model_value",
+            "maximum_likelihood_value", "moved", "standard_error_if_centre_fits", "interval_method"}  # fmt: skip
+
+
+LINEAR = {"error_bound", "method"}
+
+
+KEYS = {
+    "simulator": LINEAR,
+    "oracle": LINEAR | {"largest_weight"},
+    "oee": LINEAR | COVERAGE | ONE_STEP | {"gap", "row_sum_error", "largest_weight", "standard_error_of", "strength",
+                                           "meaning"},
+    "oee-product": {"gap", "standard_error_of", "n_rollouts", "effective_sample_size", "largest_weight", "mean_weight",
+                    "row_sum_error"},
+    "model-based": LINEAR | COVERAGE | {"standard_error_of", "single_share"},
+    "pdis": {"standard_error_of", "n_episodes", "effective_sample_size", "largest_weight", "mean_weight", "truncated_share",
+             "truncation_bias_bound", "foreign_starts_share"},
+    "dr": COVERAGE | {"standard_error_of", "simulator_value", "gap"},
+    "dr-beta": COVERAGE | {"standard_error_of", "simulator_value"},
+    "dr-rollouts": {"standard_error_of", "n_rollouts", "gap"},
+    "dr-episodes": {"standard_error_of", "n_episodes", "effective_sample_size", "largest_weight", "gap"},
+    "magic": {"standard_error_of", "n_episodes", "effective_sample_size", "largest_weight", "share_of_model", "share_of_log",
+              "gap"},
+    "marginalized": COVERAGE | {"gap", "largest_weight", "mean_weight"},
+    "dualdice": {"largest_weight", "largest_nu", "residual"},
+}  # fmt: skip
+
+
+OF = {"oee-product": "rollouts", "dr-rollouts": "rollouts"}
+
+
+@pytest.mark.parametrize("name", KEYS)
+def test_the_words_in_the_diagnostics(name):
+    problem, target = recorded_problem()
+    estimate = named_estimators([name], target)[name](problem, POLICY, seed=0)
+    assert set(estimate.diagnostics) == KEYS[name]
+    assert estimate.status == "ok"
+    if name == "oee":
+        error = 1.959963984540054 * estimate.standard_error
+        assert_allclose(estimate.interval, (estimate.value - error, estimate.value + error), rtol=1e-12)
+    else:
+        assert estimate.interval is None
+    if "standard_error_of" in KEYS[name]:
+        assert estimate.diagnostics["standard_error_of"] == OF.get(name, "log")
+        assert estimate.standard_error > 0
+    else:
+        assert estimate.standard_error is None
+    if "method" in KEYS[name]:
+        assert estimate.diagnostics["method"] == "dense LU"
+        assert 0 <= estimate.diagnostics["error_bound"] < 1e-12
+    if "n_rollouts" in KEYS[name]:
+        assert estimate.diagnostics["n_rollouts"] == 100
+    if "n_episodes" in KEYS[name]:
+        assert estimate.diagnostics["n_episodes"] == 30
+    if "gap" in KEYS[name]:
+        assert 0 <= estimate.diagnostics["gap"] < 1e-9
+
+
+def test_an_estimate_in_one_line():
+    assert repr(Estimate(0.12345678)) == "Estimate(0.123457)"
+    assert repr(Estimate(2.0, 0.25)) == "Estimate(2 ± 0.25 (standard error))"
+    assert repr(Estimate(2.0, 0.25, status="too few")) == "Estimate(2 ± 0.25 (standard error), too few)"
+
+
+def test_sizes_and_errors_of_small_samples():
+    assert effective_sample_size(np.zeros(3)) == 0.0
+    assert effective_sample_size(np.array([1.0, 3.0])) == 1.6
+    assert mean_and_error(np.array([4.0])) == (4.0, None)
+    assert mean_and_error(np.array([1.0, 3.0])) == (2.0, 1.0)
+
+
+def test_the_three_largest_gaps_of_the_log_are_named():
+    """By the policy's time in zeta * P, the absorbing state left out."""
+    simulator, _ = environments(3)
+    problem = Problem(simulator, Transitions([0, 1], [0, 1], [1, 2]))
+    facts = OffEnvironment(ratio=oee.true_ratio(simulator, simulator))(problem, POLICY).diagnostics
+    assert facts["coverage"] == 1.0  # the true ratio knows all rows
+    facts = ModelBased("simulator")(problem, POLICY).diagnostics
+    time = oee.occupancy(ModelBased("simulator").model(problem), POLICY)
+    missed = sorted((-time[s, a], s, a) for s in range(3) for a in range(2) if (s, a) not in {(0, 0), (1, 1)})
+    assert facts["unseen"] == "; ".join(f"s={s}, a={a}" for _, s, a in missed[:3])
+
+
+def test_nothing_to_learn_is_full_coverage():
+    """The policy is over at once: its time is all where nothing can be learned."""
+    mdp = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [0, 1], 0.9)
+    facts = OffEnvironment()(Problem(mdp, Transitions([0], [0], [1])), np.ones((2, 1))).diagnostics
+    assert (facts["coverage"], facts["fallback_share"], facts["effective_sample_size"]) == (1.0, 0.0, 0.0)
+    assert facts["unseen"] == ""
+
+
+@pytest.mark.parametrize("estimator", [
+    OffEnvironment("ratio_of_ratios"), Marginalized("ratio_of_ratios"), Magic("ratio_of_ratios"),
+    DoublyRobust(ratio="ratio_of_ratios"), DoublyRobust(data="rollouts", ratio="ratio_of_ratios"),
+    DoublyRobust(data="episodes", ratio="ratio_of_ratios"), OffEnvironment(evaluation="monte_carlo"),
+], ids=repr)  # fmt: skip
+def test_the_seed_decides_what_is_sampled(estimator):
+    problem, _ = recorded_problem(3, horizon=4, n=60)
+    first, again, other = (estimator(problem, POLICY, seed=seed).value for seed in (1, 1, 2))
+    assert first == again
+    assert first != other
+
+
+def test_without_a_horizon_at_discount_one():
+    """Values where the policy is absorbed, without a standard error or coverage; a status where it is not."""
+    simulator, target = environments(2, discount=1.0)
+    problem = Problem(simulator, oee.sample_episodes(target, BEHAVIOR, 30, 50, seed=0))
+    for estimator in (OffEnvironment(), ModelBased("simulator")):
+        found = estimator(problem, POLICY)
+        assert np.isfinite(found.value)
+        assert found.standard_error is None
+        assert "coverage" not in found.diagnostics
+    assert OffEnvironment()(problem, POLICY).diagnostics["standard_error_of"] is None
+    rows = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
+    ring = FiniteMDP(rows, [1.0, 1.0], [1, 0], 1.0)
+    forever = Problem(ring, Transitions([0, 1], [0, 0], [1, 0]))
+    for estimator in (Simulator(), Oracle(ring), OffEnvironment(), ModelBased()):
+        found = estimator(forever, np.ones((2, 1)))
+        assert np.isnan(found.value)
+        assert found.standard_error is None
+        assert set(found.diagnostics) == (
+            {"gap", "row_sum_error", "largest_weight"} if estimator == OffEnvironment() else set()
+        )
+        assert "horizon must be given: at discount 1" in found.status

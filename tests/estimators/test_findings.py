@@ -1,0 +1,165 @@
+"""What is said of an estimate, from which size on, and which estimators say it."""
+
+import math
+
+import numpy as np
+import pytest
+from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem, reweighted_zeta
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular.estimators import (
+    DoublyRobust,
+    Estimate,
+    Finding,
+    ImportanceSampling,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Simulator,
+    findings,
+)
+
+SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, and how it is said
+    "unseen": (findings.unseen_time, 0.02, 0.03, "3% of the policy's discounted time is spent in state-action pairs that"),
+    "row sums": (findings.row_sums, 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
+    "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does; importance"),
+    "against": (findings.moved, 0.0, 0.25, "the log speaks against every kind of change that was tried along this policy, "
+                "so the value is moved by 25% from"),
+    "gap": (findings.gap, 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
+    "weights": (lambda n: findings.weights(-n, 400, "rollouts"), -20.0, -19.9,
+                "the weights rest on about 19.9 of 400 rollouts: the value is largely chance"),
+    "few weights": (lambda n: findings.weights(-n, 12, "episodes"), -10.0, -9.5, "about 9.5 of 12 episodes"),
+    "support": (lambda x: findings.uncovered(x, 2.0, 0.69), 0.01, 0.011, "1.1% of the log's moves have probability 0 in the "
+                "plain simulator, where no ratio exists; what is said of them rests on the defensive share (largest zeta 2, "
+                "D_inf 0.69 nats)."),
+    "linear algebra": (lambda x: findings.linear_algebra(x, 10.0), 9e-6, 2e-5,
+                       "the linear algebra is certain only to 2.0e-05."),
+    "small values": (lambda x: findings.linear_algebra(x, 0.1), 1e-6, 2e-6, "is certain only to 2.0e-06."),
+    "truncation": (lambda x: findings.truncated(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
+                   "over; what they lack can change the value by up to 0.02 (as a discounted sum)."),
+    "truncation beside an error": (lambda x: findings.truncated(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
+    "behaviour": (findings.behavior_contradicts, 0, 7, "they differ from behavior_policy in 7 rows."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SILENT_UP_TO)
+def test_from_which_size_on_something_is_said(name):
+    made, small, large, text = SILENT_UP_TO[name]
+    assert made(small) == ()
+    (finding,) = made(large)
+    assert text in str(finding)
+    assert finding.alone is None
+    worse = made(large * 2 if large > 0 else large / 2)[0]
+    assert worse.severity > finding.severity or name == "behaviour"
+
+
+def test_what_is_said_of_a_value_without_an_interval():
+    (single,) = findings.single_moves(0.05, 0.1)
+    assert single.text == ""
+    assert single.alone.endswith("one recorded move, whose variance is not known: there is no interval.")
+    assert findings.single_moves(0.02, 0.1) == ()
+    assert findings.single_moves(0.02, None) == findings.varied(None) == (findings.NEVER_VARIED,)
+    assert findings.varied(0.0) == ()
+    (unseen,) = findings.unseen_time(0.5, bare=True, judged=True)
+    assert unseen.text.endswith("Nothing there is learned from the target, and the standard error does not cover it.")
+    assert unseen.alone == f"{unseen.text[:-1]}: there is no interval."
+    (tied,) = findings.unseen_time(0.5, judged=True, tied=True)
+    assert tied.text.endswith("What is said of them comes from moves of the same kind elsewhere (the tie).")
+    assert tied.alone is None
+    assert findings.unseen_time(0.5)[0].alone is None
+
+
+def test_values_that_are_none():
+    assert str(findings.no_value("it diverges", math.nan)) == "no value: it diverges."
+    assert str(findings.no_value("it diverges", -math.inf)) == "no value: it diverges."
+    assert str(findings.no_value("take {care}", 1.0)) == "do not rely on the value: take {care}."
+    assert "without bound at discount 1." in str(findings.truncated(1, 1, math.inf, 1.0, None)[0])
+
+
+def kinds(estimate):
+    return [finding.kind for finding in estimate.findings]
+
+
+def test_each_estimator_says_what_it_knows():
+    problem, target = recorded_problem(n=30)
+    crooked = reweighted_zeta(problem.simulator, target, 1.1)
+    few = Problem(problem.simulator, Transitions([0, 1], [0, 1], [1, 2]))
+    assert kinds(Simulator()(problem, POLICY)) == []
+    assert kinds(OffEnvironment(crooked)(problem, POLICY)) == ["row sums"]
+    assert kinds(OffEnvironment(crooked, "monte_carlo", n_rollouts=9)(problem, POLICY, seed=0)) == [
+        "row sums",
+        "weights",
+    ]
+    assert kinds(OffEnvironment()(few, POLICY)) == ["coverage"]
+    assert kinds(ModelBased()(few, POLICY)) == ["coverage", "single"]
+    assert kinds(DoublyRobust()(few, POLICY))[0] == kinds(Marginalized()(few, POLICY))[0] == "coverage"
+    assert {"weights", "truncation"} <= set(kinds(ImportanceSampling()(recorded_problem(n=9)[0], POLICY)))
+    assert kinds(Magic()(recorded_problem(n=9)[0], POLICY, seed=0))[0] == "weights"
+    assert kinds(DoublyRobust(data="episodes")(recorded_problem(n=9)[0], POLICY)) == ["weights"]
+
+
+def test_what_a_report_acts_on():
+    """Typed, beside the diagnostics: what is corrected by the log, what the log has not told, whose rewards are paid."""
+    problem, _ = recorded_problem(n=8)
+    found = OffEnvironment()(problem, POLICY)
+    facts = found.diagnostics
+    assert found.basis.model_value == facts["model_value"]
+    assert (found.basis.one_step_value, found.basis.moved) == (facts["one_step_value"], facts["moved"])
+    assert found.basis.normal
+    assert found.basis.measured == facts["coverage"]
+    model = ModelBased()(problem, POLICY)
+    assert model.basis.model_value is None
+    assert model.basis.measured == pytest.approx(model.diagnostics["coverage"] - model.diagnostics["single_share"])
+    assert DoublyRobust()(problem, POLICY).basis.measured < 1.0
+    assert not Simulator()(problem, POLICY).basis.log
+    assert [
+        e(problem, POLICY).basis.episodes for e in (ImportanceSampling(), DoublyRobust(data="episodes"), Magic())
+    ] == [True] * 3
+    assert not any(
+        e(problem, POLICY).basis.episodes for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
+    )
+
+
+def test_what_a_problem_s_data_contradict():
+    simulator, target = environments(2)
+    log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
+    assert Problem(simulator, log).findings == ()
+    paid = Transitions(**(log.columns() | {"reward": log.reward + 1.0}))
+    (rewards,) = Problem(simulator, paid).findings
+    assert rewards.severity > 0  # of every value that a model gives
+    assert str(rewards).startswith("The log's rewards contradict the simulator's in ")
+    assert str(rewards).endswith("pays what the log has seen.")
+    (settled,) = Problem(simulator, paid, rewards="log").findings
+    assert settled.severity == 0
+    assert str(settled).endswith("pay the log's mean where it has seen a move.")
+    (other,) = Problem(simulator, log, behavior_policy=POLICY).findings
+    assert "differ from behavior_policy" in str(other)
+    endless = FiniteMDP(simulator.transitions, simulator.rewards, simulator.initial, 1.0)
+    (endless,) = Problem(endless, log).findings
+    assert str(endless).startswith("At discount 1 without a horizon there is no coverage")
+
+
+@pytest.mark.parametrize(("options", "text"), [
+    ({"findings": "look out"}, "findings must be Findings; got str"),
+    ({"findings": ("look out",)}, r"findings\[0\] must be a Finding\(kind, severity, text\); got str"),
+    ({"basis": {"log": False}}, "basis must be Basis; got dict"),
+])  # fmt: skip
+def test_what_is_no_finding(options, text):
+    with pytest.raises(ValueError, match=text):
+        Estimate(1.0, **options)
+
+
+def test_a_user_s_own_finding_is_told():
+    problem, _ = recorded_problem(n=30, horizon=4)
+
+    def own(problem, policy, *, seed=None):
+        return Estimate(
+            1.0, 0.5, findings=(Finding("units", float(policy[0, 0]), "rewards are in {}.", f"cents{policy[0, 0]}"),)
+        )
+
+    report = oee.evaluate(problem, {"a": POLICY, "b": BEHAVIOR}, estimators={"own": own})
+    assert report.warnings == ("own (a, b): rewards are in cents0.5 (b is the worst).",)
+    assert report.notes["a", "own"] == report.notes["b", "own"] == (1,)
+    assert np.isfinite(report.results[0].estimate.interval).all()

@@ -1,0 +1,71 @@
+"""Short names, and which estimators a problem's data allow."""
+
+import pytest
+from estimators.four_states import BEHAVIOR, environments
+
+import oee_tabular as oee
+from oee_tabular import Problem, Transitions
+from oee_tabular.estimators import (
+    DoublyRobust,
+    DualDice,
+    ImportanceSampling,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Oracle,
+    Simulator,
+)
+from oee_tabular.estimators.names import default_names, named_estimators
+
+
+def test_short_names_and_what_they_stand_for():
+    _, target = environments()
+    expected = {
+        "simulator": Simulator(),
+        "oee": OffEnvironment(),
+        "oee-product": OffEnvironment(evaluation="monte_carlo"),
+        "oee-product-sn": OffEnvironment(evaluation="monte_carlo", self_normalized=True),
+        "oee-trajectory": OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
+        "ratio-of-ratios": OffEnvironment(ratio="ratio_of_ratios"),
+        "model-based": ModelBased(),
+        "is": ImportanceSampling(kind="trajectory"),
+        "wis": ImportanceSampling(kind="trajectory", self_normalized=True),
+        "pdis": ImportanceSampling(),
+        "wpdis": ImportanceSampling(self_normalized=True),
+        "dr": DoublyRobust(),
+        "dr-beta": DoublyRobust(weights="beta"),
+        "dr-rollouts": DoublyRobust(data="rollouts"),
+        "dr-episodes": DoublyRobust(data="episodes"),
+        "wdr": DoublyRobust(data="episodes", self_normalized=True),
+        "magic": Magic(),
+        "marginalized": Marginalized(),
+        "dualdice": DualDice(),
+        "oracle": Oracle(target),
+        "oracle-product": Oracle(target, evaluation="monte_carlo"),
+    }
+    assert named_estimators(list(expected), target) == expected
+    with pytest.raises(ValueError, match=r"^estimators must be among simulator, oee, .*, dualdice, oracle, oracle-product; "
+                                         r"got 'q'$"):  # fmt: skip
+        named_estimators(["q"])
+    with pytest.raises(ValueError, match=r"^estimators must name at least one; it is empty$"):
+        named_estimators([])
+    with pytest.raises(ValueError, match=r"^estimator 'oracle-product' needs the target environment"):
+        named_estimators(["oracle-product"])
+
+
+def test_the_default_estimators_and_what_is_left_out():
+    simulator, target = environments()
+    log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
+    bare = Transitions(**{k: v for k, v in log.columns().items() if k != "behavior_probability"})
+    basic = ["simulator", "oee", "model-based"]
+    assert default_names(Problem(simulator, log)) == ([*basic, "pdis", "wpdis"], [])
+    assert default_names(Problem(simulator, bare, behavior_policy=BEHAVIOR)) == ([*basic, "pdis", "wpdis"], [])
+    unknown = "Importance sampling is left out: the behaviour policy is not known."
+    assert default_names(Problem(simulator, bare)) == (basic, [unknown])
+    bag = log.draw(5, seed=0)
+    assert default_names(Problem(simulator, bag)) == (
+        basic,
+        ["Importance sampling is left out: the log has no episodes."],
+    )
+    assert default_names(Problem(simulator, bag, episodes=log)) == ([*basic, "pdis", "wpdis"], [])
