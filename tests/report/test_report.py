@@ -8,7 +8,10 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import _files
-from oee_tabular.estimators import Estimate, OffEnvironment, Problem
+from oee_tabular.estimators import Basis, Estimate, OffEnvironment, Problem
+from oee_tabular.estimators.findings import NEVER_VARIED
+from oee_tabular.report import Result
+from oee_tabular.report.results import headline
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +182,9 @@ def test_reward_conflicts_are_noted_on_every_value_that_a_model_gives():
     assert [report.notes["policy", name][:1] for name in ("simulator", "oee", "model-based")] == [(1,)] * 3
     assert 1 not in report.notes["policy", "pdis"]
     assert json.loads(report.to_json())["results"][0]["notes"] == [1]
+    settled = oee.evaluate(Problem(simulator, paid, horizon=20, rewards="log"), oee.uniform_policy(simulator))
+    assert "pay the log's mean" in settled.warnings[0]
+    assert all(1 not in notes for notes in settled.notes.values())
 
 
 def test_one_divergent_value_does_not_end_the_report():
@@ -226,3 +232,22 @@ def test_a_behaviour_policy_that_the_log_contradicts_is_told():
 def test_wrong_kinds_of_arguments(problem, call, text):
     with pytest.raises(ValueError, match=text):
         call(problem)
+
+
+def test_of_one_policy_s_values_the_one_that_the_log_corrects_is_said_first_and_the_simulator_s_last():
+    alone, other = Estimate(1.0, basis=Basis(log=False)), Estimate(2.0)
+    corrected, lost = Estimate(3.0, basis=Basis(model_value=3.0)), Estimate(math.nan, basis=Basis(model_value=3.0))
+    every = [Result("p", str(k), estimate) for k, estimate in enumerate((alone, other, lost, corrected))]
+    assert headline(every).estimate is corrected
+    assert headline(every[:3]).estimate is other
+    assert headline(every[::2]).estimate is alone
+
+
+def test_an_estimator_s_own_interval_stays_and_what_explains_its_lack_is_not_said(problem, policies):
+    def own(problem, policy, *, seed=None):
+        return Estimate(1.0, 0.5, (0.0, 3.0), findings=(NEVER_VARIED,))
+
+    report = oee.evaluate(problem, policies["bold"], estimators={"own": own}, confidence=0.99)
+    assert report.results[0].estimate.interval == (0.0, 3.0)
+    assert report.records()[0]["interval_method"] == "the estimator's own"
+    assert report.warnings == ()
