@@ -16,7 +16,7 @@ from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.programs import SolverStatusError, clarabel_options
+from oee_tabular.ratio.statements import SolverStatusError, clarabel_options
 
 
 def conic_design(costs: Array, base: Array, mdp: FiniteMDP | None) -> tuple[Array, Array]:

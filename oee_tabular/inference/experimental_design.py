@@ -35,7 +35,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.box import check_box
-from oee_tabular.ratio.programs import SolverStatusError
+from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.ratio.support import refuse_unsupported
 
 Solver = Literal["auto", "frank_wolfe", "CLARABEL"]

@@ -19,17 +19,17 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.box import Box, check_box, check_ridge
-from oee_tabular.ratio.centre import fit_centre
-from oee_tabular.ratio.library import values_in
-from oee_tabular.ratio.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.method import Given, Method
 from oee_tabular.ratio.population import Population
-from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
+from oee_tabular.ratio.prior.centre import fit_centre
+from oee_tabular.ratio.prior.library import values_in
+from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
+from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, meaning
+from oee_tabular.ratio.prior.tilt import Tilt, fit_default_tilt, fit_tilt
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
-from oee_tabular.ratio.tilt import Tilt, fit_default_tilt, fit_tilt
 
 PRIORS = ("average", "tilt", "simulator", "none")
 Ridge = float | str | Callable[[float], float]
@@ -50,7 +50,7 @@ class Conditional(Method):
         exp(theta . phi), fitted to all rows together under the penalty |theta|^2 / 2 on standardised features, a unit
         Gaussian prior (theta varies over the states where the log gives evidence that it does), or the average by
         evidence of these two and of tilts along directions made from the simulator and the values of the policies that
-        matter (``ratio.centre``).
+        matter (``ratio.prior.centre``).
     strength : "evidence" (default) | "loo", or a nonnegative number
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
@@ -60,7 +60,7 @@ class Conditional(Method):
         ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of (s, a, s');
         ``oee.ratio.action_displacement`` makes some
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; with the tilt only
-        How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
+        How much alike theta is in neighbouring states (lambda of ``ratio.prior.local_tilt``): chosen by its evidence, given, or
         infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
     lower, upper : bounds on zeta; None: 0 and no bound
     ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function gets the count n_sa of each row that
@@ -261,7 +261,7 @@ def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -
     if solver == "dual":
         solution = dual.solve_rows(program, box.lower, box.upper, indptr)
         return solution.ratio, float(solution.gap.max()), {"enclosure": solution.enclosure()}
-    found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
+    found = statements.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
     zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     gaps = dual.row_gaps(program, zeta, 1.0 + found.multiplier, box.lower, box.upper, indptr)
     return zeta, float(gaps.max()), {}

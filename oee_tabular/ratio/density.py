@@ -16,7 +16,7 @@ import numpy as np
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.interior import objective
@@ -299,7 +299,7 @@ def _solve(
             return solution.ratio, float(solution.m[0]), solution.enclosure()
         g = dual.solve_free(program, box.lower, box.upper)
         return g, 1.0, (g, g)
-    found = programs.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
+    found = statements.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
     g = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
     m = 1.0 + float(found.multiplier[0]) if normalized else 1.0
     return g, m, (np.full(len(g), box.lower), np.full(len(g), box.upper))

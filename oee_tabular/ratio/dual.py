@@ -5,7 +5,7 @@ least squares):
 
     minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q.
 
-The kernel solves q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``kernels.certificate``).
+The kernel solves q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``ratio.certificate``).
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class RowSolution:
         They are the coordinates' minimisers at the two ends of the bracket of m: equal, up to rounding, but where a jump
         leaves the minimiser free (inf where nothing bounds it).
         """
-        from oee_tabular.kernels import duals, plain
+        from oee_tabular.ratio import _dual as duals
+        from oee_tabular.ratio import _plain as plain
 
         (p, q, a, pull), found = self.program.kernel_form(), []
         for ends in (self.right, self.left):
@@ -84,10 +85,11 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
-    cannot fail. Rows without curvature go through the guessed sets of ``kernels.plain``; those that it leaves, and the
-    others, through the bracketed root of ``kernels.duals``.
+    cannot fail. Rows without curvature go through the guessed sets of ``_plain``; those that it leaves, and the
+    others, through the bracketed root of ``_dual``.
     """
-    from oee_tabular.kernels import duals, plain
+    from oee_tabular.ratio import _dual as duals
+    from oee_tabular.ratio import _plain as plain
 
     rows = indptr.astype(np.int64)
     p, q, a, pull = program.kernel_form()
@@ -108,7 +110,7 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
-    from oee_tabular.kernels import duals
+    from oee_tabular.ratio import _dual as duals
 
     return np.asarray(duals.solve_free(*program.kernel_form(), lower, upper))
 
@@ -118,7 +120,7 @@ def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, uppe
 
     From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
     """
-    from oee_tabular.kernels import certificate
+    from oee_tabular.ratio import certificate
 
     multiplier = np.ones(len(indptr) - 1) if m is None else m
     return np.asarray(

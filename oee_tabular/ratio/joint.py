@@ -20,7 +20,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.ratio import programs
+from oee_tabular.ratio import statements
 from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.method import Given, Method, SimulatorData
 from oee_tabular.ratio.population import Population
@@ -65,7 +65,8 @@ def joint_program(
 
 def solve_joint(program: JointProgram) -> JointSolution:
     """The structured solver; every (s, a) by a bracketed root. Cost O(entries) times about sixty bisections."""
-    from oee_tabular.kernels import joint, ratio_box
+    from oee_tabular.ratio import _joint as joint
+    from oee_tabular.ratio import _ratio_box as ratio_box
 
     big = segment_sums(program.q, program.indptr)  # D = sum_s' d, the simulator's d(s, a) up to rounding
     if program.least > 0.0 or program.most < np.inf:
@@ -176,7 +177,7 @@ class Joint(Method):
             solution = solve_joint(program)
             moves, pairs, gap = solution.moves, solution.pairs, float(solution.gap.sum())
         else:
-            point = programs.solve_joint(program, solver=self.solver)
+            point = statements.solve_joint(program, solver=self.solver)
             moves, pairs = point.moves, point.pairs
             # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a bound
             gap = min(
@@ -207,7 +208,7 @@ def joint_gaps(program: JointProgram, moves: Array, pairs: Array, theta: Array, 
 
     ``push`` and ``press`` (entries,) are those of nu b <= B <= mu b. From the program as stated, by code that no solver uses.
     """
-    from oee_tabular.kernels import certificate
+    from oee_tabular.ratio import certificate
 
     box = (program.lower, program.upper, program.least, program.most)
     numbers = (program.p, program.q, program.bend, program.s, program.r, program.stiffness)

@@ -21,16 +21,16 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import interior, programs
+from oee_tabular.ratio import interior, statements
 from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
 from oee_tabular.ratio.method import Given, Method
+from oee_tabular.ratio.prior.tilt import feature_array
 from oee_tabular.ratio.program_types import LinearProgram
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
 from oee_tabular.ratio.segments import segment_sums, spread
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend_linear
-from oee_tabular.ratio.tilt import feature_array
 
 N_CENTERS = 200
 
@@ -44,7 +44,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
     if solver == "dual":
         found = interior.solve(program)
     else:
-        weights, tie, eta = programs.solve_linear(program, solver=solver)
+        weights, tie, eta = statements.solve_linear(program, solver=solver)
         g = program.offset + program.features @ weights
         judged = program
         if program.penalty == 0.0:

@@ -14,7 +14,7 @@ from oee_tabular._sparse import align, canonical, checked, on_pattern, row_of_en
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.neighbours import Factor
+from oee_tabular.ratio.prior.neighbours import Factor
 from oee_tabular.ratio.segments import segment_sums, spread
 
 
@@ -171,7 +171,7 @@ class OneStep:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A candidate in the centre of the prior (``ratio.centre``).
+    """A candidate in the centre of the prior (``ratio.prior.centre``).
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ def descend_linear(
     program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Any
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
-    from oee_tabular.kernels.projection import project
+    from oee_tabular.ratio._sgd import project
 
     phi = np.ascontiguousarray(program.features)
     lengths = (phi**2).sum(axis=1)

@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
-from oee_tabular.ratio.library import library
-from oee_tabular.ratio.prior import choose_strength
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.library import library
+from oee_tabular.ratio.prior.selection import Selection
+from oee_tabular.ratio.prior.strength import choose_strength
 
 
 def grid_case(moves):

@@ -18,7 +18,7 @@ from oee_tabular.inference.design_programs import evaluate, fill, free_design, m
 from oee_tabular.inference.design_reference import conic_design
 from oee_tabular.inference.experimental_design import plan_data_collection
 from oee_tabular.ratio.box import check_box
-from oee_tabular.ratio.programs import SolverStatusError
+from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
 
 few = settings(max_examples=25)

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.optimize import brentq
 
 import oee_tabular as oee
-from oee_tabular.ratio.prior import evidence
+from oee_tabular.ratio.prior.strength import evidence
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 ROW = np.array([0.7, 0.1, 0.1, 0.1])

@@ -12,13 +12,13 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.ratio import centre
-from oee_tabular.ratio.centre import fit_centre
-from oee_tabular.ratio.library import columns_of, library, values_in
-from oee_tabular.ratio.prior import choose_strength
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection, tilted
-from oee_tabular.ratio.tilt import fit_default_tilt
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior import centre
+from oee_tabular.ratio.prior.centre import fit_centre
+from oee_tabular.ratio.prior.library import columns_of, library, values_in
+from oee_tabular.ratio.prior.selection import Selection, tilted
+from oee_tabular.ratio.prior.strength import choose_strength
+from oee_tabular.ratio.prior.tilt import fit_default_tilt
 
 
 def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=None):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 
 
 def random_problem(rng, n, *, box):
@@ -45,10 +45,10 @@ def test_the_structured_answer_against_clarabel(seed):
     high = options["upper"] or np.inf
     indptr = np.array([0, len(ps)]) if options["normalized"] else None
     program = dual.kl_coordinates(ps, qs, bend, center)
-    statement = programs.state_rows(program, low, high, indptr)
+    statement = statements.state_rows(program, low, high, indptr)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        statement.problem.solve(solver="CLARABEL", warm_start=False, **programs.clarabel_options(1e-12))
+        statement.problem.solve(solver="CLARABEL", warm_start=False, **statements.clarabel_options(1e-12))
     assert statement.problem.status in ("optimal", "optimal_inaccurate")
     peer = np.maximum(statement.variable.value, 1e-300)
     value = dual.objective(peer, program)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.ratio import joint, programs
+from oee_tabular.ratio import joint, statements
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
@@ -58,7 +58,7 @@ def test_against_clarabel():
     for seed in range(25):
         program = random_program(np.random.default_rng(seed))
         ours = joint.solve_joint(program)
-        point = programs.solve_joint(program)
+        point = statements.solve_joint(program)
         value = joint.joint_objective(program, point.moves, point.pairs)
         gap = min(
             joint.joint_gaps(program, point.moves, point.pairs, sign * point.theta, point.push, point.press).sum()
@@ -90,8 +90,8 @@ def test_a_point_that_is_off_is_not_certified(rng, which, off):
 
 @pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
 def test_a_corrupted_joint_solver_is_found_out(monkeypatch, bounds):
-    from oee_tabular.kernels import joint as free
-    from oee_tabular.kernels import ratio_box as boxed
+    from oee_tabular.ratio import _joint as free
+    from oee_tabular.ratio import _ratio_box as boxed
 
     module, name = (boxed, "solve_all_boxed") if bounds else (free, "solve_all")
     solve = getattr(module, name)

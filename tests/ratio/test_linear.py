@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
 
 import oee_tabular as oee
-from oee_tabular.kernels.projection import project
 from oee_tabular.ratio import features, interior
+from oee_tabular.ratio._sgd import project
 from oee_tabular.ratio.linear import move_points
 from oee_tabular.ratio.program_types import LinearProgram
 

@@ -3,8 +3,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import optimize, stats
 
-from oee_tabular.ratio import density_ratio_samples, sample_kernel
+from oee_tabular.ratio import density_ratio_samples
 from oee_tabular.ratio.features import gaussian
+from oee_tabular.ratio.samples import kernel as sample_kernel
 
 GRID = np.linspace(-3, 3, 400)
 

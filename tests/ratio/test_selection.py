@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from scipy import optimize, special
 
 import oee_tabular as oee
-from oee_tabular.ratio import _strength, programs, selection
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection, tilted
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior import _strength, programs, selection
+from oee_tabular.ratio.prior.selection import Selection, tilted
 
 ALL, FIRST = 0, 1  # a feature for all actions, or for action 0 alone
 

@@ -12,18 +12,18 @@ from scipy.special import gammaln
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions, exact
-from oee_tabular.ratio import Sgd, density_ratio_samples, programs
+from oee_tabular.ratio import Sgd, density_ratio_samples
 from oee_tabular.ratio.assumptions import check_assumptions
 from oee_tabular.ratio.box import check_box, check_ridge
 from oee_tabular.ratio.features import gaussian, kernel_features, rank_of
 from oee_tabular.ratio.interior import certificate
 from oee_tabular.ratio.linear import implied_bound, move_points
 from oee_tabular.ratio.method import Given
-from oee_tabular.ratio.prior import StrengthChoice, _weighted_median, choose_strength, kinds_of_rows, meaning
+from oee_tabular.ratio.prior.strength import StrengthChoice, _weighted_median, choose_strength, kinds_of_rows, meaning
+from oee_tabular.ratio.prior.tilt import action_displacement, feature_array, fit_tilt
 from oee_tabular.ratio.program_types import LinearProgram
 from oee_tabular.ratio.quotient import estimated_behavior, simulator_weights
 from oee_tabular.ratio.support import refuse_unsupported
-from oee_tabular.ratio.tilt import action_displacement, feature_array, fit_tilt
 
 POLICY = np.array([[0.3, 0.7], [0.6, 0.4], [0.8, 0.2]])
 

@@ -9,10 +9,11 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize, sparse, special
 
 import oee_tabular as oee
-from oee_tabular.ratio import action_displacement, prior
+from oee_tabular.ratio import action_displacement
+from oee_tabular.ratio.prior import strength as prior
+from oee_tabular.ratio.prior.tilt import feature_array, fit_default_tilt, fit_tilt
 from oee_tabular.ratio.segments import segment_sums, spread
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.ratio.tilt import feature_array, fit_default_tilt, fit_tilt
 
 
 def observed_from(rng, mdp, n):

@@ -23,13 +23,13 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.library import Feature, by_action, columns_of, library, name_of
-from oee_tabular.ratio.local_tilt import LocalTilt
-from oee_tabular.ratio.prior import StrengthChoice, choose_strength, kinds_of_rows
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.library import Feature, by_action, columns_of, library, name_of
+from oee_tabular.ratio.prior.local_tilt import LocalTilt
+from oee_tabular.ratio.prior.selection import Selected, Selection, tilted
+from oee_tabular.ratio.prior.strength import StrengthChoice, choose_strength, kinds_of_rows
+from oee_tabular.ratio.prior.tilt import Tilt
 from oee_tabular.ratio.result import Part
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selected, Selection, tilted
-from oee_tabular.ratio.tilt import Tilt
 
 EXPECTED, SEARCHED, UNSEEN = 1.0, 3.0, 4.0
 ENTRY = 2.0  # nats that a feature must gain to be tried at all

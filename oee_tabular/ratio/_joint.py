@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from oee_tabular.kernels.duals import coordinate
+from oee_tabular.ratio._dual import coordinate
 
 
 def fill(theta: Any, rows: Any, pair: Any, low: Any, high: Any, lower: Any, upper: Any, out: Any) -> Any:

@@ -26,8 +26,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import programs
-from oee_tabular.ratio.prior import choose_strength
+from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior.strength import choose_strength
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
 
@@ -212,7 +212,7 @@ def fit_tilt(
             theta, model, value = trial, trial_model, trial_value
     else:
         program = TiltProgram(observed, np.log(weights), phi, indptr)
-        theta = programs.solve_tilt(program, solver=solver)
+        theta = statements.solve_tilt(program, solver=solver)
         model, _ = tilted(theta)
     scores, gradient, information = slopes(theta, model)
     gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)

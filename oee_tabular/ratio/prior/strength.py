@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.ratio import _strength as kernel
+from oee_tabular.ratio.prior import _strength as kernel
 from oee_tabular.ratio.segments import segment_sums, spread
 
 SMALLEST, LARGEST = (

@@ -1,6 +1,6 @@
 """The joint program of one (s, a) with the ratio kept in a box: nu b <= B_x <= mu b.
 
-For a given b the inner program over B is a row of ``kernels.duals``: with g = B / b,
+For a given b the inner program over B is a row of ``_dual``: with g = B / b,
 
     minimise sum_x [q b g - p log g + A b^2 / 2 g^2]  over  max(lower / b, nu) <= g <= min(upper / b, mu),  sum q g = sum q,
 
@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from oee_tabular.kernels.duals import coordinate, solve_row
-from oee_tabular.kernels.joint import gap_term
+from oee_tabular.ratio._dual import coordinate, solve_row
+from oee_tabular.ratio._joint import gap_term
 
 
 def inner(b: Any, p: Any, q: Any, a: Any, box: Any, low: Any, high: Any, scratch: Any, out: Any) -> Any:

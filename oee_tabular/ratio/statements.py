@@ -195,7 +195,7 @@ def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[A
 def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
     """The tilt: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + theta' M theta / 2.
 
-    M is the identity (``ratio.tilt``), or the penalty of ``ratio.local_tilt``. Rows of one length share one log-sum-exp atom.
+    M is the identity (``ratio.prior.tilt``), or the penalty of ``ratio.prior.local_tilt``. Rows of one length share one log-sum-exp atom.
     """
     import cvxpy as cp
 

@@ -13,7 +13,7 @@ from scipy import special
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.features import warn_of_rank
-from oee_tabular.ratio.sample_result import SampleRatio
+from oee_tabular.ratio.samples.result import SampleRatio
 
 
 class SampleTilt(NamedTuple):
@@ -53,7 +53,7 @@ def fit_log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -
 
 def sample_tilt(p: Array, q: Array, features: Callable[[Array], Any] | str, *, capped: bool = False) -> SampleTilt:
     """The fit; where ``capped`` its function gives no more than the largest ratio at the two samples."""
-    from oee_tabular.kernels.loglinear import log_tilt, newton, row_statistics, standardise
+    from oee_tabular.ratio.samples._log_linear import log_tilt, newton, row_statistics, standardise
 
     phi, details = _feature_function(q, features)
     at_p, at_q = phi(p), phi(q)
@@ -138,7 +138,7 @@ def _feature_function(
     function, details = features, {}
     if not callable(function):
         _checks.one_of(features, "features", ("linear", "quadratic"))
-        from oee_tabular.kernels.loglinear import row_statistics, words
+        from oee_tabular.ratio.samples._log_linear import row_statistics, words
 
         center, spread = row_statistics(np.ascontiguousarray(q.T))
         scale = np.where(spread > 0.0, spread, 1.0)

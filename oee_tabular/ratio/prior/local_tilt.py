@@ -26,11 +26,11 @@ from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import programs
-from oee_tabular.ratio.neighbours import REST, Factor, Neighbours, neighbours
+from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior.neighbours import REST, Factor, Neighbours, neighbours
+from oee_tabular.ratio.prior.tilt import ENOUGH
 from oee_tabular.ratio.program_types import TiltProgram
 from oee_tabular.ratio.segments import segment_max, segment_sums, spread
-from oee_tabular.ratio.tilt import ENOUGH
 
 SMALLEST, LARGEST = -2.0, 6.0  # log10 of lambda
 HOPELESS = 20.0  # nats below the best at which the search stops
@@ -277,7 +277,7 @@ def _by_cvxpy(risk: _Risk, smoothness: float, solver: str) -> tuple[Array, Array
     prior = sparse.block_diag([smoothness * risk.prior, sparse.eye_array(risk.d)], format="csc")
     program = TiltProgram(risk.observed, np.log(risk.weights), features, risk.indptr, penalty=prior)
     assert features.shape == (entries, size + risk.d)
-    both = programs.solve_tilt(program, solver=solver)
+    both = statements.solve_tilt(program, solver=solver)
     u, theta = both[:size].reshape(risk.nodes, risk.d), both[size:]
     _, model = risk.value(u, theta, smoothness)
     gradient, _ = risk.slopes(u, theta, smoothness, model)

@@ -28,10 +28,10 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular.ratio import programs
-from oee_tabular.ratio.library import Chosen, columns_of
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior.library import Chosen, columns_of
 from oee_tabular.ratio.program_types import TiltProgram
-from oee_tabular.ratio.rows import Rows
 from oee_tabular.ratio.segments import segment_max
 
 MOST = 6  # features of one tilt
@@ -204,7 +204,7 @@ class Selection:
         counts = self.rows.spread(weight) * self.observed
         penalty = sparse.csc_array(np.diag(fitted.precision))
         program = TiltProgram(counts, np.log(self.rows.weights), features, self.rows.indptr, penalty)
-        theta = programs.solve_tilt(program, solver=solver)
+        theta = statements.solve_tilt(program, solver=solver)
         model, _ = tilted(self.rows.weights, features @ theta, self.rows)
         mean, mass = self.rows.sums(model[:, None] * features), weight * self.count
         gradient = mass @ mean - counts @ features + fitted.precision * theta
