@@ -13,7 +13,7 @@ from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products
 from oee_tabular.exact import Model, action_values, state_values
 from oee_tabular.exact.walks import per_decision, walk_of
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 
 @dataclass(frozen=True, eq=False)

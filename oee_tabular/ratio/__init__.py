@@ -3,12 +3,11 @@
 from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.features import gaussian
+from oee_tabular.ratio.features import action_displacement, gaussian
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method
 from oee_tabular.ratio.network import Network
-from oee_tabular.ratio.prior.tilt import action_displacement
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.samples import density_ratio_samples

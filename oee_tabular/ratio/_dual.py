@@ -6,15 +6,25 @@ the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancel
 ``coordinate``, and phi(m) = sum_x q g_x(m) is nonincreasing: a bracketed root.
 """
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 
-def coordinate(b: Any, a: Any, p: Any, lower: Any, upper: Any) -> Any:
+class Form(NamedTuple):
+    """The program's arrays (entries,) and its box."""
+
+    p: Any
+    q: Any
+    a: Any
+    pull: Any
+    lower: float
+    upper: float
+
+
+@njit(cache=True, error_model="numpy")
+def coordinate(b, a, p, lower, upper):
     """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every point is one."""
     if p > 0.0:
         if a > 0.0:
@@ -33,173 +43,154 @@ def coordinate(b: Any, a: Any, p: Any, lower: Any, upper: Any) -> Any:
     return min(max(g, lower), upper)
 
 
-coordinate = njit(cache=True, error_model="numpy")(coordinate)
+@njit(cache=True, error_model="numpy")
+def at(m, form, x):
+    """g_x(m)."""
+    return coordinate(form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper)
 
 
-def fill_row(m: Any, p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def fill_row(m, form, low, high, g):
     """g_x(m) for the entries low..high; returns sum q g and minus its derivative in m."""
     total, slope = 0.0, 0.0
     for x in range(low, high):
-        value = coordinate(q[x] * m - pull[x], a[x], p[x], lower, upper)
+        q, value = form.q[x], at(m, form, x)
         g[x] = value
-        if q[x] > 0.0:
-            total += q[x] * value
-            if lower < value < upper:
-                mass = q[x] * value  # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
-                bend = p[x] + a[x] * value * value
-                if bend > 0.0:
-                    slope += mass * (mass / bend)
+        if q > 0.0:
+            total += q * value
+            if form.lower < value < form.upper:
+                mass = q * value  # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
+                curvature = form.p[x] + form.a[x] * value * value
+                if curvature > 0.0:
+                    slope += mass * (mass / curvature)
     return total, slope
 
 
-fill_row = njit(cache=True, error_model="numpy")(fill_row)
-
-
-def _is_one(p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, low: Any, high: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def is_one(form, low, high):
     """Whether g = 1 solves the row by inspection: p = q and no pull away from 1."""
-    if lower > 1.0 or upper < 1.0:
+    if form.lower > 1.0 or form.upper < 1.0:
         return False
     for x in range(low, high):
-        if p[x] != q[x] or pull[x] != a[x]:
+        if form.p[x] != form.q[x] or form.pull[x] != form.a[x]:
             return False
     return True
 
 
-_is_one = njit(cache=True, error_model="numpy")(_is_one)
-
-
-def close_bracket(
-    m: Any,
-    total: Any,
-    target: Any,
-    p: Any,
-    q: Any,
-    a: Any,
-    pull: Any,
-    lower: Any,
-    upper: Any,
-    low: Any,
-    high: Any,
-    out: Any,
-) -> Any:
+@njit(cache=True, error_model="numpy")
+def close_bracket(m, total, target, form, low, high, g):
     """(left, right, found) a few rounding units apart around the root near m; found is False where it is not near."""
     step = 2.3e-16 * abs(m) + 1e-300
     for _ in range(12):
         if total >= target:
-            other, _ = fill_row(m + step, p, q, a, pull, lower, upper, low, high, out)
+            other, _ = fill_row(m + step, form, low, high, g)
             if other <= target:
                 return m, m + step, True
         else:
-            other, _ = fill_row(m - step, p, q, a, pull, lower, upper, low, high, out)
+            other, _ = fill_row(m - step, form, low, high, g)
             if other >= target:
                 return m - step, m, True
         step *= 4.0
     return m, m, False
 
 
-close_bracket = njit(cache=True, error_model="numpy")(close_bracket)
-
-
-def finish_row(
-    left: Any,
-    right: Any,
-    target: Any,
-    p: Any,
-    q: Any,
-    a: Any,
-    pull: Any,
-    lower: Any,
-    upper: Any,
-    low: Any,
-    high: Any,
-    g: Any,
-) -> Any:
+@njit(cache=True, error_model="numpy")
+def finish_row(left, right, target, form, low, high, g):
     """g between the minimisers of the bracket's ends, meeting the equality; returns the end that is nearer."""
-    most, least, open_mass = 0.0, 0.0, 0.0
+    at_left, at_right, open_mass = 0.0, 0.0, 0.0
     for x in range(low, high):
-        if q[x] > 0.0:
-            shift = pull[x]
-            above = coordinate(q[x] * left - shift, a[x], p[x], lower, upper)
-            least += q[x] * coordinate(q[x] * right - shift, a[x], p[x], lower, upper)
+        q = form.q[x]
+        if q > 0.0:
+            above = at(left, form, x)
+            at_right += q * at(right, form, x)
             if above == np.inf:
-                open_mass += q[x]
+                open_mass += q
             else:
-                most += q[x] * above
+                at_left += q * above
     share = 1.0
-    if open_mass == 0.0 and most > least:
-        share = min(max((target - least) / (most - least), 0.0), 1.0)
+    if open_mass == 0.0 and at_left > at_right:
+        share = min(max((target - at_right) / (at_left - at_right), 0.0), 1.0)
     m = left if share >= 0.5 and open_mass == 0.0 else right
     for x in range(low, high):
-        shift = pull[x]
-        above = coordinate(q[x] * left - shift, a[x], p[x], lower, upper)
-        below = coordinate(q[x] * right - shift, a[x], p[x], lower, upper)
+        above, below = at(left, form, x), at(right, form, x)
         if open_mass > 0.0:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
-            g[x] = below + (target - least) / open_mass if above == np.inf else below
+            g[x] = below + (target - at_right) / open_mass if above == np.inf else below
         else:
             g[x] = below + share * (above - below) if above > below else above
     return m
 
 
-finish_row = njit(cache=True, error_model="numpy")(finish_row)
+@njit(cache=True, error_model="numpy")
+def known_row(form, low, high, mass, curved):
+    """m where g = 1 solves the row (wherever q > 0), nan elsewhere."""
+    m = np.nan
+    if is_one(form, low, high):
+        m = 1.0
+    elif form.lower == 1.0 or form.upper == 1.0:  # the box leaves g = 1 alone; m at which it is every minimiser
+        side = 1.0 if form.lower == 1.0 else -1.0
+        m = -np.inf
+        for x in range(low, high):
+            if form.q[x] > 0.0:
+                m = max(m, side * (form.p[x] + form.pull[x] - form.a[x]) / form.q[x])
+        m = side * m
+    elif mass == 0.0 and not curved:  # nothing observed where q is: every feasible point is optimal
+        m = 0.0
+    return m
 
 
-def solve_row(p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, low: Any, high: Any, g: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def bracket(total, target, mass, curved, form, low, high, g):
+    """(left, right, m, sum q g at m, minus its derivative): the root lies in [left, right], and m is one of its ends.
+
+    ``total`` is sum q g at m = 1.
+    """
+    left, right, width, slope = 1.0, 1.0, 1.0, 0.0
+    if total > target:
+        while total > target and width < 1e300:
+            left = right
+            right = right + width
+            width *= 2.0
+            total, slope = fill_row(right, form, low, high, g)
+    elif curved or (mass > 0.0 and form.upper < np.inf):
+        # g grows without bound as m falls (a > 0), or reaches the upper bound everywhere once m < 0
+        while total < target and width < 1e300:
+            right = left
+            left = left - width
+            width *= 2.0
+            total, slope = fill_row(left, form, low, high, g)
+    else:  # no box, no ridge: sum q g >= mass / m
+        left = mass
+        while True:
+            total, slope = fill_row(left, form, low, high, g)
+            if total >= target:
+                break
+            left *= 1.0 - 1e-15
+    return left, right, left if total >= target else right, total, slope
+
+
+@njit(cache=True, error_model="numpy")
+def solve_row(form, low, high, g):
     """Solve one row into ``g``; returns m and its bracket.
 
     Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); it shrinks by Newton steps
     from whichever end, or by halving where Newton leaves it, until its ends are neighbours. g is the convex combination
     of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a). left = right where g is known outright.
     """
-    target, mass, bend = 0.0, 0.0, 0.0
+    target, mass, curved = 0.0, 0.0, False
     for x in range(low, high):
-        target += q[x]
-        if q[x] > 0.0:
-            mass += p[x]
-            bend = max(bend, a[x])
-    known = True
-    m = 1.0
-    if _is_one(p, q, a, pull, lower, upper, low, high):
-        pass
-    elif lower == 1.0 or upper == 1.0:  # the box leaves g = 1 alone; m at which it is every coordinate's minimiser
-        side = 1.0 if lower == 1.0 else -1.0
-        m = -np.inf
+        target += form.q[x]
+        if form.q[x] > 0.0:
+            mass += form.p[x]
+            curved = curved or form.a[x] > 0.0
+    m = known_row(form, low, high, mass, curved)
+    if not np.isnan(m):
         for x in range(low, high):
-            if q[x] > 0.0:
-                m = max(m, side * (p[x] + pull[x] - a[x]) / q[x])
-        m = side * m
-    elif mass == 0.0 and bend == 0.0:  # nothing observed where q is: every feasible point is optimal
-        m = 0.0
-    else:
-        known = False
-    if known:
-        for x in range(low, high):
-            g[x] = 1.0 if q[x] > 0.0 else coordinate(-pull[x], a[x], p[x], lower, upper)
+            g[x] = 1.0 if form.q[x] > 0.0 else at(0.0, form, x)
         return m, m, m
-    left, right, width = 1.0, 1.0, 1.0
-    total, slope = fill_row(1.0, p, q, a, pull, lower, upper, low, high, g)
+    total, _ = fill_row(1.0, form, low, high, g)
     if total == target:
         return 1.0, 1.0, 1.0
-    if total > target:
-        while total > target and width < 1e300:
-            left = right
-            right = right + width
-            width *= 2.0
-            total, slope = fill_row(right, p, q, a, pull, lower, upper, low, high, g)
-    elif bend > 0.0 or (mass > 0.0 and upper < np.inf):
-        # g grows without bound as m falls (bend > 0), or reaches the upper bound everywhere once m < 0
-        while total < target and width < 1e300:
-            right = left
-            left = left - width
-            width *= 2.0
-            total, slope = fill_row(left, p, q, a, pull, lower, upper, low, high, g)
-    else:  # no box, no ridge: sum q g >= mass / m
-        left = mass
-        while True:
-            total, slope = fill_row(left, p, q, a, pull, lower, upper, low, high, g)
-            if total >= target:
-                break
-            left *= 1.0 - 1e-15
-    m = left if total >= target else right
+    left, right, m, total, slope = bracket(total, target, mass, curved, form, low, high, g)
     for _ in range(2000):
         trial = m + (total - target) / slope if slope > 0.0 else 0.5 * (left + right)
         if not left < trial < right:
@@ -207,7 +198,7 @@ def solve_row(p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, low: An
         if not left < trial < right:
             break
         m = trial
-        total, slope = fill_row(m, p, q, a, pull, lower, upper, low, high, g)
+        total, slope = fill_row(m, form, low, high, g)
         if total >= target:
             left = m
         if total <= target:
@@ -216,46 +207,33 @@ def solve_row(p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, low: An
             break
         if slope > 0.0 and abs(total - target) <= 1e-10 * slope * abs(m):  # Newton's next step ends at rounding
             m += (total - target) / slope
-            total, slope = fill_row(m, p, q, a, pull, lower, upper, low, high, g)
-            near_left, near_right, near = close_bracket(m, total, target, p, q, a, pull, lower, upper, low, high, g)
+            total, slope = fill_row(m, form, low, high, g)
+            near_left, near_right, near = close_bracket(m, total, target, form, low, high, g)
             if near:
                 left, right = near_left, near_right
                 break
-    m = finish_row(left, right, target, p, q, a, pull, lower, upper, low, high, g)
-    return m, left, right
+    return finish_row(left, right, target, form, low, high, g), left, right
 
 
-solve_row = njit(cache=True, error_model="numpy")(solve_row)
-
-
-def solve_rows(
-    p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, indptr: Any, todo: Any, g: Any, left: Any, right: Any,
-    m: Any,
-) -> Any:  # fmt: skip
+@njit(cache=True, error_model="numpy")
+def solve_rows(form, indptr, todo, g, left, right, m):
     """Every row of ``todo`` by itself: the ratios, the bracket of m and m of each."""
     for k in todo:
-        m[k], left[k], right[k] = solve_row(p, q, a, pull, lower, upper, indptr[k], indptr[k + 1], g)
+        m[k], left[k], right[k] = solve_row(form, indptr[k], indptr[k + 1], g)
 
 
-solve_rows = njit(cache=True, error_model="numpy")(solve_rows)
-
-
-def minimisers(m: Any, p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any, indptr: Any, out: Any) -> Any:
-    """g(m) of each row with a number m; the others keep what ``out`` has."""
+@njit(cache=True, error_model="numpy")
+def minimisers(m, form, indptr, g):
+    """g(m) of each row with a number m; the others keep what ``g`` has."""
     for k in range(len(m)):
         if not np.isnan(m[k]):
-            fill_row(m[k], p, q, a, pull, lower, upper, indptr[k], indptr[k + 1], out)
+            fill_row(m[k], form, indptr[k], indptr[k + 1], g)
 
 
-minimisers = njit(cache=True, error_model="numpy")(minimisers)
-
-
-def solve_free(p: Any, q: Any, a: Any, pull: Any, lower: Any, upper: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def solve_free(form):
     """Without the equality: m = 1."""
-    g = np.empty(len(p))
-    for x in range(len(p)):
-        g[x] = coordinate(q[x] - pull[x], a[x], p[x], lower, upper)
+    g = np.empty(len(form.p))
+    for x in range(len(g)):
+        g[x] = at(1.0, form, x)
     return g
-
-
-solve_free = njit(cache=True, error_model="numpy")(solve_free)

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Box
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
-from oee_tabular.ratio.box import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.interior import objective
 from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
@@ -162,13 +161,13 @@ def density_ratio(
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     _checks.one_of(loss, "loss", ("kl", "chi2"))
-    box = check_box(lower, upper, normalized=normalized)
+    box = _checks.box(lower, upper, normalized=normalized)
     with np.errstate(over="ignore"):
         totals = [float(w.sum()) for w in weights]
     for total, name in zip(totals, ("p", "q"), strict=True):
         if not 0.0 < total < np.inf:
             raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
-    strength = check_ridge(ridge, totals[0])
+    strength = _checks.ridge(ridge, totals[0])
     if features is not None or kernel is not None:
         if toward is not None or loss != "kl":
             raise ValueError(

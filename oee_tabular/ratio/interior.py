@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from oee_tabular._checks import Array
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio.statements import LinearProgram
 
 ITERATIONS = 200
 

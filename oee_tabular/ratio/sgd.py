@@ -18,7 +18,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio import dual, interior
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio._sgd import project
+from oee_tabular.ratio.statements import LinearProgram
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,6 @@ def descend_linear(
     program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Any
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
-    from oee_tabular.ratio._sgd import project
-
     phi = np.ascontiguousarray(program.features)
     lengths = (phi**2).sum(axis=1)
     optimum = interior.objective(program, best.weights, best.ratio)

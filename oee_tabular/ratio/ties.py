@@ -23,11 +23,11 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import IntArray
-from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.density import density_ratio
 from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.result import TransitionRatio
 
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
@@ -87,10 +87,10 @@ class Tied(Method):
 
     def _fit(self, given: Given) -> TransitionRatio:
         observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
-        matrix = simulator.transitions
+        matrix, rows = simulator.transitions, given.rows
         keys = _keys(self.tie, simulator)
-        visits = row_sums(matrix, observed)
-        expected = visits[row_of_entry(matrix)] * matrix.data
+        visits = rows.sums(observed)
+        expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
         seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
         groups, group = _groups(matrix, keys, n_keys)
@@ -107,7 +107,7 @@ class Tied(Method):
             ratio[known] = fit.ratio
             gap = max(gap, fit.gap)
         zeta = ratio[keys]
-        sums = row_sums(matrix, zeta * matrix.data)
+        sums = rows.sums(zeta * matrix.data)
         empty = np.flatnonzero(~(sums > 0))
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
@@ -115,7 +115,7 @@ class Tied(Method):
                 f"strength must be positive here: no key of row (s={s}, a={a}) was seen, and zeta * P would have no mass there "
                 f"({empty.size} such rows in all); it is {kappa:g}"
             )
-        zeta = zeta / sums[row_of_entry(matrix)]
+        zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums
         details: dict[str, Any] = {
             "n_keys": n_keys,
@@ -124,7 +124,7 @@ class Tied(Method):
             "pooled_row_sums": (float(used.min()), float(used.max())),
             "strength": kappa,
         }
-        return make_result(simulator, zeta, "tied", gap, observed, details)
+        return given.ratio(zeta, "tied", gap, details)
 
 
 def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:

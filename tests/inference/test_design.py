@@ -17,7 +17,6 @@ from oee_tabular.inference.design_plan import greedy_pairs
 from oee_tabular.inference.design_programs import evaluate, fill, free_design, minimise
 from oee_tabular.inference.design_reference import conic_design
 from oee_tabular.inference.experimental_design import plan_data_collection
-from oee_tabular.ratio.box import check_box
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
 
@@ -48,7 +47,7 @@ def random_program(rng, *, kinds=3):
     mdp = random_mdp(rng, n_states=int(rng.integers(2, 8)), n_actions=int(rng.integers(1, 4)), discount=0.9)
     policies = [random_policy(rng, mdp) for _ in range(int(rng.integers(1, kinds + 1)))]
     counts = rng.integers(0, 4, mdp.n_states * mdp.n_actions) * float(rng.integers(0, 2))
-    box = check_box(None, None, normalized=True)
+    box = _checks.box(None, None, normalized=True)
     costs = row_costs(
         mdp, mdp, policies, counts, horizon=None, box=box, confidence=0.95, optimistic=bool(rng.integers(0, 2))
     ).table
@@ -254,7 +253,7 @@ def test_the_bound_holds_for_every_behaviour(rng):
 
 def test_kiefer_and_wolfowitz():
     """max over q' of <q', c / q*^2> = sum c / q*; for any other q it is larger."""
-    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=check_box(None, None, normalized=True),
+    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=_checks.box(None, None, normalized=True),
                       confidence=0.95, optimistic=True).table  # fmt: skip
     costs = costs / np.sqrt(costs).sum() ** 2
     collection, base = collection_mdp(TARGET, 0.05), np.zeros(100)

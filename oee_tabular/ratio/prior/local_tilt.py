@@ -19,18 +19,19 @@ Reference: [1] H. Rue, S. Martino, N. Chopin, Approximate Bayesian inference for
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import statements
+from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.prior.neighbours import REST, Factor, Neighbours, neighbours
-from oee_tabular.ratio.prior.tilt import ENOUGH
-from oee_tabular.ratio.program_types import TiltProgram
-from oee_tabular.ratio.segments import segment_max, segment_sums, spread
+from oee_tabular.ratio.prior.tilt import ENOUGH, Minimum, TiltRisk, minimise
+from oee_tabular.ratio.statements import TiltProgram
 
 SMALLEST, LARGEST = -2.0, 6.0  # log10 of lambda
 HOPELESS = 20.0  # nats below the best at which the search stops
@@ -62,28 +63,31 @@ class LocalTilt:
     information: sparse.csc_array | Array
 
 
-class _Risk:
-    """f and its derivatives at (u, theta), from the rows that the log has visited."""
+class LocalRisk(TiltRisk):
+    """f at (u, theta), flat: u of the first group, of the second, ..., then theta; ``smoothness`` is lambda."""
 
-    def __init__(
-        self, observed: Array, phi: Array, weights: Array, indptr: IntArray, n_actions: int, graph: Neighbours
-    ):
-        n_row = segment_sums(observed, indptr)
-        rows = np.flatnonzero(n_row > 0)
-        lengths = np.diff(indptr)
-        entries = np.flatnonzero(spread(n_row > 0, indptr))
-        self.total = float(n_row.sum())
-        self.n_row, self.indptr = n_row[rows], np.concatenate([[0], np.cumsum(lengths[rows])])
-        self.phi, self.weights, self.observed = phi[entries], weights[entries], observed[entries]
-        self.graph, self.group = graph, graph.group[rows // n_actions]
+    def __init__(self, rows: Rows, counts: Array, phi: Array, graph: Neighbours, smoothness: float) -> None:
+        super().__init__(rows, counts, phi, np.ones(phi.shape[1]))
+        self.graph, self.smoothness, self.group = graph, smoothness, graph.group[rows.state]
         self.nodes, self.d = graph.penalty.shape[0], phi.shape[1]
-        self.aim = self._by_group(segment_sums(self.observed[:, None] * self.phi, self.indptr))
+        self.size = self.nodes * self.d
+        self.aim = self._by_group(rows.sums(counts[:, None] * phi))
         self.prior = sparse.csc_array(sparse.kron(graph.penalty, sparse.eye_array(self.d), format="csc"))
         self.prior_factor = Factor(self.prior)
-        self._dense = self.prior.toarray() if (self.nodes + 1) * self.d <= DENSE else None
-        blocks = np.arange(self.nodes * self.d).reshape(self.nodes, self.d)
+        self._dense = self.prior.toarray() if self.size + self.d <= DENSE else None
+        blocks = np.arange(self.size).reshape(self.nodes, self.d)
         self._row = np.repeat(blocks, self.d, axis=1).reshape(-1)
         self._column = np.tile(blocks, (1, self.d)).reshape(-1)
+
+    def at(self, smoothness: float) -> LocalRisk:
+        """The same at another lambda."""
+        other = copy(self)
+        other.smoothness = smoothness
+        return other
+
+    def level(self, parameters: Array) -> Array:
+        """u + theta of each group, (K, d)."""
+        return np.asarray(parameters[: self.size].reshape(self.nodes, self.d) + parameters[self.size :])
 
     def _by_group(self, rows: Array) -> Array:
         """(rows, ...) summed over the rows of each group."""
@@ -91,80 +95,66 @@ class _Risk:
         sums = [np.bincount(self.group, flat[:, j], self.nodes) for j in range(flat.shape[1])]
         return np.column_stack(sums).reshape(self.nodes, *rows.shape[1:])
 
-    def value(self, u: Array, theta: Array, smoothness: float) -> tuple[float, Array]:
-        """f, and the rows under the tilt."""
-        local = spread((u + theta)[self.group], self.indptr)
-        exponent = np.einsum("ij,ij->i", self.phi, local)
-        top = segment_max(exponent, self.indptr)
-        raw = self.weights * np.exp(exponent - spread(top, self.indptr))
-        total = segment_sums(raw, self.indptr)
-        risk = self.n_row @ (top + np.log(total)) - self.observed @ exponent + 0.5 * theta @ theta
-        bend = 0.5 * smoothness * float(u.reshape(-1) @ (self.prior @ u.reshape(-1))) if np.any(u) else 0.0
-        return float(risk) + bend, raw / spread(total, self.indptr)
+    def exponent(self, parameters: Array) -> Array:
+        """(theta + u_s) . phi."""
+        return np.asarray(np.einsum("ij,ij->i", self.phi, self.rows.spread(self.level(parameters)[self.group])))
 
-    def slopes(self, u: Array, theta: Array, smoothness: float, model: Array) -> tuple[Array, Array]:
-        """The gradient in u without and theta with its penalty's part, and the Fisher information by group (K, d, d)."""
-        mean = segment_sums(model[:, None] * self.phi, self.indptr)
-        scores = self.phi - spread(mean, self.indptr)
-        mass = model * spread(self.n_row, self.indptr)
+    def penalty(self, parameters: Array) -> float:
+        """1/2 |theta|^2 + lambda/2 u' (Q x I) u."""
+        u, theta = parameters[: self.size], parameters[self.size :]
+        return 0.5 * float(theta @ theta) + 0.5 * self.smoothness * float(u @ (self.prior @ u))
+
+    def slopes(self, parameters: Array, model: Array) -> tuple[Array, Any]:
+        """f' and f'', and 1e-12 of the information on the diagonals of u and theta: (u + c, theta - c) at enormous counts."""
+        mean = self.rows.mean(model, self.phi)
+        scores = self.phi - self.rows.spread(mean)
+        mass = model * self.rows.spread(self.n)
         information = np.empty((self.nodes, self.d, self.d))
         for i in range(self.d):  # one column at a time: (entries, d) of memory
-            products = segment_sums((mass * scores[:, i])[:, None] * scores, self.indptr)
-            information[:, i, :] = self._by_group(products)
-        pull = self._by_group(self.n_row[:, None] * mean) - self.aim
-        flat = pull.reshape(-1) + smoothness * (self.prior @ u.reshape(-1))
-        return np.concatenate([flat, pull.sum(axis=0) + theta]), information
+            information[:, i, :] = self._by_group(self.rows.sums((mass * scores[:, i])[:, None] * scores))
+        pull = self._by_group(self.n[:, None] * mean) - self.aim
+        u, theta = parameters[: self.size], parameters[self.size :]
+        gradient = np.concatenate([pull.reshape(-1) + self.smoothness * (self.prior @ u), pull.sum(axis=0) + theta])
+        return gradient, self._hessian(information)
 
-    def hessian(self, information: Array, smoothness: float) -> sparse.csc_array | Array:
-        """f'' in (u, theta), of shape ((K + 1) d, (K + 1) d), and 1e-12 of the information on the diagonals of u and theta.
-
-        Enormous counts would drown what the penalties alone determine: (u + c, theta - c), collinear features.
-        """
+    def _hessian(self, information: Array) -> sparse.csc_array | Array:
+        """From the Fisher information by group (K, d, d)."""
         eye, whole = np.eye(self.d), information.sum(axis=0)
         corner = whole + (1.0 + 1e-12 * np.trace(whole)) * eye
         raised = information + 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * eye
         if self._dense is not None:
-            unknowns = len(self._dense)
-            dense = np.empty((unknowns + self.d, unknowns + self.d))
-            dense[:unknowns, :unknowns] = smoothness * self._dense
+            dense = np.empty((self.size + self.d, self.size + self.d))
+            dense[: self.size, : self.size] = self.smoothness * self._dense
             dense[self._row, self._column] += raised.reshape(-1)
-            dense[:unknowns, unknowns:] = information.reshape(unknowns, self.d)
-            dense[unknowns:, :unknowns] = dense[:unknowns, unknowns:].T
-            dense[unknowns:, unknowns:] = corner
+            dense[: self.size, self.size :] = information.reshape(self.size, self.d)
+            dense[self.size :, : self.size] = dense[: self.size, self.size :].T
+            dense[self.size :, self.size :] = corner
             return dense
         diagonal = sparse.csc_array((raised.reshape(-1), (self._row, self._column)), self.prior.shape)
-        edge = sparse.csc_array(information.reshape(self.nodes * self.d, self.d))
+        edge = sparse.csc_array(information.reshape(self.size, self.d))
         return sparse.csc_array(
-            sparse.block_array([[diagonal + smoothness * self.prior, edge], [edge.T, corner]], format="csc")
+            sparse.block_array([[diagonal + self.smoothness * self.prior, edge], [edge.T, corner]], format="csc")
         )
 
+    def factor(self, hessian: Any) -> Factor:
+        """Of f'', which has its slack already."""
+        return Factor(hessian)
 
-def minimise(risk: _Risk, smoothness: float, u: Array, theta: Array) -> tuple[float, Array, Array, float]:
-    """Newton from (u, theta): the evidence, u, theta, and the bound on f less its minimum."""
-    value, model = risk.value(u, theta, smoothness)
-    last = np.inf
-    for _ in range(100):
-        gradient, information = risk.slopes(u, theta, smoothness, model)
-        factored = Factor(risk.hessian(information, smoothness))
-        step = -factored.solve(gradient)
-        decrement, size = float(-gradient @ step), max(1.0, abs(value), risk.total)
-        if decrement <= 1e-24 * size or 1e-12 * size > decrement > 0.25 * last:  # no more than rounding is left
-            break
-        last = decrement
-        blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
-        length, du, dt = 1.0, step[: u.size].reshape(u.shape), step[u.size :]
-        while length > 1e-12:
-            trial, trial_model = risk.value(u + length * du, theta + length * dt, smoothness)
-            if trial <= value - 1e-4 * length * decrement + blur:
-                break
-            length *= 0.5
-        else:
-            break
-        u, theta, value, model = u + length * du, theta + length * dt, trial, trial_model
-    logs = risk.d * (risk.nodes * np.log(smoothness) + risk.graph.log_determinant) - factored.log_determinant()
-    bend, rest = gradient[: u.size], gradient[u.size :]
-    gap = 0.5 * float(rest @ rest + bend @ risk.prior_factor.solve(bend) / smoothness)
-    return float(-value + 0.5 * logs), u, theta, gap
+    def bound(self, gradient: Array) -> float:
+        """gradient' diag(lambda Q x I, I)^-1 gradient / 2."""
+        of_u, rest = gradient[: self.size], gradient[self.size :]
+        return 0.5 * float(rest @ rest + of_u @ self.prior_factor.solve(of_u) / self.smoothness)
+
+    def evidence(self, found: Minimum) -> float:
+        """The integral of exp(-f) over theta and u, as a logarithm."""
+        prior = self.d * (self.nodes * np.log(self.smoothness) + self.graph.log_determinant)
+        return float(-found.value + 0.5 * (prior - found.factor.log_determinant()))
+
+    def statement(self) -> TiltProgram:
+        """The program for a cvxpy solver."""
+        features = _scatter(self.phi, self.rows.spread(self.group), self.nodes)
+        prior = sparse.block_diag([self.smoothness * self.prior, sparse.eye_array(self.d)], format="csc")
+        return TiltProgram(self.counts, np.log(self.rows.weights), features, self.rows.indptr, sparse.csc_array(prior))
 
 
 def fit_local_tilt(
@@ -182,106 +172,79 @@ def fit_local_tilt(
     values of lambda, four Newton steps each, a step O(visited entries d^2) and a sparse factor of (K + 1) d unknowns,
     K <= 1024 / d.
     """
-    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
-    weights = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
+    whole = Rows.of(simulator)
+    rows = Rows.of(simulator, whole.sums(observed) > 0)
     graph = neighbours(simulator, width=phi.shape[1])
-    risk = _Risk(observed, phi, weights, indptr, simulator.n_actions, graph)
-    start = np.zeros((risk.nodes, risk.d))
-    value, model = risk.value(start, theta, 0.0)
-    corner = risk.slopes(start, theta, 0.0, model)[1].sum(axis=0) + np.eye(risk.d)
-    one_for_all = -value - 0.5 * float(np.linalg.slogdet(corner)[1])
+    risk = LocalRisk(rows, observed[rows.entries], phi[rows.entries], graph, np.inf)
+    search = _Search(risk, theta)
     if smoothness is None:
-        chosen, curve = _search(risk, theta, one_for_all)
-        if chosen is None:
+        fit = search.best_of_all()
+        if fit is None:
             return None
     else:
-        evidence, at, theta, gap = minimise(risk, smoothness, start, theta)
-        gain = evidence - max(one_for_all, _one_tilt(risk, theta, smoothness))
-        chosen, curve = (gain, smoothness, at, theta, gap), [(smoothness, gain)]
-    gain, smoothness, u, theta, gap = chosen
+        fit = search.attempt(float(np.log10(smoothness)), smoothness)
+    risk, found = risk.at(fit.smoothness), fit.found
     if solver != "dual":
-        u, theta, gap = _by_cvxpy(risk, smoothness, solver)
-    return _result(risk, phi, weights, indptr, simulator, u, theta, (smoothness, gain, curve, gap), observed)
+        found = minimise(risk, found.theta, solver)
+    return _result(risk, found, whole, phi, fit, sorted(search.curve))
 
 
-_Fit = tuple[float, float, Array, Array, float]  # gain, lambda, u, theta, gap
+class _Fit(NamedTuple):
+    gain: float
+    smoothness: float
+    found: Minimum
 
 
-def _one_tilt(risk: _Risk, theta: Array, smoothness: float) -> float:
-    """The evidence of one theta for all states whose prior is as wide as that of the level of u + theta at this lambda.
+class _Search:
+    """For lambda, from the smoothest downwards by decades, then around the best; each fit starts where the last ended."""
 
-    That level has the precision tau = lambda REST S / (1 + lambda REST S) <= 1: departures must not be credited with what a
-    wider prior of the level alone would gain.
-    """
-    wide = smoothness * REST * len(risk.graph.group)
-    tau, still = wide / (1.0 + wide), np.zeros((risk.nodes, risk.d))
+    def __init__(self, risk: LocalRisk, theta: Array) -> None:
+        self.risk, self.theta = risk, theta
+        self.at = np.concatenate([np.zeros(risk.size), theta])
+        self.one_for_all = self._one_tilt(1.0)
+        self.curve: list[tuple[float, float]] = []
+        self.best: _Fit | None = None
 
-    def value(at: Array) -> tuple[float, Array]:
-        whole, model = risk.value(still, at, 0.0)
-        return whole + 0.5 * (tau - 1.0) * float(at @ at), model
+    def _one_tilt(self, precision: float) -> float:
+        """The evidence of one theta for all states under a Gaussian prior of this precision."""
+        risk = self.risk
+        found = minimise(TiltRisk(risk.rows, risk.counts, risk.phi, np.full(risk.d, precision)), self.theta)
+        return found.evidence + 0.5 * risk.d * float(np.log(precision))
 
-    best, model = value(theta)
-    for _ in range(50):
-        gradient, information = risk.slopes(still, theta, 0.0, model)
-        curvature = information.sum(axis=0) + tau * np.eye(risk.d)
-        slope = gradient[still.size :] + (tau - 1.0) * theta
-        step, length = -np.linalg.solve(curvature, slope), 1.0
-        trial, found = value(theta + step)
-        while not trial <= best and length > 1e-6:
-            length *= 0.5
-            trial, found = value(theta + length * step)
-        if not trial < best - 1e-9:
-            break
-        theta, best, model = theta + length * step, trial, found
-    half_log = 0.5 * risk.d * float(np.log(tau)) - 0.5 * float(np.linalg.slogdet(curvature)[1])
-    return float(half_log - best)
+    def attempt(self, level: float, smoothness: float | None = None) -> _Fit:
+        """The fit at lambda = 10^level, and what it gains on one theta for all.
 
-
-def _search(risk: _Risk, theta: Array, one_for_all: float) -> tuple[_Fit | None, list[tuple[float, float]]]:
-    """From the smoothest downwards by decades, then around the best."""
-    curve: list[tuple[float, float]] = []
-    best: _Fit | None = None
-    u, start = np.zeros((risk.nodes, risk.d)), theta
-
-    def attempt(level: float) -> _Fit:
-        nonlocal u, theta, best
-        evidence, u, theta, gap = minimise(risk, 10.0**level, u, theta)
-        alone = max(one_for_all, _one_tilt(risk, start, 10.0**level))
-        fit = (evidence - alone, 10.0**level, u, theta, gap)
-        curve.append((10.0**level, fit[0]))
-        if best is None or fit[0] > best[0]:
-            best = fit
+        The level of u + theta has the prior precision tau = lambda REST S / (1 + lambda REST S) <= 1: departures must not be
+        credited with what a wider prior of the level alone would gain, so that one theta may have it as well.
+        """
+        smoothness = 10.0**level if smoothness is None else smoothness
+        risk = self.risk.at(smoothness)
+        found = minimise(risk, self.at)
+        wide = smoothness * REST * len(risk.graph.group)
+        alone = max(self.one_for_all, self._one_tilt(wide / (1.0 + wide)))
+        fit = _Fit(risk.evidence(found) - alone, smoothness, found)
+        self.at = found.theta
+        self.curve.append((smoothness, fit.gain))
+        if self.best is None or fit.gain > self.best.gain:
+            self.best = fit
         return fit
 
-    for level in np.arange(LARGEST, SMALLEST - 0.5, -1.0):
-        fit = attempt(float(level))
-        assert best is not None
-        if fit[0] < max(best[0], 0.0) - HOPELESS:
-            break
-    assert best is not None
-    if best[0] < ENOUGH - HOPELESS:
-        return None, sorted(curve)
-    center = np.log10(best[1])
-    for offset in (0.5, -0.5, 0.25, -0.25):
-        if abs(offset) == 0.25:
-            center = np.log10(best[1])
-        u, theta = best[2], best[3]
-        attempt(float(center + offset))
-    return (best if best[0] >= ENOUGH else None), sorted(curve)
-
-
-def _by_cvxpy(risk: _Risk, smoothness: float, solver: str) -> tuple[Array, Array, float]:
-    """The same program by a cvxpy solver, with our bound on what it leaves."""
-    entries, size = len(risk.phi), risk.nodes * risk.d
-    features = _scatter(risk.phi, spread(risk.group, risk.indptr), risk.nodes)
-    prior = sparse.block_diag([smoothness * risk.prior, sparse.eye_array(risk.d)], format="csc")
-    program = TiltProgram(risk.observed, np.log(risk.weights), features, risk.indptr, penalty=prior)
-    assert features.shape == (entries, size + risk.d)
-    both = statements.solve_tilt(program, solver=solver)
-    u, theta = both[:size].reshape(risk.nodes, risk.d), both[size:]
-    _, model = risk.value(u, theta, smoothness)
-    gradient, _ = risk.slopes(u, theta, smoothness, model)
-    return u, theta, 0.5 * float(gradient @ Factor(sparse.csc_array(prior)).solve(gradient))
+    def best_of_all(self) -> _Fit | None:
+        """None where no departures gain enough."""
+        for level in np.arange(LARGEST, SMALLEST - 0.5, -1.0):
+            fit = self.attempt(float(level))
+            assert self.best is not None
+            if fit.gain < max(self.best.gain, 0.0) - HOPELESS:
+                break
+        assert self.best is not None
+        if self.best.gain < ENOUGH - HOPELESS:
+            return None
+        for width in (0.5, 0.25):
+            center = float(np.log10(self.best.smoothness))
+            for offset in (width, -width):
+                self.at = self.best.found.theta
+                self.attempt(center + offset)
+        return self.best if self.best.gain >= ENOUGH else None
 
 
 def _scatter(values: Array, group: IntArray, nodes: int) -> sparse.csr_array:
@@ -294,27 +257,13 @@ def _scatter(values: Array, group: IntArray, nodes: int) -> sparse.csr_array:
 
 
 def _result(
-    risk: _Risk,
-    phi: Array,
-    weights: Array,
-    indptr: IntArray,
-    simulator: FiniteMDP,
-    u: Array,
-    theta: Array,
-    found: tuple[float, float, list[tuple[float, float]], float],
-    observed: Array,
+    risk: LocalRisk, found: Minimum, whole: Rows, phi: Array, fit: _Fit, curve: list[tuple[float, float]]
 ) -> LocalTilt:
     """On all rows, visited or not."""
-    smoothness, gain, curve, gap = found
-    group = risk.graph.group
-    of_entry = spread(group[np.arange(len(indptr) - 1) // simulator.n_actions], indptr)
-    exponent = np.einsum("ij,ij->i", phi, (u + theta)[of_entry])
-    raw = np.exp(exponent - spread(segment_max(exponent, indptr), indptr))
-    ratio = raw / spread(segment_sums(weights * raw, indptr), indptr)
-    mean = segment_sums((weights * ratio)[:, None] * phi, indptr)
-    _, model = risk.value(u, theta, smoothness)
-    information = risk.hessian(risk.slopes(u, theta, smoothness, model)[1], smoothness)
-    scores = _scatter(phi - spread(mean, indptr), of_entry, risk.nodes)
-    return LocalTilt(
-        smoothness, gain, curve, ratio, (u + theta)[group], gap / max(float(observed.sum()), 1.0), scores, information
+    theta = risk.level(found.theta)[risk.graph.group]
+    model, _ = whole.tilted(np.einsum("ij,ij->i", phi, whole.spread(theta[whole.state])))
+    scores = _scatter(
+        phi - whole.spread(whole.mean(model, phi)), whole.spread(risk.graph.group[whole.state]), risk.nodes
     )
+    gap = found.gap / max(float(risk.n.sum()), 1.0)
+    return LocalTilt(fit.smoothness, fit.gain, curve, model / whole.weights, theta, gap, scores, found.hessian)

@@ -18,18 +18,20 @@ Statistics 24(6), 1996.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import row_of_entry
+from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
+from oee_tabular.ratio.features import feature_array
+from oee_tabular.ratio.prior.neighbours import Factor
 from oee_tabular.ratio.prior.strength import choose_strength
-from oee_tabular.ratio.program_types import TiltProgram
-from oee_tabular.ratio.segments import segment_max, segment_sums, spread
+from oee_tabular.ratio.statements import TiltProgram
 
 ENOUGH = 2.0  # nats of evidence that a theta which varies over the states must gain
 DECISIVE = 5.0  # that a second number for all rows must gain
@@ -62,67 +64,99 @@ class Tilt:
     coefficients: Array
 
 
-def feature_array(features: Any, simulator: FiniteMDP) -> Array:
-    """phi as an (entries, d) array of finite numbers.
+class TiltRisk:
+    """f(theta) = sum_k n_k ln Z_k(theta) - sum_x n_x theta . phi_x + 1/2 sum_j precision_j theta_j^2 and its derivatives.
 
-    ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
-    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
-    """
-    matrix = simulator.transitions
-    rows = row_of_entry(matrix)
-    state, action, arrival = rows // simulator.n_actions, rows % simulator.n_actions, matrix.indices.astype(np.int64)
-    if features is None:
-        return np.asarray(np.log(matrix.data)[:, None])
-    given = features(state, action, arrival) if callable(features) else features
-    array = _checks.float_array(given, "features")
-    shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
-    if array.ndim >= 3 and array.shape[:3] == shape:
-        array = array[state, action, arrival]
-    if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
-        raise ValueError(
-            f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
-            f"they have shape {array.shape}"
-        )
-    _checks.require_finite(array, "features")
-    return array.reshape(matrix.nnz, -1)
-
-
-def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
-    """Indicator features of (action, displacement), which share what is learned between all states.
+    The one objective of every tilt of rows: ``ratio.prior.selection`` weighs the counts, ``ratio.prior.local_tilt`` adds
+    departures to the parameters.
 
     Parameters
     ----------
-    simulator : FiniteMDP
-    coordinates : (S,) or (S, c): where each state is; the displacement is the difference of the two ends' coordinates
-
-    Returns
-    -------
-    (entries, d) : one column per action and displacement; of each action the commonest displacement is the reference
-
-    Examples
-    --------
-    >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0.5, 0.5]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9)
-    >>> action_displacement(line, [0, 1, 2]).ravel().tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
-    [0.0, 1.0, 0.0, 1.0, 0.0]
+    rows : those that the log has visited; counts : (entries,) their counts; phi : (entries, d), centred; precision : (d,)
     """
-    _checks.instance(simulator, FiniteMDP, "simulator")
-    given = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
-    _checks.require_finite(given, "coordinates")
-    places = given[:, None] if given.ndim == 1 else given
-    if places.shape[0] != simulator.n_states:
-        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
-    matrix = simulator.transitions
-    rows = row_of_entry(matrix)
-    state, action = rows // simulator.n_actions, rows % simulator.n_actions
-    keys = np.column_stack([action, np.round(places[matrix.indices] - places[state], 9)])
-    kinds, kind = np.unique(keys, axis=0, return_inverse=True)
-    kind = kind.reshape(-1)
-    mass = np.bincount(kind, weights=matrix.data)
-    reference = [
-        int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])
-    ]
-    kept = np.setdiff1d(np.arange(len(kinds)), reference)
-    return np.asarray(kind[:, None] == kept, dtype=np.float64)
+
+    def __init__(self, rows: Rows, counts: Array, phi: Array, precision: Array) -> None:
+        self.rows, self.counts, self.phi, self.precision = rows, counts, phi, precision
+        self.n = rows.sums(counts)
+        self.pulled = counts @ phi
+
+    def exponent(self, theta: Array) -> Array:
+        """theta . phi."""
+        return np.asarray(self.phi @ theta)
+
+    def penalty(self, theta: Array) -> float:
+        """The term of the parameters alone."""
+        return 0.5 * float(self.precision @ theta**2)
+
+    def value(self, theta: Array) -> tuple[float, Array]:
+        """f, and the rows under the tilt."""
+        exponent = self.exponent(theta)
+        model, log_normalizer = self.rows.tilted(exponent)
+        return float(self.n @ log_normalizer - self.counts @ exponent) + self.penalty(theta), model
+
+    def slopes(self, theta: Array, model: Array) -> tuple[Array, Any]:
+        """f' and f''."""
+        mean = self.rows.mean(model, self.phi)
+        scores = self.phi - self.rows.spread(mean)
+        hessian = (scores * (model * self.rows.spread(self.n))[:, None]).T @ scores + np.diag(self.precision)
+        return self.n @ mean - self.pulled + self.precision * theta, hessian
+
+    def factor(self, hessian: Any) -> Factor:
+        """Of f'', for steps: enormous counts would drown what the penalty alone determines, collinear features."""
+        return Factor(hessian + 1e-12 * np.trace(hessian) * np.eye(len(hessian)))
+
+    def bound(self, gradient: Array) -> float:
+        """f - min f where the gradient is ``gradient``: f'' less the penalty's is positive semidefinite."""
+        return 0.5 * float(np.sum(gradient**2 / self.precision))
+
+    def statement(self) -> TiltProgram:
+        """The program for a cvxpy solver."""
+        penalty = sparse.csc_array(np.diag(self.precision))
+        return TiltProgram(self.counts, np.log(self.rows.weights), self.phi, self.rows.indptr, penalty)
+
+
+class Minimum(NamedTuple):
+    """The minimiser of a ``TiltRisk``, f there, the rows, f'', its factor, and the bound on f less its minimum."""
+
+    theta: Array
+    value: float
+    model: Array
+    hessian: Any
+    factor: Factor
+    gap: float
+
+    @property
+    def evidence(self) -> float:
+        """ln of the integral of exp(-f) over theta by Laplace's approximation, but for its prior's constant."""
+        return -self.value - 0.5 * float(np.linalg.slogdet(self.hessian)[1])
+
+
+def minimise(risk: TiltRisk, start: Array, solver: str = "dual") -> Minimum:
+    """Newton's method with backtracking from ``start``, to rounding; or a cvxpy solver's minimiser with our bound."""
+    theta = start if solver == "dual" else statements.solve_tilt(risk.statement(), solver=solver)
+    value, model = risk.value(theta)
+    last, total = np.inf, float(risk.n.sum())
+    for _ in range(100):
+        gradient, hessian = risk.slopes(theta, model)
+        factor = risk.factor(hessian)
+        step = -factor.solve(gradient)
+        decrement, size = float(-gradient @ step), max(1.0, abs(value), total)
+        if (
+            solver != "dual" or decrement <= 1e-24 * size or 1e-12 * size > decrement > 0.25 * last
+        ):  # only rounding is left
+            break
+        last = decrement
+        slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
+        length = 1.0
+        while length > 1e-12:
+            trial, found = risk.value(theta + length * step)
+            if trial <= value - 1e-4 * length * decrement + slack:
+                break
+            length *= 0.5
+        else:
+            break
+        theta, value, model = theta + length * step, trial, found
+    return Minimum(theta, value, model, hessian, factor, risk.bound(gradient))
 
 
 def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "dual") -> Tilt:
@@ -143,9 +177,8 @@ def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "du
 
 
 def _dirichlet_evidence(tilt: Tilt, observed: Array, simulator: FiniteMDP) -> float:
-    indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
-    weights = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
-    score = choose_strength(observed, weights * tilt.ratio, weights, indptr).score
+    rows = Rows.of(simulator)
+    score = choose_strength(observed, rows.weights * tilt.ratio, rows).score
     size = float(np.linalg.slogdet(tilt.information)[1]) + float(tilt.coefficients @ tilt.coefficients)
     return score - 0.5 * size
 
@@ -158,74 +191,22 @@ def fit_tilt(
     Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
     Cost: O(entries d^2) a step, about ten steps.
     """
-    phi = feature_array(features, simulator)
-    matrix = simulator.transitions
-    indptr: IntArray = matrix.indptr.astype(np.int64)
-    weights = matrix.data / spread(segment_sums(matrix.data, indptr), indptr)
-    phi = phi - spread(segment_sums(weights[:, None] * phi, indptr), indptr)
-    n_row = segment_sums(observed, indptr)
-    gram = (phi * weights[:, None]).T @ phi / max(len(n_row), 1)
+    whole = Rows.of(simulator)
+    phi = whole.centred(feature_array(features, simulator))
+    gram = (phi * whole.weights[:, None]).T @ phi / len(whole)
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 1e-12 * max(1.0, float(np.abs(phi).max(initial=0.0))), scale, np.inf)  # constant: no use
     phi = phi / scale
-    rank = _rank(gram / np.outer(scale, scale), len(scale), warn=warn and features is not None)
-
-    def tilted(theta: Array) -> tuple[Array, Array]:
-        exponent = phi @ theta
-        top = segment_max(exponent, indptr)
-        raw = weights * np.exp(exponent - spread(top, indptr))
-        total = segment_sums(raw, indptr)
-        return raw / spread(total, indptr), top + np.log(total)
-
-    def risk(theta: Array, log_normalizer: Array) -> float:
-        return float(n_row @ log_normalizer - observed @ (phi @ theta) + 0.5 * theta @ theta)
-
-    def slopes(theta: Array, model: Array) -> tuple[Array, Array, Array]:
-        mean = segment_sums(model[:, None] * phi, indptr)
-        scores = phi - spread(mean, indptr)
-        mass = model * spread(n_row, indptr)
-        information = (scores * mass[:, None]).T @ scores + np.eye(len(theta))
-        return scores, n_row @ mean - observed @ phi + theta, information
-
-    if solver == "dual":
-        theta = np.zeros(phi.shape[1])
-        model, log_normalizer = tilted(theta)
-        value = risk(theta, log_normalizer)
-        for _ in range(100):
-            _, gradient, information = slopes(theta, model)
-            step = -_solve_positive(information, gradient)
-            decrement = float(-gradient @ step)
-            if decrement <= 1e-22 * max(1.0, abs(value)):
-                break
-            size = max(1.0, abs(value), float(n_row.sum()))
-            blur = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
-            length = 1.0
-            while length > 1e-12:
-                trial = theta + length * step
-                trial_model, trial_normalizer = tilted(trial)
-                trial_value = risk(trial, trial_normalizer)
-                if trial_value <= value - 1e-4 * length * decrement + blur:
-                    break
-                length *= 0.5
-            else:
-                break
-            theta, model, value = trial, trial_model, trial_value
-    else:
-        program = TiltProgram(observed, np.log(weights), phi, indptr)
-        theta = statements.solve_tilt(program, solver=solver)
-        model, _ = tilted(theta)
-    scores, gradient, information = slopes(theta, model)
-    gap = 0.5 * float(gradient @ gradient) / max(float(observed.sum()), 1.0)
-    ratio = model / weights
-    value = risk(theta, tilted(theta)[1])
-    evidence = -value - 0.5 * float(np.linalg.slogdet(information)[1])
-    return Tilt(ratio, theta / scale, gap, rank, scores, information, evidence, phi, scale, theta)
-
-
-def _solve_positive(matrix: Array, b: Array) -> Array:
-    """matrix^-1 b for a symmetric matrix whose eigenvalues are at least 1, whatever rounding has made of them."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray(vectors @ ((vectors.T @ b) / np.maximum(values, 1.0)))
+    d = len(scale)
+    rank = _rank(gram / np.outer(scale, scale), d, warn=warn and features is not None)
+    visited = Rows.of(simulator, whole.sums(observed) > 0)
+    risk = TiltRisk(visited, observed[visited.entries], phi[visited.entries], np.ones(d))
+    found = minimise(risk, np.zeros(d), solver)
+    model, _ = whole.tilted(phi @ found.theta)
+    scores = phi - whole.spread(whole.mean(model, phi))
+    gap = found.gap / max(float(observed.sum()), 1.0)
+    ratio = model / whole.weights
+    return Tilt(ratio, found.theta / scale, gap, rank, scores, found.hessian, found.evidence, phi, scale, found.theta)
 
 
 def _rank(gram: Array, d: int, *, warn: bool) -> int:

@@ -3,15 +3,12 @@
 Features are (k, n): a row a feature. Nothing is validated here; no fastmath.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def row_statistics(x: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def row_statistics(x):
     """Mean and standard deviation of each row of (k, n) numbers; a deviation that is only rounding is 0."""
     k, n = x.shape
     center, spread = np.zeros(k), np.zeros(k)
@@ -28,10 +25,8 @@ def row_statistics(x: Any) -> Any:
     return center, spread
 
 
-row_statistics = njit(cache=True, error_model="numpy")(row_statistics)
-
-
-def words(x: Any, center: Any, scale: Any, quadratic: bool) -> Any:
+@njit(cache=True, error_model="numpy")
+def words(x, center, scale, quadratic):
     """The features of (n, d) points: the rows z = (x - center) / scale, and where asked for z_i z_j for all i <= j."""
     n, d = x.shape
     rows = np.empty((d + (d * (d + 1) // 2 if quadratic else 0), n))
@@ -47,10 +42,8 @@ def words(x: Any, center: Any, scale: Any, quadratic: bool) -> Any:
     return rows
 
 
-words = njit(cache=True, error_model="numpy")(words)
-
-
-def standardise(x: Any, center: Any, scale: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def standardise(x, center, scale):
     """(x - center) / scale in place; returns the rows' means after it."""
     k, n = x.shape
     means = np.zeros(k)
@@ -64,10 +57,8 @@ def standardise(x: Any, center: Any, scale: Any) -> Any:
     return means
 
 
-standardise = njit(cache=True, error_model="numpy")(standardise)
-
-
-def log_tilt(x: Any, center: Any, slope: Any, log_mean: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def log_tilt(x, center, slope, log_mean):
     """slope . (x - center) - log_mean for each column of x."""
     k, n = x.shape
     values = np.full(n, -log_mean)
@@ -77,10 +68,8 @@ def log_tilt(x: Any, center: Any, slope: Any, log_mean: Any) -> Any:
     return values
 
 
-log_tilt = njit(cache=True, error_model="numpy")(log_tilt)
-
-
-def weigh(phi: Any, theta: Any, weights: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def weigh(phi, theta, weights):
     """``weights`` gets exp(theta phi) scaled to sum to 1. Returns log mean exp(theta phi)."""
     k, n = phi.shape
     weights[:] = 0.0
@@ -97,10 +86,8 @@ def weigh(phi: Any, theta: Any, weights: Any) -> Any:
     return top + np.log(total / n)
 
 
-weigh = njit(cache=True, error_model="numpy")(weigh)
-
-
-def weighted_mean(phi: Any, weights: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def weighted_mean(phi, weights):
     """The mean of each row of phi."""
     k, n = phi.shape
     mean = np.empty(k)
@@ -112,10 +99,8 @@ def weighted_mean(phi: Any, weights: Any) -> Any:
     return mean
 
 
-weighted_mean = njit(cache=True, error_model="numpy")(weighted_mean)
-
-
-def newton(phi: Any, aim: Any, penalty: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def newton(phi, aim, penalty):
     """(theta, |gradient|^2 / (2 penalty), log mean exp(theta phi), the weights exp(theta phi) / sum)."""
     k, n = phi.shape
     theta, weights, trial_weights = np.zeros(k), np.full(n, 1.0 / n), np.empty(n)
@@ -151,6 +136,3 @@ def newton(phi: Any, aim: Any, penalty: Any) -> Any:
         theta, value, log_mean = trial, risk, trial_mean
         weights, trial_weights = trial_weights, weights
     return theta, gap, log_mean, weights
-
-
-newton = njit(cache=True, error_model="numpy")(newton)
