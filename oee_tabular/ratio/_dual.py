@@ -69,12 +69,10 @@ def fill_row(m, form, low, high, g):
 @njit(cache=True, error_model="numpy")
 def is_one(form, low, high):
     """Whether g = 1 solves the row by inspection: p = q and no pull away from 1."""
-    if form.lower > 1.0 or form.upper < 1.0:
-        return False
+    same = form.lower <= 1.0 <= form.upper
     for x in range(low, high):
-        if form.p[x] != form.q[x] or form.pull[x] != form.a[x]:
-            return False
-    return True
+        same = same and form.p[x] == form.q[x] and form.pull[x] == form.a[x]
+    return same
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,7 +7,8 @@ falling and b(theta) rising, so that phi(theta) = sum q B(theta) - r b(theta) is
 
 *With one*, ratio_lower b <= B_x <= ratio_upper b. For a given b the inner program over B is a row of ``_dual``: with g = B / b,
 
-    minimise sum_x [q b g - p log g + lam b^2 / 2 g^2]  over  max(nu / b, ratio_lower) <= g <= min(mu / b, ratio_upper),  sum q g = sum q,
+    minimise  sum_x [q b g - p log g + lam b^2 / 2 g^2]   subject to  sum q g = sum q  and
+              max(nu / b, ratio_lower) <= g <= min(mu / b, ratio_upper),
 
 and the value is convex in b with the derivative (envelope theorem)
 
@@ -76,7 +77,7 @@ def solve(f, k, moves, at_left, at_right):
 
 @njit(cache=True, error_model="numpy")
 def inner(b, f, k, scaled, moves):
-    """B of row k for a given b into ``moves``; returns theta and the pull of the moving bounds on b. ``scaled``: q b, lam b^2, 0."""
+    """B of row k for a given b into ``moves``; returns theta and the moving bounds' pull on b. ``scaled``: q b, lam b^2, 0."""
     low, high = f.indptr[k], f.indptr[k + 1]
     lower, upper = max(f.nu / b, f.ratio_lower), min(f.mu / b, f.ratio_upper)
     for x in range(low, high):

@@ -165,9 +165,8 @@ def fit_network(
     (p_train, p_held), (q_train, q_held) = (
         _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
     )
-    training = Training(
-        cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, _checks.ridge(ridge, float(p.sum())), toward or 0.0
-    )  # fmt: skip
+    lam = _checks.ridge(ridge, float(p.sum()))
+    training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
     found = _neural.train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
     g, known = found.ratio, (p > 0) | (q > 0)

@@ -31,7 +31,7 @@ class SolverStatusError(RuntimeError):
 
 
 class JointProgram(NamedTuple):
-    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,), rows by ``indptr``; nu, mu the box, lam the ridge.
+    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,); nu, mu the box, lam the ridge.
 
     ``ratio_lower`` and ``ratio_upper`` bound the ratio beta_sas' / beta_sa (0 and inf: free).
     """
@@ -242,7 +242,7 @@ def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[A
 def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
     """The tilt: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + theta' M theta / 2.
 
-    M is the identity (``ratio.prior.tilt``), or the penalty of ``ratio.prior.local_tilt``. Rows of one length share one log-sum-exp atom.
+    M is the identity, or what ``TiltRisk`` penalises by. Rows of one length share one log-sum-exp atom.
     """
     import cvxpy as cp
 

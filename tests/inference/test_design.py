@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular import FiniteMDP, Problem, Transitions, _checks
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import design_reference, experimental_design
 from oee_tabular.inference.design_costs import largest_variance, row_costs

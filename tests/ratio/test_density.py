@@ -214,7 +214,7 @@ def test_clarabel_by_name_and_unknown_solvers():
 
 
 def test_a_solver_that_stops_short_hands_on_no_numbers(monkeypatch):
-    monkeypatch.setattr(programs, "clarabel_options", lambda tolerance: {"max_iter": 2})
+    monkeypatch.setattr(statements, "clarabel_options", lambda tolerance: {"max_iter": 2})
     with pytest.raises(RuntimeError, match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used"):
         oee.density_ratio([3, 1, 4], [2, 2, 4], upper=1.4, solver="CLARABEL")
 

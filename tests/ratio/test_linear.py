@@ -13,7 +13,7 @@ import oee_tabular as oee
 from oee_tabular.ratio import features, interior
 from oee_tabular.ratio._sgd import project
 from oee_tabular.ratio.linear import move_points
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio.statements import LinearProgram
 
 LINE = np.linspace(-3.0, 3.0, 40)
 Q = np.exp(-(LINE**2) / 2)

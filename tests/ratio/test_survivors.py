@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import dense
 from numpy.testing import assert_allclose, assert_array_equal
+from oee_tabular.ratio.box import check_box, check_ridge
 from scipy import sparse
 from scipy.special import gammaln
 
@@ -14,15 +15,14 @@ import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions, exact
 from oee_tabular.ratio import Sgd, density_ratio_samples
 from oee_tabular.ratio.assumptions import check_assumptions
-from oee_tabular.ratio.box import check_box, check_ridge
 from oee_tabular.ratio.features import gaussian, kernel_features, rank_of
 from oee_tabular.ratio.interior import certificate
 from oee_tabular.ratio.linear import implied_bound, move_points
 from oee_tabular.ratio.method import Given
 from oee_tabular.ratio.prior.strength import StrengthChoice, _weighted_median, choose_strength, kinds_of_rows, meaning
 from oee_tabular.ratio.prior.tilt import action_displacement, feature_array, fit_tilt
-from oee_tabular.ratio.program_types import LinearProgram
 from oee_tabular.ratio.quotient import estimated_behavior, simulator_weights
+from oee_tabular.ratio.statements import LinearProgram
 from oee_tabular.ratio.support import refuse_unsupported
 
 POLICY = np.array([[0.3, 0.7], [0.6, 0.4], [0.8, 0.2]])
@@ -378,7 +378,7 @@ def test_the_tilt_at_its_optimum():
 
 def test_the_gap_of_a_tilt_that_is_not_the_best(monkeypatch):
     """|gradient|^2 / 2 over the number of moves, here at theta = 0: expected less observed features."""
-    monkeypatch.setattr(programs, "solve_tilt", lambda program, solver: np.zeros(2))
+    monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: np.zeros(2))
     tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
     p, phi = SIMULATOR.transitions.toarray(), FEATURES.reshape(6, 3, 2)
     phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)

@@ -29,6 +29,7 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior.neighbours import REST, Factor, Neighbours, neighbours
 from oee_tabular.ratio.prior.tilt import ENOUGH, Minimum, TiltRisk, minimise
 from oee_tabular.ratio.statements import TiltProgram
@@ -150,11 +151,13 @@ class LocalRisk(TiltRisk):
         prior = self.d * (self.nodes * np.log(self.smoothness) + self.graph.log_determinant)
         return float(-found.value + 0.5 * (prior - found.factor.log_determinant()))
 
-    def statement(self) -> TiltProgram:
-        """The program for a cvxpy solver."""
+    def by_cvxpy(self, solver: str) -> Array:
+        """u and theta by a cvxpy solver."""
         features = _scatter(self.phi, self.rows.spread(self.group), self.nodes)
         prior = sparse.block_diag([self.smoothness * self.prior, sparse.eye_array(self.d)], format="csc")
-        return TiltProgram(self.counts, np.log(self.rows.weights), features, self.rows.indptr, sparse.csc_array(prior))
+        weights = np.log(self.rows.weights)
+        program = TiltProgram(self.counts, weights, features, self.rows.indptr, sparse.csc_array(prior))
+        return statements.solve_tilt(program, solver=solver)
 
 
 def fit_local_tilt(

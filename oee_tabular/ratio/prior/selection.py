@@ -22,7 +22,7 @@ marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -164,7 +164,8 @@ class Selection:
     def by_cvxpy(self, fitted: Selected, kappa: Array, solver: str) -> Selected:
         """The same features and lambda, theta by a cvxpy solver."""
         risk = self._risk(fitted.chosen, kappa, fitted.precision)
-        return self._selected(fitted.chosen, fitted.precision, minimise(risk, fitted.theta, solver))
+        theirs = self._selected(fitted.chosen, fitted.precision, minimise(risk, fitted.theta, solver))
+        return replace(theirs, information=fitted.information)
 
 
 def _gain(score: Array, information: Array, usable: BoolArray) -> Array:

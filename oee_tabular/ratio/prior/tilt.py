@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
@@ -109,10 +108,11 @@ class TiltRisk:
         """f - min f where the gradient is ``gradient``: f'' less the penalty's is positive semidefinite."""
         return 0.5 * float(np.sum(gradient**2 / self.precision))
 
-    def statement(self) -> TiltProgram:
-        """The program for a cvxpy solver."""
-        penalty = sparse.csc_array(np.diag(self.precision))
-        return TiltProgram(self.counts, np.log(self.rows.weights), self.phi, self.rows.indptr, penalty)
+    def by_cvxpy(self, solver: str) -> Array:
+        """theta by a cvxpy solver, which is handed features of one scale: theta sqrt(precision) is as large for each."""
+        root = np.sqrt(self.precision)
+        program = TiltProgram(self.counts, np.log(self.rows.weights), self.phi / root, self.rows.indptr)
+        return statements.solve_tilt(program, solver=solver) / root
 
 
 class Minimum(NamedTuple):
@@ -133,7 +133,7 @@ class Minimum(NamedTuple):
 
 def minimise(risk: TiltRisk, start: Array, solver: str = "dual") -> Minimum:
     """Newton's method with backtracking from ``start``, to rounding; or a cvxpy solver's minimiser with our bound."""
-    theta = start if solver == "dual" else statements.solve_tilt(risk.statement(), solver=solver)
+    theta = start if solver == "dual" else risk.by_cvxpy(solver)
     value, model = risk.value(theta)
     last, total = np.inf, float(risk.n.sum())
     for _ in range(100):
