@@ -316,3 +316,53 @@ def test_assumptions():
     assert not check_assumptions([1], [1], lower=1.0, upper=2.0).box_contains_one
     with pytest.raises(ValueError, match="p and q must have one length"):
         check_assumptions([1], [1, 1], lower=0.1, upper=2)
+
+
+@pytest.mark.parametrize("options", [{}, {"normalized": False}, {"lower": 0.6, "upper": 1.4}, {"ridge": 0.2},
+                                     {"ridge": 0.2, "toward": 1.0, "normalized": False}], ids=repr)  # fmt: skip
+@pytest.mark.parametrize("loss", ["kl", "chi2"])
+def test_the_numbers_of_a_fit(options, loss):
+    """The objective as it is written, the bound below it, the sums that were handed over, the divergence."""
+    p, q = np.array([3.0, 1.0, 4.0, 0.0, 0.0]), np.array([2.0, 2.0, 1.0, 3.0, 0.0])
+    found = oee.density_ratio(p, q, loss=loss, **options)
+    g, ps, qs = found.ratio[:4], p[:4] / 8, q[:4] / 8
+    ridge, toward = options.get("ridge", 0.0), options.get("toward")
+    penalty = 0.5 * ridge * ((g**2).sum() if toward is None else qs @ (g - toward) ** 2)
+    if loss == "kl":
+        value = qs @ g - ps[:3] @ np.log(g[:3]) + penalty
+        assert_allclose(found.divergence, ps[:3] @ np.log(g[:3]) - qs @ g + 1, rtol=1e-12)
+    else:
+        value = qs @ g**2 / 2 - ps @ g + penalty
+        assert np.isnan(found.divergence)
+    assert_allclose(found.objective, value, rtol=1e-12)
+    assert_allclose(found.dual_bound, value - found.gap, rtol=1e-12)
+    assert 0 <= found.gap < 1e-10
+    assert (found.p_total, found.q_total, found.n_undetermined, found.status) == (8.0, 8.0, 1, "optimal")
+    assert found.ratio[4] == 1.0
+    assert found.trace is None
+    assert found.weights is None
+    if options.get("normalized", True):
+        assert_allclose(qs @ g, 1.0, rtol=1e-12)
+    else:
+        assert found.normalizer == 0.0
+    assert (found.enclosure[0] <= found.ratio + 1e-12).all()
+    assert (found.ratio <= found.enclosure[1] + 1e-12).all()
+    tried = 0
+    for move in feasible_directions(qs, options.get("normalized", True)):  # and it is the minimum: no step does better
+        other = g + 1e-4 * move
+        if (other < options.get("lower", 0)).any() or (other > options.get("upper", np.inf)).any():
+            continue
+        worse = qs @ other - ps[:3] @ np.log(other[:3]) if loss == "kl" else qs @ other**2 / 2 - ps @ other
+        worse += 0.5 * ridge * ((other**2).sum() if toward is None else qs @ (other - toward) ** 2)
+        assert worse >= value - 1e-12
+        assert worse > value or ps @ move == 0
+        tried += 1
+    assert tried >= 2
+
+
+def feasible_directions(q, normalized):
+    """Up and down along each entry, or along pairs of entries that keep sum q g."""
+    one = np.eye(len(q))
+    if not normalized:
+        return [*one, *-one]
+    return [one[i] / q[i] - one[j] / q[j] for i in range(len(q)) for j in range(len(q)) if i != j]

@@ -5,9 +5,11 @@ import pytest
 from helpers import rngs, rows_of
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from ratio.problem import COUNTS, fit
 
 import oee_tabular as oee
+from oee_tabular import Transitions
 from oee_tabular._checks import Box
 from oee_tabular.ratio import _joint, joint, statements
 
@@ -177,3 +179,19 @@ def test_exact_data_are_discounted_too():
     assert share.data @ np.abs(found.values.data - 1.0) < 0.03
     alike = oee.transition_ratio(log, SIMULATOR, **own)  # undiscounted on both sides: its data are early moves too
     assert np.abs(alike.values.data - found.values.data).max() > 0.05
+
+
+def test_pairs_that_the_simulator_s_data_lack():
+    """Counted where the log has them; zeta is 1 there; without an upper bound there is no program."""
+    some = Transitions([0, 0, 1, 2], [0, 1, 0, 1], [0, 1, 2, 0])
+    counts = COUNTS.copy()
+    counts[3] = 0.0  # neither side has the row (1, 1); only the log has none of (2, 0); rows 0, 1, 2, 5 on both
+    found = fit(counts, method="joint", simulator_data=some)
+    assert found.details["pairs_without_simulator_data"] == 0
+    counts[4] = 1.0
+    found = fit(counts, method="joint", simulator_data=some)
+    assert found.details["pairs_without_simulator_data"] == 1
+    assert_array_equal(found.values.toarray()[[3, 4]], np.ones((2, 3)))
+    text = r"^simulator_data must cover the log's \(s, a\), or upper be finite: the program is unbounded at 1 of them$"
+    with pytest.raises(ValueError, match=text):
+        fit(counts, method="joint", simulator_data=some, upper=np.inf)

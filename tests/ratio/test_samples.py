@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize, stats
 
 from oee_tabular.ratio import density_ratio_samples
@@ -327,3 +327,25 @@ def test_at_asks_for_the_dimension_of_the_samples(options):
 def test_bad_calls(call, text):
     with pytest.raises(ValueError, match=text):
         call()
+
+
+def test_what_two_samples_say():
+    rng = np.random.default_rng(0)
+    p, q = rng.normal(0.3, 1, 60), rng.normal(0, 1, 80)
+    tilt = density_ratio_samples(p, q, features="linear")
+    assert (tilt.method, set(tilt.details)) == ("log-linear", {"theta", "center", "scale"})
+    own = density_ratio_samples(p, q, features=lambda x: x)
+    assert set(own.details) == {"theta"}
+    assert_allclose(own.q_ratio, tilt.q_ratio, rtol=1e-8)
+    kernel = density_ratio_samples(p, q)
+    assert kernel.method == "kernel"
+    assert set(kernel.details) == {"bandwidth", "ridge", "centers", "weights", "scores", "shares"}
+    assert_allclose(sum(kernel.details["shares"].values()), 1.0)
+    least = min(kernel.details["scores"], key=kernel.details["scores"].get)
+    assert least == (kernel.details["bandwidth"], kernel.details["ridge"])
+    assert_allclose(kernel.at(p), kernel.p_ratio, rtol=1e-8)
+    assert_allclose(kernel.at(q), kernel.q_ratio, rtol=1e-8)
+    few = density_ratio_samples(p, q, n_centers=7, seed=3)
+    assert len(few.details["centers"]) == 7
+    again = density_ratio_samples(p, q, n_centers=7, seed=3)
+    assert_array_equal(few.p_ratio, again.p_ratio)

@@ -129,7 +129,7 @@ def test_the_gap_bounds_what_a_wrong_answer_leaves(rng, x, y):
     found = made.fit(chosen, kappa)
     wrong = found.theta + np.array([x, y])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(statements, "solve_tilt", lambda program, solver: wrong)
+        patch.setattr(statements, "solve_tilt", lambda program, solver: wrong * np.sqrt(found.precision))
         other = made.by_cvxpy(found, kappa, "CLARABEL")
     f = risk(made, dense_columns(chosen, made), kappa, found.precision)
     left = (f(wrong) - f(found.theta)) / made.count.sum()

@@ -6,11 +6,12 @@ from helpers import random_mdp, rngs
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from ratio.problem import COUNTS, FEATURES, SIMULATOR
 from scipy import integrate, optimize, sparse, special
 
 import oee_tabular as oee
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio import action_displacement
+from oee_tabular.ratio import action_displacement, statements
 from oee_tabular.ratio.features import feature_array
 from oee_tabular.ratio.prior import strength as prior
 from oee_tabular.ratio.prior._strength import log_rising
@@ -364,3 +365,37 @@ def test_the_evidence_of_a_tilt_is_its_integral():
     line = tilt.coefficients[0] + np.linspace(-1, 1, 2001)
     found = np.log(integrate.trapezoid(np.exp([-risk(t) for t in line]), line) / np.sqrt(2 * np.pi))
     assert_allclose(tilt.evidence, found, atol=0.01)
+
+
+def test_the_tilt_at_its_optimum():
+    """The penalised score is 0: expected less observed features plus theta, in standard units."""
+    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES)
+    p, n = SIMULATOR.transitions.toarray(), COUNTS.sum(axis=1)
+    phi = FEATURES.reshape(6, 3, 2)
+    phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
+    scale = np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
+    raw = p * np.exp(phi @ tilt.theta)
+    model = raw / raw.sum(axis=1, keepdims=True)
+    assert_allclose(tilt.ratio.reshape(6, 3), model / p, rtol=1e-9)
+    score = np.einsum("x,xj,xjd->d", n, model, phi / scale) - np.einsum("xj,xjd->d", COUNTS, phi / scale)
+    assert_allclose(score + tilt.theta * scale, 0, atol=1e-6)
+    centred = phi / scale - (model[:, :, None] * phi / scale).sum(axis=1, keepdims=True)
+    assert_allclose(tilt.scores, centred.reshape(18, 2), atol=1e-9)
+    information = np.einsum("x,xj,xjd,xje->de", n, model, centred, centred) + np.eye(2)
+    assert_allclose(tilt.information, information, rtol=1e-8)
+    assert tilt.rank == 2
+    assert tilt.gap < 1e-12
+    other = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
+    assert_allclose(other.theta, tilt.theta, rtol=1e-3, atol=1e-4)
+
+
+def test_the_gap_of_a_tilt_that_is_not_the_best(monkeypatch):
+    """|gradient|^2 / 2 over the number of moves, here at theta = 0: expected less observed features."""
+    monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: np.zeros(2))
+    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
+    p, phi = SIMULATOR.transitions.toarray(), FEATURES.reshape(6, 3, 2)
+    phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
+    phi = phi / np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
+    gradient = -np.einsum("xj,xjd->d", COUNTS, phi)
+    assert_allclose(tilt.gap, 0.5 * gradient @ gradient / 43, rtol=1e-9)
+    assert_allclose(tilt.ratio, 1.0)

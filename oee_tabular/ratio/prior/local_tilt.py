@@ -212,7 +212,7 @@ class _Search:
         """The evidence of one theta for all states under a Gaussian prior of this precision."""
         risk = self.risk
         found = minimise(TiltRisk(risk.rows, risk.counts, risk.phi, np.full(risk.d, precision)), self.theta)
-        return found.evidence + 0.5 * risk.d * float(np.log(precision))
+        return float(found.evidence + 0.5 * risk.d * np.log(precision))
 
     def attempt(self, level: float, smoothness: float | None = None) -> _Fit:
         """The fit at lambda = 10^level, and what it gains on one theta for all.
