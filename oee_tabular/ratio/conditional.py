@@ -137,9 +137,8 @@ class Conditional(Method):
             found = dual.solve_rows(program, *box, rows.indptr)
             zeta, gaps, details["enclosure"] = found.ratio, found.gap, found.enclosure()
         else:
-            by_cvxpy = statements.solve_rows(program, *box, rows.indptr, solver=self.solver)
-            zeta = np.clip(by_cvxpy.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-            gaps = dual.row_gaps(program, zeta, 1.0 + by_cvxpy.multiplier, *box, rows.indptr)
+            zeta, eta = statements.solve_rows(program, *box, rows.indptr, solver=self.solver)
+            gaps = dual.row_gaps(program, zeta, 1.0 + eta, *box, rows.indptr)
         inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
         safe = np.where(inside, zeta, 1.0)
         influence = Influence(

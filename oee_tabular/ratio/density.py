@@ -298,9 +298,8 @@ def _solve(
             return solution.ratio, float(solution.m[0]), solution.enclosure()
         g = dual.solve_free(program, box.lower, box.upper)
         return g, 1.0, (g, g)
-    found = statements.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
-    g = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-    m = 1.0 + float(found.multiplier[0]) if normalized else 1.0
+    g, eta = statements.solve_rows(program, *box, indptr if normalized else None, solver=solver)
+    m = 1.0 + float(eta[0]) if normalized else 1.0
     return g, m, (np.full(len(g), box.lower), np.full(len(g), box.upper))
 
 

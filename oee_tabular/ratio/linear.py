@@ -81,8 +81,8 @@ def class_features(
     chosen = _standard_gaussian(points.reshape(n, -1)) if isinstance(kernel, str) else kernel
     _check_kernel(kernel)
     assert callable(chosen)
-    made = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
-    return made.matrix, {"kernel_residual": made.residual, "centers": made.pivots}
+    space = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
+    return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
 
 
 def _check_kernel(kernel: object) -> None:
@@ -237,9 +237,9 @@ class InClass(Method):
         else:
             points = move_points(simulator, self.coordinates)
             chosen = _move_kernel(points, self.bandwidth) if isinstance(self.kernel, str) else self.kernel
-            made = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.centred)
-            phi = made.matrix
-            details |= {"kernel_residual": made.residual, "centers": points[made.pivots]}
+            space = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.centred)
+            phi = space.matrix
+            details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else _checks.ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q

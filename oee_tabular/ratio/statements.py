@@ -92,15 +92,6 @@ class TiltProgram:
     penalty: sparse.csc_array | None = None
 
 
-@dataclass(frozen=True)
-class ProgramSolution:
-    """Ratios, multipliers of the equalities (one a row), status."""
-
-    ratio: Array
-    multiplier: Array
-    status: str
-
-
 def check_solver(solver: str) -> None:
     """``solver`` is "dual" or a solver that cvxpy finds here."""
     import cvxpy as cp
@@ -157,19 +148,19 @@ def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
 
 def solve_rows(
     program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
-) -> ProgramSolution:
-    """The statement above, solved by ``solver``.
+) -> tuple[Array, Array]:
+    """The statement above, solved by ``solver``: g inside the box, and the multipliers of the equalities (one a row).
 
     Raises SolverStatusError (a RuntimeError) for any status but "optimal", ValueError for a solver that is not
     installed. Cost: a conic program with an exponential cone an entry.
     """
     check_solver(solver)
     statement = state_rows(program, lower, upper, indptr)
-    status = _solve(statement.problem, solver)
+    _solve(statement.problem, solver)
     multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
     if statement.equality is not None:
         multiplier[statement.rows] = np.ravel(statement.equality.dual_value)
-    return ProgramSolution(np.asarray(statement.variable.value, dtype=np.float64), multiplier, status)
+    return np.clip(statement.variable.value, max(lower, np.finfo(float).tiny), upper), multiplier
 
 
 def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:
@@ -271,14 +262,13 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
     return np.asarray(theta.value, dtype=np.float64)
 
 
-def _solve(problem: Any, solver: str) -> str:
+def _solve(problem: Any, solver: str) -> None:
     """Solve to the status "optimal", or SolverStatusError."""
     status = _run(problem, solver)
     if status != "optimal":
         raise SolverStatusError(
             f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
         )
-    return status
 
 
 def _run(problem: Any, solver: str) -> str:

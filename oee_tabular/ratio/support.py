@@ -51,8 +51,8 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
     named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
     share = moves.data[bad].sum()
-    least = align(simulator.transitions, moves)[0][bad].max()
-    faint = "0" if least == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
+    probability = align(simulator.transitions, moves)[0][bad].max()
+    faint = "0" if probability == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
     raise ValueError(
         f"{what} must stay where the simulator has probability: it gives probability {faint} to {bad.size} different "
         f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "

@@ -139,12 +139,12 @@ def _along_features(
         found += [(fitted, kappa) for fitted in selection.path(kappa, price)]
     if solver != "dual":
         found = [(selection.by_cvxpy(fitted, kappa, solver), kappa) for fitted, kappa in found]
-    made = []
+    candidates = []
     for fitted, kappa in found:
         counted = np.ones(len(whole))
         counted[log.rows.number] = selection.counted(kappa)
-        made.append(_of_features(fitted, selection.scale, counted, features, whole, unseen))
-    return made
+        candidates.append(_of_features(fitted, selection.scale, counted, features, whole, unseen))
+    return candidates
 
 
 def _of_features(

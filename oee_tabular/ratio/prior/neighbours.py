@@ -86,10 +86,10 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
     """
     weights = _weights(simulator)
     group: IntArray = np.arange(simulator.n_states)
-    most = max(1, LARGEST // width)
+    nodes = max(1, LARGEST // width)
     while True:
         sizes = np.bincount(group).astype(np.float64)
-        if len(sizes) <= most:
+        if len(sizes) <= nodes:
             penalty = sparse.csc_array(
                 sparse.diags_array(weights.sum(axis=1) - weights.diagonal() + REST * sizes)
                 - weights

@@ -120,9 +120,9 @@ _ByKind = Callable[[Array], Array]  # kappa of each kind of rows -> the criterio
 
 def _evidence(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> _ByKind:
     n_row, seen = rows.sums(observed), observed > 0
-    told = np.flatnonzero(n_row > 0)
-    ends = np.concatenate([[0], np.cumsum(rows.sums(seen.astype(np.int64))[told])]).astype(np.int64)
-    counts = Counts(np.asarray(kind[told], dtype=np.int64), ends, observed[seen], prior[seen], n_row[told])
+    visited = np.flatnonzero(n_row > 0)
+    ends = np.concatenate([[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]).astype(np.int64)
+    counts = Counts(np.asarray(kind[visited], dtype=np.int64), ends, observed[seen], prior[seen], n_row[visited])
     return lambda kappa: np.asarray(evidence_by_kind(kappa, counts))
 
 
