@@ -49,7 +49,7 @@ def at(m, form, x):
     return coordinate(form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")  # rows are short: a call costs as much as its loop
 def fill_row(m, form, low, high, g):
     """g_x(m) for the entries low..high; returns sum q g and minus its derivative in m."""
     total, slope = 0.0, 0.0

@@ -23,7 +23,7 @@ from numba import njit
 from oee_tabular.ratio._dual import Form, coordinate, solve_row
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")  # rows are short: a call costs as much as its loop
 def fill(theta, f, k, moves):
     """B_x(theta) of row k into ``moves``; returns b(theta) and phi(theta)."""
     r = f.r[k]
@@ -78,17 +78,17 @@ def solve(f, k, moves, at_left, at_right):
 @njit(cache=True, error_model="numpy")
 def inner(b, f, k, scaled, moves):
     """B of row k for a given b into ``moves``; returns theta and the moving bounds' pull on b. ``scaled``: q b, lam b^2, 0."""
-    low, high = f.indptr[k], f.indptr[k + 1]
+    (q, a, zero), low, high = scaled, f.indptr[k], f.indptr[k + 1]
     lower, upper = max(f.nu / b, f.ratio_lower), min(f.mu / b, f.ratio_upper)
     for x in range(low, high):
-        scaled[0, x], scaled[1, x] = f.q[x] * b, f.lam * b * b
+        q[x], a[x] = f.q[x] * b, f.lam * b * b
     theta = 0.0
     if f.r[k] > 0.0:
-        m, _, _ = solve_row(Form(f.p, scaled[0], scaled[1], scaled[2], lower, upper), low, high, moves)
+        m, _, _ = solve_row(Form(f.p, q, a, zero, lower, upper), low, high, moves)
         theta = m - 1.0
     else:
         for x in range(low, high):
-            moves[x] = coordinate(0.0, scaled[1, x], f.p[x], lower, upper)
+            moves[x] = coordinate(0.0, a[x], f.p[x], lower, upper)
     pull = 0.0
     for x in range(low, high):
         g = moves[x]
@@ -222,7 +222,7 @@ def solve_boxed(f, k, scaled, moves, eta, xi):
 def solve_all(f, boxed):
     """Every (s, a) of the program ``f`` by itself: B, b, theta, eta and xi; ``boxed``: with a box on the ratio."""
     n, n_rows = len(f.p), len(f.s)
-    moves, eta, xi, scratch = np.empty(n), np.zeros(n), np.zeros(n), np.zeros((3, n))
+    moves, eta, xi, scratch = np.empty(n), np.zeros(n), np.zeros(n), (np.empty(n), np.empty(n), np.zeros(n))
     b, theta = np.empty(n_rows), np.empty(n_rows)
     for k in range(n_rows):
         if boxed:
