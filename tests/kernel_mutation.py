@@ -3,8 +3,8 @@
     python tests/kernel_mutation.py MODULE[,MODULE ...] [SAMPLE [SEED]]
 
 One operator, number or truth value of ``oee_tabular/MODULE.py`` ("ratio/_dual") is changed at a time, in a copy of the
-repository, and the tests of the kernel's folder are run, compiled as ever. Prints what each survivor changed, and the score with
-its 95% interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
+repository, and the tests of the kernel's folder are run, compiled as ever. Prints what each survivor changed, and the score
+with its 95% interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
 """
 
 import ast
