@@ -210,21 +210,23 @@ def density_ratio(
         everywhere[known] = values
         return everywhere
 
-    seen = pk > 0
+    return _certified(
+        (pk, qk), totals, g, value, gap, loss, ratio=_checks.freeze(full(g)), enclosure=(full(below), full(above)),
+        normalizer=m - 1.0, n_undetermined=int((~known).sum()), trace=trace,
+    )  # fmt: skip
+
+
+def _certified(
+    pair: tuple[Array, Array], totals: list[float], g: Array, value: float, gap: float, loss: str, **rest: Any
+) -> RatioFit:
+    """What every fit says of g on the cells ``pair``; least squares estimate no KL divergence."""
+    (p, q), seen = pair, pair[0] > 0
+    divergence = float(p[seen] @ np.log(g[seen])) - float(q @ g) + 1.0 if loss == "kl" else float("nan")
+    status = "optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}"
     return RatioFit(
-        ratio=_checks.freeze(full(g)),
-        enclosure=(full(below), full(above)),
-        objective=value,
-        dual_bound=value - gap,
-        gap=gap,
-        normalizer=m - 1.0,
-        divergence=_divergence(g[seen], pk[seen], float(qk @ g), loss),
-        n_undetermined=int((~known).sum()),
-        p_total=totals[0],
-        q_total=totals[1],
-        status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
-        trace=trace,
-    )
+        objective=value, dual_bound=value - gap, gap=gap, divergence=divergence, p_total=totals[0], q_total=totals[1],
+        status=status, **rest,
+    )  # fmt: skip
 
 
 def _class_fit(
@@ -235,24 +237,12 @@ def _class_fit(
     program, found, trace = fit_cells(
         p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd, seed=seed
     )
-    g, seen = found.ratio, p > 0
-    value = objective(program, found.weights, g)
-    return RatioFit(
-        ratio=_checks.freeze(g),
-        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)),
-        objective=value,
-        dual_bound=value - found.gap,
-        gap=found.gap,
-        normalizer=found.eta,
-        divergence=_divergence(g[seen], p[seen], float(q @ g), "kl"),
-        n_undetermined=0,
-        p_total=totals[0],
-        q_total=totals[1],
-        status="optimal" if found.gap <= ACCURATE else f"inaccurate: the gap is {found.gap:.1e}",
-        trace=trace,
-        weights=found.weights,
-        details=details,
-    )
+    g = found.ratio
+    return _certified(
+        (p, q), totals, g, objective(program, found.weights, g), found.gap, "kl", ratio=_checks.freeze(g),
+        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)), normalizer=found.eta, n_undetermined=0,
+        trace=trace, weights=found.weights, details=details,
+    )  # fmt: skip
 
 
 def _nonnegative(value: Any, name: str) -> Array:
@@ -280,11 +270,6 @@ def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
         raise ValueError(
             f'solver "sgd" must have 0 < lower and a finite upper; the box is [{box.lower:g}, {box.upper:g}]'
         )
-
-
-def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
-    """The dual estimate of KL(p || q); the least-squares loss estimates no KL divergence."""
-    return float(p @ np.log(g)) - mass + 1.0 if loss == "kl" else float("nan")
 
 
 def _solve(

@@ -4,6 +4,8 @@ A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the 
 matrix is L L^T, and the squared RKHS norm is |w|^2. L is a pivoted Cholesky factor [1]: exact up to ``residual``, the largest
 diagonal entry of K - L L^T.
 
+Differs from [1] in that it also stops after ``n_centers`` pivots, and refuses a kernel whose variances become negative.
+
 Reference: [1] H. Harbrecht, M. Peters and R. Schneider, On the low-rank approximation by the pivoted Cholesky decomposition,
 Applied Numerical Mathematics 62, 2012.
 """
@@ -18,8 +20,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 
 Kernel = Callable[[Array, Array], Any]
 
@@ -153,16 +155,15 @@ def feature_array(features: Any, simulator: FiniteMDP) -> Array:
     ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
     aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
     """
-    matrix = simulator.transitions
-    rows = row_of_entry(matrix)
-    state, action, arrival = rows // simulator.n_actions, rows % simulator.n_actions, matrix.indices.astype(np.int64)
+    matrix, rows = simulator.transitions, Rows.of(simulator)
     if features is None:
         return np.asarray(np.log(matrix.data)[:, None])
-    given = features(state, action, arrival) if callable(features) else features
+    moves = rows.spread(rows.state), rows.spread(rows.action), rows.arrival
+    given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
     shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
     if array.ndim >= 3 and array.shape[:3] == shape:
-        array = array[state, action, arrival]
+        array = array[moves]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
         raise ValueError(
             f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
@@ -196,13 +197,12 @@ def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
     places = given[:, None] if given.ndim == 1 else given
     if places.shape[0] != simulator.n_states:
         raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
-    matrix = simulator.transitions
-    rows = row_of_entry(matrix)
-    state, action = rows // simulator.n_actions, rows % simulator.n_actions
-    keys = np.column_stack([action, np.round(places[matrix.indices] - places[state], 9)])
+    rows = Rows.of(simulator)
+    steps = places[rows.arrival] - rows.spread(places[rows.state])
+    keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])
     kinds, kind = np.unique(keys, axis=0, return_inverse=True)
     kind = kind.reshape(-1)
-    mass = np.bincount(kind, weights=matrix.data)
+    mass = np.bincount(kind, weights=simulator.transitions.data)
     reference = [
         int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])
     ]

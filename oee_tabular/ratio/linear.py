@@ -19,8 +19,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Box
-from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import interior, statements
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
@@ -151,10 +151,9 @@ def move_points(simulator: FiniteMDP, coordinates: Any) -> Array:
     if len(places) != simulator.n_states:
         raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
     places = places.reshape(simulator.n_states, -1)
-    rows = row_of_entry(simulator.transitions)
-    state, action = rows // simulator.n_actions, rows % simulator.n_actions
-    start = places[state]
-    return np.column_stack([action, start, places[simulator.transitions.indices] - start])
+    rows = Rows.of(simulator)
+    start = rows.spread(places[rows.state])
+    return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
 
 
 def _move_kernel(points: Array, bandwidth: float) -> Kernel:

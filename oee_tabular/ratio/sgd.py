@@ -125,7 +125,7 @@ def _trained(
 ) -> tuple[Array, SgdTrace]:
     """The parameters after n steps, and (excess, error) at about fifty of them, even in the logarithm of the iteration."""
     points = np.unique(np.round(np.geomspace(1, n, 50)).astype(np.int64))
-    seen = []
+    seen: list[tuple[float, float]] = []
     for iteration in range(1, n + 1):
         parameters = step(parameters, *draws.next())
         if iteration == points[len(seen)]:

@@ -15,6 +15,9 @@ with the most evidence for a theta_j of its own, by its score s and its informat
 
 which is (z^2 - 1 - ln z^2) / 2, z^2 = s^2 / I, where that lambda is not below 1.
 
+Differs from [1] in lambda >= 1 (a unit prior is the widest) and in the rows' weights w; from [2] in that a feature once in
+stays, and pays a price beside its evidence.
+
 References: [1] D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992. [2] M. E. Tipping and A. C. Faul, Fast
 marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
 """
