@@ -133,7 +133,8 @@ def _keys(tie: Any, rows: Rows) -> IntArray:
     given = _checks.as_array(tie, "tie")
     if given.shape != rows.entries.shape:
         raise ValueError(
-            f"tie must have shape {rows.entries.shape}, a key for each entry of simulator.transitions; it has shape {given.shape}"
+            f"tie must have shape {rows.entries.shape}, a key for each entry of simulator.transitions; it has shape "
+            f"{given.shape}"
         )
     if given.dtype.kind not in "iu":
         raise ValueError(f"tie must have integer keys; they are {given.dtype}")
