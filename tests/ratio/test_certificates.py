@@ -247,7 +247,7 @@ def _off(iterate, x, change):
 
 @pytest.mark.parametrize("which", ["theta", "weights"])
 def test_a_log_linear_fit_that_is_off_is_found_out(monkeypatch, which):
-    from oee_tabular.ratio.samples import _log_linear as loglinear
+    from oee_tabular.ratio.samples import log_linear as loglinear
 
     rng = np.random.default_rng(0)
     x, y = rng.normal(0.5, 0.8, 500), rng.normal(size=600)

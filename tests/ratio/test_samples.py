@@ -6,6 +6,7 @@ from scipy import optimize, stats
 from oee_tabular.ratio import density_ratio_samples
 from oee_tabular.ratio.features import gaussian
 from oee_tabular.ratio.samples import kernel as sample_kernel
+from oee_tabular.ratio.samples._log_linear import newton
 
 GRID = np.linspace(-3, 3, 400)
 
@@ -349,3 +350,22 @@ def test_what_two_samples_say():
     assert len(few.details["centers"]) == 7
     again = density_ratio_samples(p, q, n_centers=7, seed=3)
     assert_array_equal(few.p_ratio, again.p_ratio)
+
+
+@pytest.mark.parametrize(("n", "k"), [(200, 1), (500, 5)])
+def test_the_compiled_newton_against_plain_numpy(n, k):
+    """Newton's steps on log mean exp(theta phi) - aim . theta + penalty/2 |theta|^2, undamped: the start is near enough."""
+    rng = np.random.default_rng(n)
+    phi, aim, penalty = rng.normal(size=(k, n)), rng.normal(0.2, 0.1, k), 0.01
+    theta = np.zeros(k)
+    for _ in range(50):
+        weights = np.exp(theta @ phi)
+        weights /= weights.sum()
+        off = phi - (phi @ weights)[:, None]
+        hessian = (off * weights) @ off.T + penalty * np.eye(k)
+        theta = theta - np.linalg.solve(hessian, phi @ weights - aim + penalty * theta)
+    found, gap, log_mean, shares = newton(phi, aim, penalty)
+    assert_allclose(found, theta, rtol=1e-10, atol=1e-12)
+    assert_allclose(log_mean, np.log(np.exp(theta @ phi).mean()), atol=1e-11)
+    assert_allclose(shares, weights, rtol=1e-9)
+    assert gap < 1e-15
