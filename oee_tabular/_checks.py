@@ -9,7 +9,7 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,6 +155,34 @@ def number_in(
         )
         raise ValueError(f"{name} must be in {ends}; it is {number:g}")
     return number
+
+
+class Box(NamedTuple):
+    """Checked bounds nu <= g <= mu of a ratio, infinite where not given."""
+
+    lower: float
+    upper: float
+
+
+def box(lower: Any, upper: Any, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
+    """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
+    nu = 0.0 if lower is None else number_in(lower, names[0], 0.0, np.inf)
+    mu = np.inf if upper is None else number_in(upper, names[1], 0.0, np.inf, infinite=True)
+    if nu > mu:
+        raise ValueError(f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}")
+    if mu == 0.0:
+        raise ValueError(f"{names[1]} must be positive: the logarithm of the ratio is part of the objective; it is 0")
+    if normalized and not nu <= 1.0 <= mu:
+        raise ValueError(
+            f"the box [{', '.join(names)}] must contain 1 for sum q g = 1 to be possible; it is [{nu:g}, {mu:g}]"
+        )
+    return Box(nu, mu)
+
+
+def ridge(value: Any, n: float) -> float:
+    """lambda_n as a finite nonnegative number: given, or a function of the sample size."""
+    name = f"ridge({n:g})" if callable(value) else "ridge"
+    return number_in(value(n) if callable(value) else value, name, 0.0, np.inf)
 
 
 def positive_integer(value: Any, name: str) -> int:

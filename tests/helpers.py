@@ -9,6 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from oee_tabular import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 
 
 def integer_distribution(rng, size, zeros=0.3):
@@ -105,3 +106,10 @@ def printed_with_threads(script, threads):
     environment = os.environ | {"NUMBA_NUM_THREADS": str(threads)}
     command = [sys.executable, "-c", script]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+
+def rows_of(weights, indptr):
+    """``Rows`` of one action with these probabilities; the states that they lead to are no matter."""
+    indptr = np.asarray(indptr, dtype=np.int64)
+    entries = np.arange(len(weights))
+    return Rows(np.arange(len(indptr) - 1), entries, np.asarray(weights, dtype=float), indptr, entries, len(entries), 1)

@@ -22,11 +22,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, BoolArray
+from oee_tabular._checks import Array, BoolArray, Box
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.box import Box
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
 _SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread

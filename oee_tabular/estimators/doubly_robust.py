@@ -32,7 +32,7 @@ from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import Sampler, sampler
 
 DATA = ("transitions", "rollouts", "episodes")

@@ -16,7 +16,7 @@ from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, w
 from oee_tabular.exact import Model, action_values, state_values
 from oee_tabular.exact.walks import per_decision, walk_of
 from oee_tabular.ratio import TransitionRatio
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import forward_measure, walk_of
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 LARGEST_WEIGHT = 1e150  # its square is still a float
 

@@ -12,7 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_steps
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
 # what an estimator claims (testing.CLAIMS) that reads the log's counts alone

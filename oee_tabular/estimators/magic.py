@@ -19,7 +19,7 @@ from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, 
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import density_ratio
-from oee_tabular.ratio.box import check_box
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
@@ -65,7 +64,7 @@ class Marginalized(ExactLimit):
 
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
-        check_box(self.lower, self.upper, normalized=False)
+        _checks.box(self.lower, self.upper, normalized=False)
 
     @one_thread
     @without_divergence
@@ -108,7 +107,7 @@ class Marginalized(ExactLimit):
         beta, gap = np.zeros_like(share), 0.0
         inside = float(here[seen].sum())
         if inside > 0:  # the fit scales both to distributions: its ratio is beta / inside, and so is its box
-            box = check_box(self.lower, self.upper, normalized=False)
+            box = _checks.box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
                 here[seen], share[seen], lower=box.lower / inside, upper=box.upper / inside, normalized=False
             )

@@ -20,7 +20,7 @@ from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 
 @dataclass(frozen=True)

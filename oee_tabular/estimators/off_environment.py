@@ -30,7 +30,7 @@ from oee_tabular.exact import (
 )
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.ratio import Method, TransitionRatio
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)

@@ -16,7 +16,7 @@ from oee_tabular.estimators.rollouts import check_rollout_options, of_products, 
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
-from oee_tabular.ratio.population import Population
+from oee_tabular.ratio.method import Population
 
 ALONE = Basis(log=False)
 

@@ -25,7 +25,7 @@ from scipy import sparse
 from oee_tabular._checks import Array
 from oee_tabular.inference.ambiguity import Evidence
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.programs import SolverStatusError, check_solver, clarabel_options
+from oee_tabular.ratio.statements import SolverStatusError, check_solver, clarabel_options
 
 
 def rectangular_program(evidence: Evidence, radius: Array, sign: float, *, solver: str = "CLARABEL") -> float:

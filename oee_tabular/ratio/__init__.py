@@ -3,19 +3,18 @@
 from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.features import gaussian
+from oee_tabular.ratio.features import action_displacement, gaussian
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
 from oee_tabular.ratio.method import Method
 from oee_tabular.ratio.network import Network
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
-from oee_tabular.ratio.sample_result import SampleRatio
 from oee_tabular.ratio.samples import density_ratio_samples
+from oee_tabular.ratio.samples.result import SampleRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace
 from oee_tabular.ratio.support import refuse_unsupported, uncovered_share
 from oee_tabular.ratio.ties import Tied
-from oee_tabular.ratio.tilt import action_displacement
 from oee_tabular.ratio.transition import transition_ratio, true_ratio
 
 __all__ = [

@@ -9,29 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array
 from oee_tabular._sparse import align, on_pattern, row_of_entry
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import dual, programs
-from oee_tabular.ratio.box import Box, check_box, check_ridge
-from oee_tabular.ratio.centre import fit_centre
-from oee_tabular.ratio.library import values_in
-from oee_tabular.ratio.local_tilt import LocalTilt, fit_local_tilt
-from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.population import Population
-from oee_tabular.ratio.prior import CRITERIA, choose_strength, meaning
-from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
-from oee_tabular.ratio.segments import segment_sums, spread
-from oee_tabular.ratio.tilt import Tilt, fit_default_tilt, fit_tilt
+from oee_tabular.ratio import dual, statements
+from oee_tabular.ratio.method import Given, Method, Population
+from oee_tabular.ratio.prior.centre import fit_centre
+from oee_tabular.ratio.prior.library import values_in
+from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
+from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, meaning
+from oee_tabular.ratio.prior.tilt import Tilt, fit_default_tilt, fit_tilt
+from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 
-PRIORS = ("average", "tilt", "simulator", "none")
 Ridge = float | str | Callable[[float], float]
 
 
@@ -50,7 +46,7 @@ class Conditional(Method):
         exp(theta . phi), fitted to all rows together under the penalty |theta|^2 / 2 on standardised features, a unit
         Gaussian prior (theta varies over the states where the log gives evidence that it does), or the average by
         evidence of these two and of tilts along directions made from the simulator and the values of the policies that
-        matter (``ratio.centre``).
+        matter (``ratio.prior.centre``).
     strength : "evidence" (default) | "loo", or a nonnegative number
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
@@ -60,7 +56,7 @@ class Conditional(Method):
         ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of (s, a, s');
         ``oee.ratio.action_displacement`` makes some
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; with the tilt only
-        How much alike theta is in neighbouring states (lambda of ``ratio.local_tilt``): chosen by its evidence, given, or
+        How much alike theta is in neighbouring states (lambda of ``ratio.prior.local_tilt``): chosen by its evidence, given, or
         infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
     lower, upper : bounds on zeta; None: 0 and no bound
     ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function gets the count n_sa of each row that
@@ -97,11 +93,11 @@ class Conditional(Method):
         if self.prior is None:
             plain = self.features is None and self.smoothness is None
             object.__setattr__(self, "prior", "average" if plain else "tilt")
-        _checks.one_of(self.prior, "prior", PRIORS)
+        _checks.one_of(self.prior, "prior", tuple(PRIORS))
         for name in ("features", "smoothness"):
             if getattr(self, name) is not None and self.prior != "tilt":
                 raise ValueError(f"{name} must be left out with prior {self.prior!r}, which does not use them")
-        check_box(self.lower, self.upper, normalized=True)
+        _checks.box(self.lower, self.upper, normalized=True)
 
     @property
     def uses(self) -> frozenset[str]:
@@ -120,59 +116,50 @@ class Conditional(Method):
         return _with_exact_rows(population, fitted) if plain else fitted
 
     def _fit(self, given: Given) -> TransitionRatio:
-        observed, simulator = given.observed, given.simulator
-        box = check_box(self.lower, self.upper, normalized=True)
-        indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
-        q = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
-        n_row = segment_sums(observed, indptr)
-        base = q
-        parts: tuple[Part, ...] = ()
-        told: dict[str, Any] = {}
-        if self.prior in ("average", "tilt"):
-            tilt, told, likelihood = _tilt(observed, simulator, self.features, self.smoothness, self.solver)
-            if self.prior == "tilt":
-                parts = (Part("tilt", 1.0, likelihood, q * tilt.ratio, tilt.scores, tilt.information, gap=tilt.gap),)
-            else:
-                values, time = _of_policies(given)
-                parts = fit_centre(observed, simulator, values, tilt, likelihood, time=time, solver=self.solver)
-                told |= {"centre": [(part.name, part.weight, part.theta) for part in parts]}
-            base = np.asarray(sum(part.weight * part.rows for part in parts))
-        kappa, details = _strength(observed, base, q, indptr, self.prior, self.strength)
-        details |= told
-        weight = n_row + kappa
+        observed, rows = given.observed, given.rows
+        box = _checks.box(self.lower, self.upper, normalized=True)
+        q, n_row, spread = rows.weights, rows.sums(observed), rows.spread
+        prior = PRIORS[str(self.prior)](given, self)
+        weight = n_row + prior.kappa
         known = weight > 0
-        smoothed = (observed + spread(kappa, indptr) * base) / spread(np.where(known, weight, 1.0), indptr)
-        unseen = spread(n_row == 0, indptr)
-        p = np.where(unseen, base, smoothed)
-        bend = spread(_ridge_by_row(self.ridge, observed, q, n_row, indptr, details), indptr)
+        smoothed = (observed + spread(prior.kappa) * prior.rows) / spread(np.where(known, weight, 1.0))
+        p = np.where(spread(n_row == 0), prior.rows, smoothed)
+        details: dict[str, Any] = dict(prior.details)
+        if isinstance(self.ridge, str):
+            lam = self._chosen_ridge(given, n_row, details)
+        else:
+            sizes, index = np.unique(n_row, return_inverse=True)
+            lam = np.array([_checks.ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
-        curvature = np.asarray(bend if self.toward is None else bend * q)
-        zeta, gap, enclosure = _solve(dual.kl_coordinates(p, q, curvature, center), box, indptr, self.solver)
-        gap = float(np.max([gap, *(part.gap for part in parts)]))
+        curvature = np.asarray(spread(lam) if self.toward is None else spread(lam) * q)
+        program = dual.Coordinates(p, q, curvature, np.full(len(p), center))
+        if self.solver == "dual":
+            found = dual.solve_rows(program, *box, rows.indptr)
+            zeta, gaps, details["enclosure"] = found.ratio, found.gap, found.enclosure()
+        else:
+            zeta, eta = statements.solve_rows(program, *box, rows.indptr, solver=self.solver)
+            gaps = dual.row_gaps(program, zeta, 1.0 + eta, *box, rows.indptr)
         inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
         safe = np.where(inside, zeta, 1.0)
         influence = Influence(
-            frequencies=np.where(unseen, 0.0, observed / spread(np.maximum(n_row, 1e-300), indptr)),
-            row_counts=n_row,
+            rows=rows,
+            counts=observed,
             kernel=zeta * q,
-            weights=q,
-            stiffness=np.where(inside, (p / safe) / safe + curvature, 0.0),
+            curvature=np.where(inside, (p / safe) / safe + curvature, 0.0),
             share=np.divide(n_row, weight, out=np.zeros_like(n_row), where=known),
-            indptr=indptr,
-            parts=parts,
+            parts=prior.parts,
         )
-        details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper, **enclosure}
-        return make_result(simulator, zeta, "conditional", gap, observed, details, influence)
+        details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
+        gap = float(max([gaps.max(), *(part.gap for part in prior.parts)]))
+        return given.ratio(zeta, "conditional", gap, details, influence)
 
-
-def _of_policies(given: Given) -> tuple[list[Array], Array | None]:
-    """V of each policy in the simulator, and the time that they spend in each row, all together (None: no such thing)."""
-    simulator, horizon = given.simulator, given.horizon
-    values = values_in(simulator, given.policies, horizon)
-    if not given.policies or (horizon is None and simulator.discount == 1.0):
-        return values, None
-    times = [occupancy(simulator, policy, horizon=horizon).reshape(-1) for policy in given.policies]
-    return values, np.asarray(np.sum(times, axis=0))
+    def _chosen_ridge(self, given: Given, n_row: Array, details: dict[str, Any]) -> Array:
+        """kappa / n_sa of each row, kappa chosen on the data: the quadratic form, to second order, of a Dirichlet prior."""
+        assert isinstance(self.ridge, str)
+        _checks.one_of(self.ridge, "ridge", CRITERIA)
+        choice = choose_strength(given.observed, given.rows.weights, given.rows, self.ridge)
+        details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
+        return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
 
 
 def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.csr_array:
@@ -208,60 +195,73 @@ def _tilt(
     )
     if local is None:
         return whole, details, whole.evidence
-    told = {
+    of_states = {
         "theta_by_state": local.theta / whole.scale,
         "tilt_gap": local.gap,
         "smoothness": local.smoothness,
         "smoothness_gain": local.gain,
         "smoothness_curve": local.curve,
     }
-    return local, details | told, whole.evidence + local.gain
+    return local, details | of_states, whole.evidence + local.gain
 
 
-def _strength(
-    observed: Array, base: Array, q: Array, indptr: IntArray, prior: str | None, strength: float | str
-) -> tuple[Array, dict[str, Any]]:
-    """kappa of each row, and the diagnostics of the choice."""
-    n_row = segment_sums(observed, indptr)
-    if prior == "none":
-        return np.zeros(len(n_row)), {"strength": 0.0}
-    if not isinstance(strength, str):
-        kappa = _checks.number_in(strength, "strength", 0.0, np.inf)
-        return np.full(len(n_row), kappa), {"strength": kappa}
-    _checks.one_of(strength, "strength", CRITERIA)
-    choice = choose_strength(observed, base, q, indptr, strength)
-    return choice.by_row, {
+class _Prior(NamedTuple):
+    """The row that every row is shrunk to, how many moves it is worth in each, its parts, and what is said of it."""
+
+    rows: Array
+    kappa: Array
+    parts: tuple[Part, ...]
+    details: dict[str, Any]
+
+
+def _none(given: Given, method: Conditional) -> _Prior:
+    """Nothing: maximum likelihood, the simulator where there are no data."""
+    return _Prior(given.rows.weights, np.zeros(len(given.rows.number)), (), {"strength": 0.0})
+
+
+def _simulator(given: Given, method: Conditional) -> _Prior:
+    return _of_strength(given, method, given.rows.weights, (), {}, "simulator")
+
+
+def _tilted(given: Given, method: Conditional) -> _Prior:
+    tilt, details, likelihood = _tilt(
+        given.observed, given.simulator, method.features, method.smoothness, method.solver
+    )
+    rows = given.rows.weights * tilt.ratio
+    part = Part("tilt", 1.0, likelihood, rows, tilt.scores, tilt.information, gap=tilt.gap)
+    return _of_strength(given, method, rows, (part,), details, "tilt")
+
+
+def _average(given: Given, method: Conditional) -> _Prior:
+    simulator, horizon = given.simulator, given.horizon
+    tilt, details, likelihood = _tilt(given.observed, simulator, None, None, method.solver)
+    values, time = values_in(simulator, given.policies, horizon), None
+    if given.policies and not (horizon is None and simulator.discount == 1.0):  # the policies' time in each row
+        time = np.sum([occupancy(simulator, policy, horizon=horizon).reshape(-1) for policy in given.policies], axis=0)
+    parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver)
+    details["centre"] = [(part.name, part.weight, part.theta) for part in parts]
+    rows = np.asarray(sum(part.weight * part.rows for part in parts))
+    return _of_strength(given, method, rows, parts, details, "centre")
+
+
+PRIORS = {"average": _average, "tilt": _tilted, "simulator": _simulator, "none": _none}
+
+
+def _of_strength(
+    given: Given, method: Conditional, rows: Array, parts: tuple[Part, ...], details: dict[str, Any], name: str
+) -> _Prior:
+    """kappa of each row as ``strength`` says; ``name`` is what its meaning calls the prior."""
+    if not isinstance(method.strength, str):
+        kappa = _checks.number_in(method.strength, "strength", 0.0, np.inf)
+        return _Prior(rows, np.full(len(given.rows), kappa), parts, details | {"strength": kappa})
+    _checks.one_of(method.strength, "strength", CRITERIA)
+    choice = choose_strength(given.observed, rows, given.rows, method.strength)
+    chosen = {
         "strength": choice.strength,
         "strength_by": choice.criterion,
         "strength_score": choice.score,
         "strength_curve": (choice.grid, choice.curve),
         "strength_kinds": choice.kinds,
-        "meaning": meaning(choice, n_row, "centre" if prior == "average" else str(prior)),
+        "meaning": meaning(choice, given.rows.sums(given.observed), name),
     }
-
-
-def _ridge_by_row(
-    ridge: Ridge, observed: Array, q: Array, n_row: Array, indptr: IntArray, details: dict[str, Any]
-) -> Array:
-    """The ridge of each row: a number, a function of the row's count, or kappa / n_sa with kappa chosen on the data.
-
-    The last is the quadratic form of a Dirichlet prior centred on the simulator (equal to it to second order).
-    """
-    if isinstance(ridge, str):
-        _checks.one_of(ridge, "ridge", CRITERIA)
-        choice = choose_strength(observed, q, q, indptr, ridge)
-        details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
-        return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
-    sizes, index = np.unique(n_row, return_inverse=True)
-    return np.array([check_ridge(ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
-
-
-def _solve(program: dual.Coordinates, box: Box, indptr: IntArray, solver: str) -> tuple[Array, float, dict[str, Any]]:
-    """zeta, the largest gap of a row, and the enclosure where the solver gives one."""
-    if solver == "dual":
-        solution = dual.solve_rows(program, box.lower, box.upper, indptr)
-        return solution.ratio, float(solution.gap.max()), {"enclosure": solution.enclosure()}
-    found = programs.solve_rows(program, box.lower, box.upper, indptr, solver=solver)
-    zeta = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-    gaps = dual.row_gaps(program, zeta, 1.0 + found.multiplier, box.lower, box.upper, indptr)
-    return zeta, float(gaps.max()), {}
+    return _Prior(rows, choice.by_row, parts, chosen | details)

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Box
 from oee_tabular._threads import one_thread
-from oee_tabular.ratio import dual, programs
-from oee_tabular.ratio.box import Box, check_box, check_ridge
+from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.interior import objective
 from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
@@ -162,13 +161,13 @@ def density_ratio(
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     _checks.one_of(loss, "loss", ("kl", "chi2"))
-    box = check_box(lower, upper, normalized=normalized)
+    box = _checks.box(lower, upper, normalized=normalized)
     with np.errstate(over="ignore"):
         totals = [float(w.sum()) for w in weights]
     for total, name in zip(totals, ("p", "q"), strict=True):
         if not 0.0 < total < np.inf:
             raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
-    strength = check_ridge(ridge, totals[0])
+    strength = _checks.ridge(ridge, totals[0])
     if features is not None or kernel is not None:
         if toward is not None or loss != "kl":
             raise ValueError(
@@ -211,21 +210,23 @@ def density_ratio(
         everywhere[known] = values
         return everywhere
 
-    seen = pk > 0
+    return _certified(
+        (pk, qk), totals, g, value, gap, loss, ratio=_checks.freeze(full(g)), enclosure=(full(below), full(above)),
+        normalizer=m - 1.0, n_undetermined=int((~known).sum()), trace=trace,
+    )  # fmt: skip
+
+
+def _certified(
+    pair: tuple[Array, Array], totals: list[float], g: Array, value: float, gap: float, loss: str, **rest: Any
+) -> RatioFit:
+    """What every fit says of g on the cells ``pair``; least squares estimate no KL divergence."""
+    (p, q), seen = pair, pair[0] > 0
+    divergence = float(p[seen] @ np.log(g[seen])) - float(q @ g) + 1.0 if loss == "kl" else float("nan")
+    status = "optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}"
     return RatioFit(
-        ratio=_checks.freeze(full(g)),
-        enclosure=(full(below), full(above)),
-        objective=value,
-        dual_bound=value - gap,
-        gap=gap,
-        normalizer=m - 1.0,
-        divergence=_divergence(g[seen], pk[seen], float(qk @ g), loss),
-        n_undetermined=int((~known).sum()),
-        p_total=totals[0],
-        q_total=totals[1],
-        status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
-        trace=trace,
-    )
+        objective=value, dual_bound=value - gap, gap=gap, divergence=divergence, p_total=totals[0], q_total=totals[1],
+        status=status, **rest,
+    )  # fmt: skip
 
 
 def _class_fit(
@@ -236,24 +237,12 @@ def _class_fit(
     program, found, trace = fit_cells(
         p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd, seed=seed
     )
-    g, seen = found.ratio, p > 0
-    value = objective(program, found.weights, g)
-    return RatioFit(
-        ratio=_checks.freeze(g),
-        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)),
-        objective=value,
-        dual_bound=value - found.gap,
-        gap=found.gap,
-        normalizer=found.eta,
-        divergence=_divergence(g[seen], p[seen], float(q @ g), "kl"),
-        n_undetermined=0,
-        p_total=totals[0],
-        q_total=totals[1],
-        status="optimal" if found.gap <= ACCURATE else f"inaccurate: the gap is {found.gap:.1e}",
-        trace=trace,
-        weights=found.weights,
-        details=details,
-    )
+    g = found.ratio
+    return _certified(
+        (p, q), totals, g, objective(program, found.weights, g), found.gap, "kl", ratio=_checks.freeze(g),
+        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)), normalizer=found.eta, n_undetermined=0,
+        trace=trace, weights=found.weights, details=details,
+    )  # fmt: skip
 
 
 def _nonnegative(value: Any, name: str) -> Array:
@@ -283,11 +272,6 @@ def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
         )
 
 
-def _divergence(g: Array, p: Array, mass: float, loss: str) -> float:
-    """The dual estimate of KL(p || q); the least-squares loss estimates no KL divergence."""
-    return float(p @ np.log(g)) - mass + 1.0 if loss == "kl" else float("nan")
-
-
 def _solve(
     program: dual.Coordinates, box: Box, normalized: bool, solver: Any
 ) -> tuple[Array, float, tuple[Array, Array]]:
@@ -299,9 +283,8 @@ def _solve(
             return solution.ratio, float(solution.m[0]), solution.enclosure()
         g = dual.solve_free(program, box.lower, box.upper)
         return g, 1.0, (g, g)
-    found = programs.solve_rows(program, box.lower, box.upper, indptr if normalized else None, solver=solver)
-    g = np.clip(found.ratio, max(box.lower, np.finfo(float).tiny), box.upper)
-    m = 1.0 + float(found.multiplier[0]) if normalized else 1.0
+    g, eta = statements.solve_rows(program, *box, indptr if normalized else None, solver=solver)
+    m = 1.0 + float(eta[0]) if normalized else 1.0
     return g, m, (np.full(len(g), box.lower), np.full(len(g), box.upper))
 
 

@@ -1,24 +1,24 @@
 """The structured solver: rows of a separable program, each through a one-dimensional dual root, with its gap.
 
-Program of a row (the paper's estimator with the constraint sum beta q = 1; with q g^2 / 2 - p g for q g - p log g where it is
-least squares):
+Program of a row (eq. 3.7 with the constraint sum beta q = 1; with q g^2 / 2 - p g for q g - p log g where it is least squares):
 
     minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q.
 
-The kernel solves q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``kernels.certificate``).
+The kernels solve q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``_certificate``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, Box, IntArray
+from oee_tabular.ratio import _certificate, _dual, _plain
 
 
-@dataclass(frozen=True)
-class Coordinates:
+class Coordinates(NamedTuple):
     """A separable program as it is stated, entry by entry; ``squares``: least squares for the KL risk."""
 
     p: Array
@@ -27,12 +27,13 @@ class Coordinates:
     center: Array
     squares: bool = False
 
-    def kernel_form(self) -> tuple[Array, Array, Array, Array]:
-        """(p, q, a, pull) of q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
+    def kernel_form(self, lower: float, upper: float) -> _dual.Form:
+        """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
         pull = self.curvature * self.center
         if self.squares:
-            return np.zeros_like(self.p), self.q, self.q + self.curvature, self.p + pull + self.q
-        return self.p, self.q, self.curvature, pull
+            pull, a = self.p + pull + self.q, self.q + self.curvature
+            return _dual.Form(np.zeros_like(self.p), self.q, a, pull, lower, upper)
+        return _dual.Form(self.p, self.q, self.curvature, pull, lower, upper)
 
 
 def kl_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
@@ -49,7 +50,8 @@ def lsif_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coo
 class RowSolution:
     """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
 
-    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright.
+    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright. ``plain`` rows were
+    solved by ``_plain``.
     """
 
     ratio: Array
@@ -58,8 +60,7 @@ class RowSolution:
     left: Array
     right: Array
     plain: BoolArray
-    program: Coordinates
-    box: tuple[float, float]
+    form: _dual.Form
     indptr: IntArray
 
     def enclosure(self) -> tuple[Array, Array]:
@@ -68,14 +69,12 @@ class RowSolution:
         They are the coordinates' minimisers at the two ends of the bracket of m: equal, up to rounding, but where a jump
         leaves the minimiser free (inf where nothing bounds it).
         """
-        from oee_tabular.kernels import duals, plain
-
-        (p, q, a, pull), found = self.program.kernel_form(), []
+        found = []
         for ends in (self.right, self.left):
             values = self.ratio.copy()
             open_ends = np.where(self.left < self.right, ends, np.nan)
-            plain.plain_minimisers(np.where(self.plain, open_ends, np.nan), p, q, *self.box, self.indptr, values)
-            duals.minimisers(np.where(self.plain, np.nan, open_ends), p, q, a, pull, *self.box, self.indptr, values)
+            _plain.plain_minimisers(np.where(self.plain, open_ends, np.nan), self.form, self.indptr, values)
+            _dual.minimisers(np.where(self.plain, np.nan, open_ends), self.form, self.indptr, values)
             found.append(values)
         return found[0], found[1]
 
@@ -84,33 +83,24 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
-    cannot fail. Rows without curvature go through the guessed sets of ``kernels.plain``; those that it leaves, and the
-    others, through the bracketed root of ``kernels.duals``.
+    cannot fail. Rows without curvature go through the guessed sets of ``_plain``; those that it leaves, and the others,
+    through the bracketed root of ``_dual``.
     """
-    from oee_tabular.kernels import duals, plain
-
     rows = indptr.astype(np.int64)
-    p, q, a, pull = program.kernel_form()
-    n_rows = len(rows) - 1
-    ratio = np.empty(len(p))
-    left, right, m = (np.empty(n_rows) for _ in range(3))
-    if lower == 1.0 or upper == 1.0 or a.any() or pull.any():
-        quick, todo = np.zeros(n_rows, dtype=bool), np.arange(n_rows)
-    else:
-        plain.solve_plain_rows(p, q, lower, upper, rows, ratio, left, right, m)
-        quick = ~np.isnan(m)
-        todo = np.flatnonzero(~quick)
-    if todo.size:
-        duals.solve_rows(p, q, a, pull, lower, upper, rows, todo, ratio, left, right, m)
-    gap = row_gaps(program, ratio, m, lower, upper, rows)
-    return RowSolution(ratio, m, gap, left, right, quick, program, (lower, upper), rows)
+    form, ratio = program.kernel_form(float(lower), float(upper)), np.empty(len(program.p))
+    left, right, m = np.full((3, len(rows) - 1), np.nan)
+    if not (lower == 1.0 or upper == 1.0 or form.a.any() or form.pull.any()):
+        _plain.solve_plain_rows(form, rows, ratio, left, right, m)
+    plain = ~np.isnan(m)
+    if not plain.all():
+        _dual.solve_rows(form, rows, np.flatnonzero(~plain), ratio, left, right, m)
+    gap = _certificate.row_gaps(program, Box(form.lower, form.upper), rows, ratio, m, True)
+    return RowSolution(ratio, m, gap, left, right, plain, form, rows)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
-    from oee_tabular.kernels import duals
-
-    return np.asarray(duals.solve_free(*program.kernel_form(), lower, upper))
+    return np.asarray(_dual.solve_free(program.kernel_form(float(lower), float(upper))))
 
 
 def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:
@@ -118,15 +108,10 @@ def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, uppe
 
     From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
     """
-    from oee_tabular.kernels import certificate
-
     multiplier = np.ones(len(indptr) - 1) if m is None else m
     return np.asarray(
-        certificate.row_gaps(
-            program.squares, multiplier, program.p, program.q, program.curvature, program.center, lower, upper, indptr,
-            m is not None, g,
-        )
-    )  # fmt: skip
+        _certificate.row_gaps(program, Box(float(lower), float(upper)), indptr, g, multiplier, m is not None)
+    )
 
 
 def objective(g: Array, program: Coordinates) -> float:

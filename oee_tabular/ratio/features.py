@@ -4,6 +4,8 @@ A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the 
 matrix is L L^T, and the squared RKHS norm is |w|^2. L is a pivoted Cholesky factor [1]: exact up to ``residual``, the largest
 diagonal entry of K - L L^T.
 
+Differs from [1] in that it also stops after ``n_centers`` pivots, and refuses a kernel whose variances become negative.
+
 Reference: [1] H. Harbrecht, M. Peters and R. Schneider, On the low-rank approximation by the pivoted Cholesky decomposition,
 Applied Numerical Mathematics 62, 2012.
 """
@@ -18,6 +20,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 
 Kernel = Callable[[Array, Array], Any]
 
@@ -143,3 +147,64 @@ def cell_features(features: Any, n: int) -> Array:
         raise ValueError(f"features must have {n} rows, one for each entry of p; they have shape {array.shape}")
     _checks.require_finite(array, "features")
     return array.reshape(n, -1)
+
+
+def feature_array(features: Any, simulator: FiniteMDP) -> Array:
+    """phi as an (entries, d) array of finite numbers.
+
+    ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
+    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
+    """
+    matrix, rows = simulator.transitions, Rows.of(simulator)
+    if features is None:
+        return np.asarray(np.log(matrix.data)[:, None])
+    moves = rows.spread(rows.state), rows.spread(rows.action), rows.arrival
+    given = features(*moves) if callable(features) else features
+    array = _checks.float_array(given, "features")
+    shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
+    if array.ndim >= 3 and array.shape[:3] == shape:
+        array = array[moves]
+    if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
+        raise ValueError(
+            f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
+            f"they have shape {array.shape}"
+        )
+    _checks.require_finite(array, "features")
+    return array.reshape(matrix.nnz, -1)
+
+
+def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
+    """Indicator features of (action, displacement), which share what is learned between all states.
+
+    Parameters
+    ----------
+    simulator : FiniteMDP
+    coordinates : (S,) or (S, c): where each state is; the displacement is the difference of the two ends' coordinates
+
+    Returns
+    -------
+    (entries, d) : one column per action and displacement; of each action the commonest displacement is the reference
+
+    Examples
+    --------
+    >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0.5, 0.5]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9)
+    >>> action_displacement(line, [0, 1, 2]).ravel().tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2: ahead?
+    [0.0, 1.0, 0.0, 1.0, 0.0]
+    """
+    _checks.instance(simulator, FiniteMDP, "simulator")
+    given = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(given, "coordinates")
+    places = given[:, None] if given.ndim == 1 else given
+    if places.shape[0] != simulator.n_states:
+        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
+    rows = Rows.of(simulator)
+    steps = places[rows.arrival] - rows.spread(places[rows.state])
+    keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])
+    kinds, kind = np.unique(keys, axis=0, return_inverse=True)
+    kind = kind.reshape(-1)
+    mass = np.bincount(kind, weights=simulator.transitions.data)
+    reference = [
+        int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])
+    ]
+    kept = np.setdiff1d(np.arange(len(kinds)), reference)
+    return np.asarray(kind[:, None] == kept, dtype=np.float64)

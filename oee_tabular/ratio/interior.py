@@ -18,14 +18,14 @@ interior point method, SIAM J. Optimization 2, 1992.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linprog
 
 from oee_tabular._checks import Array
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio.statements import LinearProgram
 
 ITERATIONS = 200
 
@@ -74,13 +74,13 @@ def certificate(program: LinearProgram, weights: Array, g: Array, tie: Array, et
         return np.inf, 0.0
     step = g - y
     at_bound = (y <= program.lower) | (y >= upper)
-    bend = np.where(at_bound | ~seen, slope - np.divide(p, y, out=np.zeros_like(p), where=seen), 0.0)
+    slope = np.where(at_bound | ~seen, slope - np.divide(p, y, out=np.zeros_like(p), where=seen), 0.0)
     u = np.divide(step, y, out=np.zeros_like(step), where=seen)
     with np.errstate(divide="ignore"):
         curve = np.where(np.abs(u) < 1e-5, u * u * (0.5 - u / 3.0 + u * u / 4.0), u - np.log1p(u))
     off = float(program.q @ g) - 1.0 if program.normalized else 0.0
     violation = max(0.0, float((program.lower - g).max()), float((g - program.upper).max()))
-    return float((bend * step).sum() + (p * curve).sum()) + loss + abs(eta * off), max(abs(off), violation)
+    return float((slope * step).sum() + (p * curve).sum()) + loss + abs(eta * off), max(abs(off), violation)
 
 
 def _project(features: Array, tie: Array) -> Array:
@@ -128,40 +128,32 @@ def solve(program: LinearProgram, *, tolerance: float = 1e-14) -> LinearSolution
     """
     if program.penalty > 0.0:
         return _iterate(program, tolerance)
-    left, back = orthonormal(program.features)
-    reduced = replace(program, features=left)
-    found = _iterate(reduced, tolerance)
-    weights = back @ found.weights
-    return LinearSolution(
-        weights,
-        found.ratio,
-        _project(reduced.features, found.tie),
-        found.eta,
-        found.gap,
-        found.violation,
-        found.iterations,
-    )
+    basis, back = orthonormal(program.features)
+    found = _iterate(replace(program, features=basis), tolerance)
+    return replace(found, weights=back @ found.weights, tie=_project(basis, found.tie))
 
 
 @dataclass(eq=False)
 class _Point:
-    """An iterate: w, g, its distances to the bounds, the multipliers of g = offset + Phi w, of the bounds, of sum q g = 1.
+    """An iterate: w, g, its distances to the bounds (sides, n), and multipliers: of g = offset + Phi w, the bounds, the sum.
 
     The distances have digits of their own: near a bound the difference g - lower has few.
     """
 
     w: Array
     g: Array
-    above: Array
-    below: Array
+    room: Array
     tie: Array
     z: Array
-    y: Array
     eta: float
 
     def moved(self, step: _Point, length: float) -> _Point:
-        names = ("w", "g", "above", "below", "tie", "z", "y", "eta")
-        return _Point(*(getattr(self, name) + length * getattr(step, name) for name in names))
+        return _Point(*(getattr(self, f.name) + length * getattr(step, f.name) for f in fields(self)))
+
+    @property
+    def complementarity(self) -> float:
+        """The sum of multiplier times distance over all bounds."""
+        return float((self.z * self.room).sum())
 
 
 class _Linearised:
@@ -170,14 +162,12 @@ class _Linearised:
     def __init__(self, program: LinearProgram, point: _Point) -> None:
         self.program, self.point = program, point
         phi, q, g = program.features, program.q, point.g
-        self.bounded = bool(np.isfinite(program.upper))
-        self.above, self.below = point.above, point.below
-        slope = program.b + point.eta * q - program.p / g
-        self.r_g = slope - point.z + point.y + point.tie
+        self.side = np.array([[1.0], [-1.0]])[: len(point.z)]
+        self.r_g = program.b + point.eta * q - program.p / g - (self.side * point.z).sum(axis=0) + point.tie
         self.r_w = program.penalty * point.w - phi.T @ point.tie
         self.r_tie = g - program.offset - phi @ point.w
         self.r_one = float(q @ g) - 1.0 if program.normalized else 0.0
-        self.diagonal = program.p / g**2 + point.z / self.above + point.y / self.below
+        self.diagonal = program.p / g**2 + (point.z / point.room).sum(axis=0)
 
     @cached_property
     def system(self) -> _Bordered:
@@ -187,76 +177,54 @@ class _Linearised:
         border = phi.T @ program.q if program.normalized else np.zeros(phi.shape[1])
         return _Bordered(phi, self.diagonal, program.penalty, border, program.normalized)
 
-    def complementarity(self) -> float:
-        """The sum of multiplier times distance over all bounds."""
-        total = float(self.point.z @ self.above)
-        return total + float(self.point.y @ self.below) if self.bounded else total
-
     def distance(self, aim: float) -> float:
         """The Euclidean norm of the conditions' residuals, multiplier times distance being ``aim``."""
         total = float(self.r_g @ self.r_g + self.r_w @ self.r_w + self.r_tie @ self.r_tie) + self.r_one**2
-        total += float(((self.point.z * self.above - aim) ** 2).sum())
-        if self.bounded:
-            total += float(((self.point.y * self.below - aim) ** 2).sum())
-        return float(np.sqrt(total))
+        return float(np.sqrt(total + ((self.point.z * self.point.room - aim) ** 2).sum()))
 
     def step(self, aim: float) -> _Point:
         """Newton's step to multiplier times distance = aim."""
-        phi, q, z, y = self.program.features, self.program.q, self.point.z, self.point.y
-        r_z = z * self.above - aim
-        r_y = y * self.below - aim if self.bounded else np.zeros(len(y))
-        rest = self.r_g + r_z / self.above - r_y / self.below
+        phi, q, z, room = self.program.features, self.program.q, self.point.z, self.point.room
+        r_z = z * room - aim
+        rest = self.r_g + (self.side * r_z / room).sum(axis=0)
         right = -self.r_w - phi.T @ (rest - self.diagonal * self.r_tie)
         w, eta = self.system.solve(right, -self.r_one + float(q @ self.r_tie))
         g = phi @ w - self.r_tie
-        return _Point(
-            w=w,
-            g=g,
-            above=g,
-            below=-g if self.bounded else np.zeros(len(g)),
-            tie=-rest - self.diagonal * g - eta * q,
-            z=(-r_z - z * g) / self.above,
-            y=(-r_y + y * g) / self.below,
-            eta=eta,
-        )
+        tie = -rest - self.diagonal * g - eta * q
+        return _Point(w, g, self.side * g, tie, (-r_z - z * self.side * g) / room, eta)
 
-    def room(self, step: _Point) -> float:
+    def longest(self, step: _Point) -> float:
         """The longest length that leaves every distance and multiplier nonnegative."""
-        pairs = [(self.above, step.g), (self.point.g, step.g), (self.point.z, step.z), (self.point.y, step.y)]
-        if self.bounded:
-            pairs.append((self.below, step.below))
-        return min(_room(value, change) for value, change in pairs)
+        found, point = np.inf, self.point
+        for value, change in ((point.room, step.room), (point.g, step.g), (point.z, step.z)):
+            falling = change < 0
+            found = min(found, float((-value[falling] / change[falling]).min(initial=np.inf)))
+        return found
+
+
+def _start(program: LinearProgram) -> _Point:
+    """g = 1 or the middle of the box, and multipliers of the size of p and b."""
+    n, low, high = len(program.p), program.lower, program.upper
+    start = 1.0 if low < 1.0 < high else (0.5 * (low + high) if np.isfinite(high) else low + 1.0)
+    g = np.full(n, start)
+    room = np.array([g - low, high - g])[: 1 + np.isfinite(high)]
+    fill = (float(program.p.sum()) + float(np.abs(program.b).sum())) / (2.0 * n)
+    w = np.asarray(np.linalg.lstsq(program.features, g - program.offset)[0])
+    return _Point(w, g, room, np.zeros(n), fill / room, 0.0)
 
 
 def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
-    n = len(program.p)
-    low, high = program.lower, program.upper
-    bounded = bool(np.isfinite(high))
-    start = 1.0 if low < 1.0 < high else (0.5 * (low + high) if bounded else low + 1.0)
-    fill = (float(program.p.sum()) + float(np.abs(program.b).sum())) / (2.0 * n)
-    g = np.full(n, start)
-    point = _Point(
-        w=np.asarray(np.linalg.lstsq(program.features, g - program.offset)[0]),
-        g=g,
-        above=g - low,
-        below=high - g if bounded else np.ones(n),
-        tie=np.zeros(n),
-        z=np.full(n, fill / (start - low)),
-        y=np.full(n, fill / (high - start)) if bounded else np.zeros(n),
-        eta=0.0,
-    )
-    best = LinearSolution(point.w, g, point.tie, 0.0, np.inf, np.inf, 0)
-    stalled = 0
-    n_bounds = 2 * n if bounded else n
-    local = _Linearised(program, point)
+    """Differs from [2] in a line search on the residual's norm [1], and in ending at the certificate, not at the residual."""
+    point = _start(program)
+    best = LinearSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
+    stalled, local = 0, _Linearised(program, point)
     for iteration in range(1, ITERATIONS + 1):
-        total = local.complementarity()
+        total = point.complementarity
         forward = local.step(0.0)
-        ahead = point.moved(forward, min(1.0, local.room(forward)))
-        after = float(ahead.z @ ahead.above) + (float(ahead.y @ ahead.below) if bounded else 0.0)
-        aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / n_bounds
+        after = point.moved(forward, min(1.0, local.longest(forward))).complementarity
+        aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / point.z.size
         step = local.step(aim)
-        length = min(1.0, 0.99 * local.room(step))
+        length = min(1.0, 0.99 * local.longest(step))
         before = local.distance(aim)
         for _ in range(40):
             trial = _Linearised(program, point.moved(step, length))
@@ -264,7 +232,7 @@ def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
                 break
             length *= 0.5
         point, local = trial.point, trial
-        found = _measure(program, point, iteration)
+        found = _measure(program, local, iteration)
         if found is None:
             continue
         feasible = found.violation <= 1e-12
@@ -278,21 +246,16 @@ def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
     return best
 
 
-def _measure(program: LinearProgram, point: _Point, iteration: int) -> LinearSolution | None:
+def _measure(program: LinearProgram, local: _Linearised, iteration: int) -> LinearSolution | None:
     """The point that w gives, certified with its v, or with the one that its gradient and the bounds' multipliers suggest."""
+    point = local.point
     g = program.offset + program.features @ point.w
     if not (g > 0).all():
         return None
-    suggested = program.p / g - program.b - point.eta * program.q + point.z - point.y
+    suggested = program.p / g - program.b - point.eta * program.q + (local.side * point.z).sum(axis=0)
     found = [(*certificate(program, point.w, g, tie, point.eta), tie) for tie in (point.tie, suggested)]
     gap, violation, tie = min(found, key=lambda item: item[0])
     return LinearSolution(point.w, g, tie, point.eta, gap, violation, iteration)
-
-
-def _room(value: Array, step: Array) -> float:
-    """The longest length with value + length step >= 0."""
-    falling = step < 0
-    return float((-value[falling] / step[falling]).min(initial=np.inf))
 
 
 class _Bordered:

@@ -18,19 +18,16 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import row_of_entry
+from oee_tabular._checks import Array, Box
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import interior, programs
-from oee_tabular.ratio.box import Box, check_box, check_ridge
-from oee_tabular.ratio.features import Kernel, cell_features, gaussian, kernel_features, warn_of_rank
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import interior, statements
+from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
 from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.program_types import LinearProgram
-from oee_tabular.ratio.result import Influence, Part, TransitionRatio, make_result
-from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend_linear
-from oee_tabular.ratio.tilt import feature_array
+from oee_tabular.ratio.statements import LinearProgram
 
 N_CENTERS = 200
 
@@ -44,7 +41,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
     if solver == "dual":
         found = interior.solve(program)
     else:
-        weights, tie, eta = programs.solve_linear(program, solver=solver)
+        weights, tie, eta = statements.solve_linear(program, solver=solver)
         g = program.offset + program.features @ weights
         judged = program
         if program.penalty == 0.0:
@@ -84,8 +81,8 @@ def class_features(
     chosen = _standard_gaussian(points.reshape(n, -1)) if isinstance(kernel, str) else kernel
     _check_kernel(kernel)
     assert callable(chosen)
-    made = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
-    return made.matrix, {"kernel_residual": made.residual, "centers": made.pivots}
+    space = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
+    return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
 
 
 def _check_kernel(kernel: object) -> None:
@@ -154,10 +151,9 @@ def move_points(simulator: FiniteMDP, coordinates: Any) -> Array:
     if len(places) != simulator.n_states:
         raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
     places = places.reshape(simulator.n_states, -1)
-    rows = row_of_entry(simulator.transitions)
-    state, action = rows // simulator.n_actions, rows % simulator.n_actions
-    start = places[state]
-    return np.column_stack([action, start, places[simulator.transitions.indices] - start])
+    rows = Rows.of(simulator)
+    start = rows.spread(places[rows.state])
+    return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
 
 
 def _move_kernel(points: Array, bandwidth: float) -> Kernel:
@@ -224,61 +220,45 @@ class InClass(Method):
             if self.coordinates is None:
                 raise ValueError('coordinates must be given with method "kernel": (S,) or (S, c), where each state is')
         _checks.positive_integer(self.n_centers, "n_centers")
-        _refuse_thin_box(check_box(self.lower, self.upper, normalized=True), True)
+        _refuse_thin_box(_checks.box(self.lower, self.upper, normalized=True), True)
 
     @property
     def _name(self) -> str:
         return "linear" if self.kernel is None else "kernel"
 
     def _fit(self, given: Given) -> TransitionRatio:
-        observed, simulator = given.observed, given.simulator
-        box = check_box(self.lower, self.upper, normalized=True)
-        indptr: IntArray = simulator.transitions.indptr.astype(np.int64)
-        weights = simulator.transitions.data / spread(segment_sums(simulator.transitions.data, indptr), indptr)
-
-        def center(values: Array) -> Array:
-            return np.asarray(values - spread(segment_sums(weights[:, None] * values, indptr), indptr))
-
+        observed, simulator, rows = given.observed, given.simulator, given.rows
+        box, q = _checks.box(self.lower, self.upper, normalized=True), rows.weights
         details: dict[str, Any] = {}
         if self.kernel is None:
-            phi = center(feature_array(self.features, simulator))
+            phi = rows.centred(feature_array(self.features, simulator))
             details["feature_rank"] = warn_of_rank(phi, where=" within rows")
         else:
             points = move_points(simulator, self.coordinates)
             chosen = _move_kernel(points, self.bandwidth) if isinstance(self.kernel, str) else self.kernel
-            made = kernel_features(points, chosen, n_centers=self.n_centers, center=center)
-            phi = made.matrix
-            details |= {"kernel_residual": made.residual, "centers": points[made.pivots]}
-        total = float(observed.sum())
-        strength = 1.0 / total if self.ridge is None else check_ridge(self.ridge, total)
-        n_row = segment_sums(observed, indptr)
-        mass = spread(n_row / total, indptr) * weights
+            space = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.centred)
+            phi = space.matrix
+            details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
+        n = float(observed.sum())
+        lam = 1.0 / n if self.ridge is None else _checks.ridge(self.ridge, n)
+        mass = rows.spread(rows.sums(observed) / n) * q
         program = LinearProgram(
             b=mass,
-            p=observed / total,
+            p=observed / n,
             q=mass,
             offset=np.ones(len(mass)),
             features=phi,
-            penalty=strength,
+            penalty=lam,
             lower=box.lower,
             upper=box.upper,
             normalized=False,
-            ceiling=implied_bound(weights, box.lower),
+            ceiling=implied_bound(q, box.lower),
         )
         found = solve_class(program, self.solver)
         zeta = found.ratio
         safe = np.maximum(zeta, 1e-12)
-        bend = observed / safe**2
-        details |= {"weights": found.weights, "ridge": strength, "lower": box.lower, "upper": box.upper}
-        information = (phi * bend[:, None]).T @ phi + total * strength * np.eye(phi.shape[1])
-        influence = Influence(
-            frequencies=np.where(spread(n_row, indptr) > 0, observed / spread(np.maximum(n_row, 1e-300), indptr), 0.0),
-            row_counts=n_row,
-            kernel=zeta * weights,
-            weights=weights,
-            stiffness=weights / safe,
-            share=np.zeros(len(n_row)),
-            indptr=indptr,
-            parts=(Part(self._name, 1.0, 0.0, zeta * weights, phi / safe[:, None], information, gap=found.gap),),
-        )
-        return make_result(simulator, zeta, self._name, found.gap, observed, details, influence)
+        details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
+        information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
+        part = Part(self._name, 1.0, 0.0, zeta * q, phi / safe[:, None], information, gap=found.gap)
+        influence = Influence(rows, observed, zeta * q, q / safe, np.zeros(len(rows)), (part,))
+        return given.ratio(zeta, self._name, found.gap, details, influence)

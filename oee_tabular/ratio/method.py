@@ -9,16 +9,21 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
+from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_steps
-from oee_tabular.ratio.population import Population
-from oee_tabular.ratio.result import TransitionRatio
-from oee_tabular.ratio.support import aligned_counts
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.result import Influence, TransitionRatio
+from oee_tabular.ratio.support import checked_counts, supported_counts
 
 SimulatorData = Transitions | str | None
+
+
+_MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is asked for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +32,7 @@ class Given:
 
     observed: Array
     simulator: FiniteMDP
+    rows: Rows
     log: Transitions | None = None
     discount: float | None = None
     policies: tuple[Array, ...] = ()
@@ -34,6 +40,59 @@ class Given:
     simulator_data: SimulatorData = None
     behavior_policy: Array | None = None
     seed: Any = None
+
+    def ratio(
+        self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None
+    ) -> TransitionRatio:
+        """What a fit returns, from zeta on the simulator's entries."""
+        matrix, rows = self.simulator.transitions, self.rows
+        counts = rows.sums(self.observed).reshape(self.simulator.n_states, self.simulator.n_actions)
+        parts = _checks.freeze(zeta.copy()), matrix.indices, matrix.indptr
+        return TransitionRatio(
+            values=sparse.csr_array(parts, shape=matrix.shape),
+            method=method,
+            gap=gap,
+            visited=counts > 0,
+            row_sum_error=float(np.abs(rows.sums(zeta * matrix.data) - 1.0).max()),
+            counts=counts,
+            details=details,
+            _influence=influence,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """A pair and the data that an estimator, or a method of ratios, would have infinitely many of.
+
+    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the caller gives none; ``support`` (S*A,) its
+    support, or all rows.
+    """
+
+    simulator: FiniteMDP
+    target: FiniteMDP
+    policy: Array
+    distribution: Array
+    support: BoolArray
+    behavior: Array | None
+    horizon: int | None
+
+    def counts(self) -> sparse.csr_array:
+        """Expected counts of very many moves, csr (S*A, S)."""
+        matrix = self.target.transitions
+        weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
+        return on_pattern(matrix, weight * matrix.data)
+
+    def model(self, fallback: sparse.csr_array) -> FiniteMDP:
+        """The target's rows where the data have them, ``fallback``'s elsewhere; paying what the simulator pays."""
+        keep, rest = (
+            sparse.diags_array(mask.astype(np.float64), format="csr") for mask in (self.support, ~self.support)
+        )
+        rows = sparse.csr_array(keep @ self.target.transitions + rest @ fallback)
+        return self.simulator.with_transitions(rows)
+
+    def value(self, model: Model) -> float:
+        """J of the policy in ``model``."""
+        return policy_value(model, self.policy, horizon=self.horizon)
 
 
 class Method:
@@ -68,35 +127,33 @@ class Method:
 
     @one_thread
     def fit(
-        self,
-        log_or_counts: Transitions | sparse.csr_array,
-        simulator: FiniteMDP,
-        *,
-        discount: float | None = None,
-        values_of: Any = None,
-        horizon: int | None = None,
-        simulator_data: SimulatorData = None,
-        behavior_policy: Any = None,
-        seed: Any = None,
+        self, log_or_counts: Transitions | sparse.csr_array, simulator: FiniteMDP, **beside: Any
     ) -> TransitionRatio:
-        """zeta from a log of the target, or from counts, csr (S*A, S); the rest is as in ``transition_ratio``.
+        """zeta from a log of the target, or from counts, csr (S*A, S).
 
+        ``beside`` the log: discount, values_of, horizon, simulator_data, behavior_policy, seed, as in ``transition_ratio``.
         What the method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
-        behavior = None
-        if behavior_policy is not None:
-            behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+        log = log_or_counts if isinstance(log_or_counts, Transitions) else None
+        values_of, horizon, behavior = (beside.pop(name, None) for name in ("values_of", "horizon", "behavior_policy"))
+        if log is not None:
+            counts = log.counts(simulator.n_states, simulator.n_actions, discount=beside.get("discount"))
+        else:
+            counts = _given_counts(log_or_counts, simulator, beside.get("discount"))
+        rows = Rows.of(simulator)
+        observed = supported_counts(counts, simulator, rows)
+        if not observed.sum() > 0:
+            raise ValueError("log_or_counts must have at least one move; it has none")
         given = Given(
-            observed=_observed(log_or_counts, simulator, discount),
-            simulator=simulator,
-            log=log_or_counts if isinstance(log_or_counts, Transitions) else None,
-            discount=discount,
-            policies=_policies(values_of, simulator),
-            horizon=optional_steps(horizon, simulator),
-            simulator_data=simulator_data,
-            behavior_policy=behavior,
-            seed=seed,
+            observed,
+            simulator,
+            rows,
+            log,
+            policies=() if values_of is None else _policies(values_of, simulator),
+            horizon=None if horizon is None else optional_steps(horizon, simulator),
+            behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
+            **beside,
         )
         return self._fit(given)
 
@@ -117,25 +174,16 @@ class Method:
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
-    if values_of is None:
-        return ()
     several = isinstance(values_of, list | tuple) and len(values_of) > 0 and np.ndim(values_of[0]) == 2
     given = list(values_of) if several else [values_of]
     names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))
 
 
-def _observed(log_or_counts: Any, simulator: FiniteMDP, discount: float | None) -> Array:
-    """Counts on the simulator's entries, weighted by discount^timestep where a discount is given."""
-    if isinstance(log_or_counts, Transitions):
-        counts = log_or_counts.counts(simulator.n_states, simulator.n_actions, discount=discount)
-    elif sparse.issparse(log_or_counts):
-        if discount is not None:
-            raise ValueError("discount must be left out where counts are given: they have no timesteps")
-        counts = log_or_counts
-    else:
-        raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
-    observed = aligned_counts(counts, simulator)
-    if not observed.sum() > 0:
-        raise ValueError("log_or_counts must have at least one move; it has none")
-    return observed
+def _given_counts(counts: Any, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
+    """A user's own counts, checked."""
+    if not sparse.issparse(counts):
+        raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(counts).__name__}")
+    if discount is not None:
+        raise ValueError("discount must be left out where counts are given: they have no timesteps")
+    return checked_counts(counts, simulator)

@@ -14,7 +14,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.layout import check_layout
-from oee_tabular.ratio.box import check_box, check_ridge
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.sgd import SgdTrace
 
@@ -126,7 +125,7 @@ def check_network(
         raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
     if solver != "dual":
         raise ValueError(f"solver must be left out with functions=Network(...), which has its own; got {solver!r}")
-    box = check_box(lower, upper, normalized=False)
+    box = _checks.box(lower, upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
         raise ValueError(
             "lower and upper must be a box with 0 < lower < upper < inf with functions=Network(...); "
@@ -166,9 +165,8 @@ def fit_network(
     (p_train, p_held), (q_train, q_held) = (
         _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
     )
-    training = Training(
-        cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, check_ridge(ridge, float(p.sum())), toward or 0.0
-    )  # fmt: skip
+    lam = _checks.ridge(ridge, float(p.sum()))
+    training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
     found = _neural.train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
     g, known = found.ratio, (p > 0) | (q > 0)

@@ -11,16 +11,13 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
-from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.ratio.box import check_box
+from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.method import Given, Method, SimulatorData
+from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
 from oee_tabular.ratio.network import Network, check_network, fit_network
-from oee_tabular.ratio.population import Population
-from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.simulate import sample_episodes
@@ -86,7 +83,7 @@ class Quotient(Method):
         if not isinstance(self.solver, str | Sgd):
             raise ValueError(f"solver must be a name or Sgd(...); got {self.solver!r}")
         refuse_words(self.ridge, self._name)
-        check_box(self.lower, self.upper, normalized=self.normalized)
+        _checks.box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
             check_network(
@@ -104,15 +101,11 @@ class Quotient(Method):
         given = replace(
             given, seed=_checks.generator(given.seed)
         )  # one stream: the simulator's data, then the training
-        observed, pattern = given.observed, given.simulator.transitions
+        observed, rows = given.observed, given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
-
-        row = row_of_entry(pattern)
-        moves = self._beta(observed, expected, (row, pattern.indices), given)
-        pairs = self._beta(
-            row_sums(pattern, observed), row_sums(pattern, expected), (np.arange(pattern.shape[0]),), given
-        )
-        below = pairs.ratio[row]
+        moves = self._beta(observed, expected, (rows.spread(rows.number), rows.arrival), given)
+        pairs = self._beta(rows.sums(observed), rows.sums(expected), (rows.number,), given)
+        below = rows.spread(pairs.ratio)
         undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
         if self.functions is not None:  # a network has a value everywhere
             undetermined[:] = False
@@ -129,7 +122,7 @@ class Quotient(Method):
             "beta": (moves, pairs),
         }
         gap = max(moves.gap, pairs.gap)
-        return make_result(given.simulator, zeta, self._name, gap, observed, details)
+        return given.ratio(zeta, self._name, gap, details)
 
     def _beta(self, p: Array, q: Array, cells: tuple[IntArray, ...], given: Given) -> RatioFit:
         """Eq. 3.7 on the cells, whose columns are the row and, for moves, s'."""
@@ -149,12 +142,11 @@ def refuse_words(ridge: Any, method: str) -> None:
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
 
 
-def estimated_behavior(observed: Array, simulator: FiniteMDP) -> Array:
+def estimated_behavior(given: Given) -> Array:
     """(S, A): the share of each action in the counts of its state; uniform in states without counts."""
-    pairs = row_sums(simulator.transitions, observed).reshape(simulator.n_states, simulator.n_actions)
+    pairs = given.rows.sums(given.observed).reshape(given.simulator.n_states, given.simulator.n_actions)
     total = pairs.sum(axis=1, keepdims=True)
-    uniform = np.full_like(pairs, 1.0 / simulator.n_actions)
-    return np.where(total > 0, pairs / np.where(total > 0, total, 1.0), uniform)
+    return np.where(total > 0, pairs / np.where(total > 0, total, 1.0), 1.0 / given.simulator.n_actions)
 
 
 def check_simulator_data(value: object) -> None:
@@ -174,7 +166,7 @@ def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
     else:
-        behavior = estimated_behavior(observed, simulator) if given.behavior_policy is None else given.behavior_policy
+        behavior = estimated_behavior(given) if given.behavior_policy is None else given.behavior_policy
     steps = _LONGEST_EPISODE
     if given.log is not None and given.log.timestep is not None:
         steps = int(given.log.timestep.max()) + 1
@@ -184,7 +176,7 @@ def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -
     if simulator_data is not None:
         weighted = simulator.with_discount(1.0 if discount is None else discount)
         share = occupancy(weighted, behavior, horizon=steps, of="transition")
-        over = simulator.absorbing()[row_of_entry(simulator.transitions) // simulator.n_actions]
+        over = given.rows.spread(simulator.absorbing()[given.rows.state])
         return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
     n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
     generator = _checks.generator(given.seed)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.neighbours import Factor
-from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.neighbours import Factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,7 @@ class OneStep:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A candidate in the centre of the prior (``ratio.centre``).
+    """A candidate in the centre of the prior (``ratio.prior.centre``).
 
     Attributes
     ----------
@@ -202,27 +203,34 @@ class Influence:
 
     Attributes
     ----------
-    frequencies : n_x / n_sa; row_counts : n_sa; weights : P in each row; kernel : zeta P
-    stiffness : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
-    share : of the data in a row, n_sa / (n_sa + strength)
+    rows : the simulator's; counts : n_x on their entries; kernel : zeta P
+    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
+    share : of the data in a row, n_sa / (n_sa + kappa)
     parts : of the prior's centre, with their scores and information (dense; a tilt that varies over the states: sparse)
     """
 
-    frequencies: Array
-    row_counts: Array
+    rows: Rows
+    counts: Array
     kernel: Array
-    weights: Array
-    stiffness: Array
+    curvature: Array
     share: Array
-    indptr: IntArray
     parts: tuple[Part, ...] = ()
+
+    @cached_property
+    def n(self) -> Array:
+        """n_sa."""
+        return self.rows.sums(self.counts)
+
+    @cached_property
+    def frequencies(self) -> Array:
+        """n_x / n_sa, 0 in rows without counts."""
+        return self.rows.frequencies(self.counts)
 
     def standard_error(self, gradient: Array) -> float:
         """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
-        psi = self._by_probability(gradient)
-        share = spread(self.share, self.indptr)
-        counts = spread(np.maximum(self.row_counts, 1.0), self.indptr)
-        each = share * psi / counts
+        psi, spread = self._by_probability(gradient), self.rows.spread
+        share = spread(self.share)
+        each = share * psi / spread(np.maximum(self.n, 1.0))
         for part in self.parts:
             if part.scores is None or part.information is None:
                 continue
@@ -231,22 +239,21 @@ class Influence:
                 moved = Factor(part.information).solve(pull)
             else:
                 moved = np.linalg.lstsq(part.information, pull)[0]
-            counted = 1.0 if part.counted is None else spread(part.counted, self.indptr)
+            counted = 1.0 if part.counted is None else spread(part.counted)
             each = each + counted * (part.scores @ moved)
-        return float(np.sqrt(np.sum(self.row_counts * self._variance(each))))
+        return float(np.sqrt(np.sum(self.n * self.rows.variance(self.frequencies, each))))
 
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
-        return np.where(spread(self.row_counts > 0, self.indptr), self.frequencies, self.kernel)
+        return np.where(self.rows.spread(self.n > 0), self.frequencies, self.kernel)
 
     def one_step(self, gradient: Array) -> OneStep:
         """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the centre taken as given."""
-        visited = self.row_counts > 0
-        seen = spread(visited, self.indptr)
+        visited = self.n > 0
+        seen = self.rows.spread(visited)
         change = float(gradient[seen] @ (self.frequencies - self.kernel)[seen])
-        mean = spread(segment_sums(self.kernel * gradient, self.indptr), self.indptr)
-        variance = segment_sums(self.kernel * (gradient - mean) ** 2, self.indptr)
-        each = np.where(visited, variance / np.maximum(self.row_counts, 1.0), 0.0)
+        variance = self.rows.variance(self.kernel, gradient)
+        each = np.where(visited, variance / np.maximum(self.n, 1.0), 0.0)
         return OneStep(
             change,
             float(np.sqrt(each.sum())),
@@ -254,44 +261,13 @@ class Influence:
             float(np.sqrt(np.sum((1.0 - self.share) ** 2 * each))),
         )
 
-    def _variance(self, values: Array) -> Array:
-        """Variance of ``values`` under the frequencies of each row."""
-        mean = spread(segment_sums(self.frequencies * values, self.indptr), self.indptr)
-        return segment_sums(self.frequencies * (values - mean) ** 2, self.indptr)
-
     def _by_probability(self, gradient: Array) -> Array:
         """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each row."""
-        soft = np.divide(1.0, self.stiffness, out=np.zeros_like(self.stiffness), where=self.stiffness > 0)
-        q = self.weights
+        rows, q = self.rows, self.rows.weights
+        soft = np.divide(1.0, self.curvature, out=np.zeros_like(q), where=self.curvature > 0)
         pull = gradient * q
-        slope = spread(segment_sums(pull * q * soft, self.indptr), self.indptr)
-        scale = spread(segment_sums(q * q * soft, self.indptr), self.indptr)
+        slope, scale = rows.spread(rows.sums(pull * q * soft)), rows.spread(rows.sums(q * q * soft))
         mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
         zeta = np.divide(self.kernel, q, out=np.zeros_like(q), where=q > 0)
         moved: Array = np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
         return moved
-
-
-def make_result(
-    simulator: FiniteMDP,
-    zeta: Array,
-    method: str,
-    gap: float,
-    observed: Array,
-    details: dict[str, Any],
-    influence: Influence | None = None,
-) -> TransitionRatio:
-    """A TransitionRatio from values and counts on the simulator's entries."""
-    shape = (simulator.n_states, simulator.n_actions)
-    sums = row_sums(simulator.transitions, zeta * simulator.transitions.data)
-    counts = row_sums(simulator.transitions, observed).reshape(shape)
-    return TransitionRatio(
-        values=on_pattern(simulator.transitions, zeta),
-        method=method,
-        gap=gap,
-        visited=counts > 0,
-        row_sum_error=float(np.abs(sums - 1.0).max()),
-        counts=counts,
-        details=details,
-        _influence=influence,
-    )

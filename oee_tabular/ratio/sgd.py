@@ -10,6 +10,7 @@ one parameter an entry; for a linear class g = Phi w the step is Phi^T of the sa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio import dual, interior
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio._sgd import project
+from oee_tabular.ratio.statements import LinearProgram
 
 
 @dataclass(frozen=True)
@@ -78,40 +80,58 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd,
     """
     best = dual.solve_free(program, lower, upper)
     optimum = dual.objective(best, program)
-    draws = _Draws(program.p, program.q, options.batch_size, seed)
-    g = np.full(len(program.p), min(max(1.0, lower), upper))
-    trace = _Trace(options.n_iterations)
-    for iteration in range(1, options.n_iterations + 1):
-        from_p, from_q = draws.next()
+
+    def step(g: Array, from_p: Array, from_q: Array) -> Array:
         slope = from_q - from_p / g + program.curvature * (g - program.center)
-        g = np.clip(g - options.step_size * slope, lower, upper)
-        if trace.due(iteration):
-            trace.add(dual.objective(g, program) - optimum, np.abs(g - best).mean())
-    return g, trace.finished()
+        return np.clip(g - options.step_size * slope, lower, upper)
+
+    def measure(g: Array) -> tuple[float, float]:
+        return dual.objective(g, program) - optimum, float(np.abs(g - best).mean())
+
+    start = np.full(len(program.p), min(max(1.0, lower), upper))
+    return _trained(start, step, measure, _Draws(program.p, program.q, options.batch_size, seed), options.n_iterations)
 
 
 def descend_linear(
     program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Any
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
-    from oee_tabular.kernels.projection import project
-
     phi = np.ascontiguousarray(program.features)
     lengths = (phi**2).sum(axis=1)
     optimum = interior.objective(program, best.weights, best.ratio)
-    draws = _Draws(program.p, program.q, options.batch_size, seed)
-    w: Array = np.array(np.linalg.lstsq(phi, np.ones(len(phi)))[0], dtype=np.float64)
-    project(w, phi, lengths, program.lower, program.upper)
-    trace = _Trace(options.n_iterations)
-    for iteration in range(1, options.n_iterations + 1):
-        from_p, from_q = draws.next()
-        g = np.clip(phi @ w, program.lower, program.upper)
-        w -= options.step_size * (phi.T @ (from_q - from_p / g) + program.penalty * w)
+
+    def inside(w: Array) -> Array:
         project(w, phi, lengths, program.lower, program.upper)
-        if trace.due(iteration):
-            g = np.clip(phi @ w, program.lower, program.upper)
-            trace.add(interior.objective(program, w, g) - optimum, np.abs(g - best.ratio).mean())
-    return w, trace.finished()
+        return w
+
+    def step(w: Array, from_p: Array, from_q: Array) -> Array:
+        g = np.clip(phi @ w, program.lower, program.upper)
+        return inside(w - options.step_size * (phi.T @ (from_q - from_p / g) + program.penalty * w))
+
+    def measure(w: Array) -> tuple[float, float]:
+        g = np.clip(phi @ w, program.lower, program.upper)
+        return interior.objective(program, w, g) - optimum, float(np.abs(g - best.ratio).mean())
+
+    start = inside(np.array(np.linalg.lstsq(phi, np.ones(len(phi)))[0], dtype=np.float64))
+    return _trained(start, step, measure, _Draws(program.p, program.q, options.batch_size, seed), options.n_iterations)
+
+
+def _trained(
+    parameters: Array,
+    step: Callable[..., Array],
+    measure: Callable[[Array], tuple[float, float]],
+    draws: _Draws,
+    n: int,
+) -> tuple[Array, SgdTrace]:
+    """The parameters after n steps, and (excess, error) at about fifty of them, even in the logarithm of the iteration."""
+    points = np.unique(np.round(np.geomspace(1, n, 50)).astype(np.int64))
+    seen: list[tuple[float, float]] = []
+    for iteration in range(1, n + 1):
+        parameters = step(parameters, *draws.next())
+        if iteration == points[len(seen)]:
+            seen.append(measure(parameters))
+    excess, error = np.array(seen).T
+    return parameters, SgdTrace(points, excess, error)
 
 
 class _Draws:
@@ -126,22 +146,3 @@ class _Draws:
         drawn = [np.searchsorted(s, self._generator.random(self._size) * s[-1], side="right") for s in self._sums]
         shares = [np.bincount(np.minimum(d, self._n - 1), minlength=self._n) / self._size for d in drawn]
         return shares[0], shares[1]
-
-
-class _Trace:
-    """About fifty points, evenly spaced in the logarithm of the iteration."""
-
-    def __init__(self, n_iterations: int) -> None:
-        self._points = np.unique(np.round(np.geomspace(1, n_iterations, 50)).astype(np.int64))
-        self._excess: list[float] = []
-        self._error: list[float] = []
-
-    def due(self, iteration: int) -> bool:
-        return bool(iteration == self._points[len(self._excess)])
-
-    def add(self, excess: float, error: float) -> None:
-        self._excess.append(float(excess))
-        self._error.append(float(error))
-
-    def finished(self) -> SgdTrace:
-        return SgdTrace(self._points, np.array(self._excess), np.array(self._error))

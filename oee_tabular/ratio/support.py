@@ -12,6 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.rows import Rows
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
@@ -50,8 +51,8 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
     named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
     share = moves.data[bad].sum()
-    least = align(simulator.transitions, moves)[0][bad].max()
-    faint = "0" if least == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
+    probability = align(simulator.transitions, moves)[0][bad].max()
+    faint = "0" if probability == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
     raise ValueError(
         f"{what} must stay where the simulator has probability: it gives probability {faint} to {bad.size} different "
         f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "
@@ -141,9 +142,15 @@ def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> s
 
 def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
-    matrix = checked_counts(counts, simulator)
-    refuse_unsupported(matrix, simulator)
-    return align(matrix, simulator.transitions)[0]
+    return supported_counts(checked_counts(counts, simulator), simulator, Rows.of(simulator))
+
+
+def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP, rows: Rows) -> Array:
+    """The same of canonical counts and all ``rows`` of the simulator: errors for support alone."""
+    values, found = rows.aligned(counts)
+    if not found.all() or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any():
+        refuse_unsupported(counts, simulator)
+    return values
 
 
 def require_pair(target: object, simulator: object) -> None:

@@ -23,11 +23,10 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import IntArray
-from oee_tabular._sparse import row_of_entry, row_sums
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.density import density_ratio
 from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.result import TransitionRatio
 
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
@@ -87,13 +86,13 @@ class Tied(Method):
 
     def _fit(self, given: Given) -> TransitionRatio:
         observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
-        matrix = simulator.transitions
-        keys = _keys(self.tie, simulator)
-        visits = row_sums(matrix, observed)
-        expected = visits[row_of_entry(matrix)] * matrix.data
+        matrix, rows = simulator.transitions, given.rows
+        keys = _keys(self.tie, rows)
+        visits = rows.sums(observed)
+        expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
         seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
-        groups, group = _groups(matrix, keys, n_keys)
+        groups, group = _groups(rows, keys, n_keys)
         ratio, gap, visited = np.ones(n_keys), 0.0, 0
         order = np.argsort(group, kind="stable")
         for members in np.split(order, np.cumsum(np.bincount(group, minlength=groups))[:-1]):
@@ -107,7 +106,7 @@ class Tied(Method):
             ratio[known] = fit.ratio
             gap = max(gap, fit.gap)
         zeta = ratio[keys]
-        sums = row_sums(matrix, zeta * matrix.data)
+        sums = rows.sums(zeta * matrix.data)
         empty = np.flatnonzero(~(sums > 0))
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
@@ -115,7 +114,7 @@ class Tied(Method):
                 f"strength must be positive here: no key of row (s={s}, a={a}) was seen, and zeta * P would have no mass there "
                 f"({empty.size} such rows in all); it is {kappa:g}"
             )
-        zeta = zeta / sums[row_of_entry(matrix)]
+        zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums
         details: dict[str, Any] = {
             "n_keys": n_keys,
@@ -124,29 +123,28 @@ class Tied(Method):
             "pooled_row_sums": (float(used.min()), float(used.max())),
             "strength": kappa,
         }
-        return make_result(simulator, zeta, "tied", gap, observed, details)
+        return given.ratio(zeta, "tied", gap, details)
 
 
-def _keys(tie: Any, simulator: FiniteMDP) -> IntArray:
+def _keys(tie: Any, rows: Rows) -> IntArray:
     """Keys numbered from 0, one for each entry."""
-    matrix = simulator.transitions
     if callable(tie):
-        first, action = np.divmod(row_of_entry(matrix), simulator.n_actions)
-        tie = tie(first, action, matrix.indices.astype(np.int64))
+        tie = tie(rows.spread(rows.state), rows.spread(rows.action), rows.arrival)
     given = _checks.as_array(tie, "tie")
-    if given.shape != (matrix.nnz,):
+    if given.shape != rows.entries.shape:
         raise ValueError(
-            f"tie must have shape ({matrix.nnz},), a key for each entry of simulator.transitions; it has shape {given.shape}"
+            f"tie must have shape {rows.entries.shape}, a key for each entry of simulator.transitions; it has shape "
+            f"{given.shape}"
         )
     if given.dtype.kind not in "iu":
         raise ValueError(f"tie must have integer keys; they are {given.dtype}")
     return np.asarray(np.unique(given, return_inverse=True)[1], dtype=np.int64)
 
 
-def _groups(matrix: sparse.csr_array, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
+def _groups(rows: Rows, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
     """How many groups of keys occur together in rows, and the group of each key."""
-    lead = keys[matrix.indptr[:-1]]  # every row has an entry; the others of the row are joined to its first
-    pairs = np.unique(np.repeat(lead, np.diff(matrix.indptr)) * n_keys + keys)
+    lead = keys[rows.indptr[:-1]]  # every row has an entry; the others of the row are joined to its first
+    pairs = np.unique(rows.spread(lead) * n_keys + keys)
     joined = sparse.csr_array((np.ones(len(pairs)), np.divmod(pairs, n_keys)), shape=(n_keys, n_keys))
     found, group = sparse.csgraph.connected_components(joined, directed=False)
     return int(found), np.asarray(group, dtype=np.int64)

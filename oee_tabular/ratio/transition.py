@@ -16,48 +16,48 @@ A way from counts to zeta is an object with its options, its formula and its lim
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any
+from collections.abc import Collection, Mapping
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
-from oee_tabular.ratio.method import Method, SimulatorData
+from oee_tabular.ratio.method import Given, Method, SimulatorData
 from oee_tabular.ratio.quotient import Quotient
-from oee_tabular.ratio.result import TransitionRatio, make_result
+from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.ties import Tied
 
 
-@dataclass(frozen=True)
-class _Named:
-    """What a method's name stands for: a class, options that the name settles, options that it has not."""
+class _Named(NamedTuple):
+    """What a method's name stands for: a class, its options that may be given, and those that the name settles."""
 
     make: type[Method]
-    settled: Mapping[str, Any] = field(default_factory=dict)
-    without: frozenset[str] = frozenset()
+    options: frozenset[str]
+    settled: Mapping[str, Any]
 
-    @property
-    def options(self) -> set[str]:
-        return {f.name for f in fields(self.make)} - self.without  # type: ignore[arg-type]
+
+def _named(make: Any, without: Collection[str] = (), **settled: Any) -> _Named:
+    return _Named(make, frozenset({option.name for option in fields(make)} - set(without)), settled)
 
 
 METHODS = {
-    "conditional": _Named(Conditional),
-    "tied": _Named(Tied),
-    "linear": _Named(InClass, without=frozenset({"kernel", "coordinates", "bandwidth", "n_centers"})),
-    "kernel": _Named(InClass, {"kernel": "gaussian"}, frozenset({"features"})),
-    "ratio_of_ratios": _Named(Quotient),
-    "joint": _Named(Joint),
+    "conditional": _named(Conditional),
+    "tied": _named(Tied),
+    "linear": _named(InClass, without=("kernel", "coordinates", "bandwidth", "n_centers")),
+    "kernel": _named(InClass, without=("features",), kernel="gaussian"),
+    "ratio_of_ratios": _named(Quotient),
+    "joint": _named(Joint),
 }
+_OPTIONS = sorted(frozenset().union(*(named.options for named in METHODS.values())))
 _ANYWHERE = {"toward": 1.0, "solver": "dual"}  # what may be said to methods that have no such option: nothing else
 
 
@@ -69,18 +69,17 @@ def method_named(name: str, **options: Any) -> Method:
     """
     _checks.one_of(name, "method", tuple(METHODS))
     named = METHODS[name]
-    known = {option for each in METHODS.values() for option in each.options}
-    given = {option: value for option, value in options.items() if value is not None or option == "toward"}
-    for option, value in list(given.items()):
-        if option not in known:
-            raise TypeError(f"{option} must be an option of a method: {', '.join(sorted(known))}; got {value!r}")
-        if option in named.options:
+    given = dict(named.settled)
+    for option, value in options.items():
+        if value is None and option != "toward":
             continue
-        if option in _ANYWHERE and np.ndim(value) == 0 and value == _ANYWHERE[option]:
-            del given[option]
-        else:
+        if option in named.options:
+            given[option] = value
+        elif option not in _OPTIONS:
+            raise TypeError(f"{option} must be an option of a method: {', '.join(_OPTIONS)}; got {value!r}")
+        elif not (option in _ANYWHERE and np.ndim(value) == 0 and value == _ANYWHERE[option]):
             raise ValueError(f"{option} {_refused(name)}; got {value!r}")
-    return named.make(**{**named.settled, **given})
+    return named.make(**given)
 
 
 def _refused(method: str) -> str:
@@ -191,5 +190,6 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     """
     require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")
-    data, _ = align(target.transitions, simulator.transitions)
-    return make_result(simulator, data / simulator.transitions.data, "true", 0.0, data, {})
+    rows = Rows.of(simulator)
+    data, _ = rows.aligned(target.transitions)
+    return Given(data, simulator, rows).ratio(data / simulator.transitions.data, "true", 0.0, {})

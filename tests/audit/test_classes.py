@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy import optimize, sparse, stats
 
 import oee_tabular as oee
-from oee_tabular.ratio.local_tilt import fit_local_tilt
-from oee_tabular.ratio.tilt import fit_tilt
+from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
+from oee_tabular.ratio.prior.tilt import fit_tilt
 
 
 def small(seed=4, moves=150):

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 from audit.reference import Dense, dirichlet, kinds_of, strengths, table_of
+from helpers import rows_of
 from numpy.testing import assert_allclose
 from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
-from oee_tabular.ratio.library import library
-from oee_tabular.ratio.prior import choose_strength
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.library import library
+from oee_tabular.ratio.prior.selection import Selection
+from oee_tabular.ratio.prior.strength import choose_strength
 
 
 def grid_case(moves):
@@ -181,7 +182,7 @@ def test_the_evidence_is_the_probability_of_the_moves_one_after_the_other():
         chance *= (kappa * model[outcome] + so_far[outcome]) / (kappa + so_far.sum())
         so_far[outcome] += 1
     assert_allclose(dirichlet(counts, model, kappa), np.log(chance), rtol=1e-12)
-    choice = choose_strength(counts, model, model, np.array([0, 3]))
+    choice = choose_strength(counts, model, rows_of(model, [0, 3]))
     at_grid = [dirichlet(counts, model, kappa) for kappa in choice.grid]
     assert_allclose(choice.curve, at_grid, atol=2e-6)
 
@@ -190,7 +191,7 @@ def test_kappa_is_where_the_evidence_is_largest():
     rng = np.random.default_rng(2)
     model = rng.dirichlet(np.ones(4), size=12)
     counts = np.array([rng.multinomial(40, rng.dirichlet(15.0 * row)) for row in model]).astype(float)
-    choice = choose_strength(counts.reshape(-1), model.reshape(-1), model.reshape(-1), np.arange(0, 49, 4))
+    choice = choose_strength(counts.reshape(-1), model.reshape(-1), rows_of(model.reshape(-1), np.arange(0, 49, 4)))
     best, score = strengths(counts, model, np.zeros(12, dtype=int))
     assert abs(np.log(choice.strength / best[0])) < 0.008
     assert score - 1e-4 < choice.score <= score + 1e-6

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import oee_tabular as oee
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 
 
 def clock(call, repeat=5):
@@ -100,7 +100,7 @@ def speed():
             ("rows, box", dual.kl_coordinates(p, q, zero, 0.0), indptr),
         ):
             ours = clock(lambda program=program, rows=rows: dual.solve_rows(program, 0.01, 10.0, rows))
-            statement = programs.state_rows(program, 0.01, 10.0, rows)
+            statement = statements.state_rows(program, 0.01, 10.0, rows)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 theirs = clock(lambda s=statement: s.problem.solve(solver="CLARABEL", warm_start=False), repeat=1)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular import FiniteMDP, Problem, Transitions, _checks
 from oee_tabular.design import collection
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.costs import largest_variance, row_costs
@@ -18,8 +18,7 @@ from oee_tabular.design.programs import evaluate, fill, free_design, minimise
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import statements
 from oee_tabular.inference.statements import conic_design
-from oee_tabular.ratio.box import check_box
-from oee_tabular.ratio.programs import SolverStatusError
+from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
 
 few = settings(max_examples=25)
@@ -49,7 +48,7 @@ def random_program(rng, *, kinds=3):
     mdp = random_mdp(rng, n_states=int(rng.integers(2, 8)), n_actions=int(rng.integers(1, 4)), discount=0.9)
     policies = [random_policy(rng, mdp) for _ in range(int(rng.integers(1, kinds + 1)))]
     counts = rng.integers(0, 4, mdp.n_states * mdp.n_actions) * float(rng.integers(0, 2))
-    box = check_box(None, None, normalized=True)
+    box = _checks.box(None, None, normalized=True)
     costs = row_costs(
         mdp, mdp, policies, counts, horizon=None, box=box, confidence=0.95, optimistic=bool(rng.integers(0, 2))
     ).table
@@ -255,7 +254,7 @@ def test_the_bound_holds_for_every_behaviour(rng):
 
 def test_kiefer_and_wolfowitz():
     """max over q' of <q', c / q*^2> = sum c / q*; for any other q it is larger."""
-    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=check_box(None, None, normalized=True),
+    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=_checks.box(None, None, normalized=True),
                       confidence=0.95, optimistic=True).table  # fmt: skip
     costs = costs / np.sqrt(costs).sum() ** 2
     collection, base = collection_mdp(TARGET, 0.05), np.zeros(100)

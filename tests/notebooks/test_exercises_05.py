@@ -12,11 +12,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers import rows_of
 from scipy import sparse
 from scipy.optimize import brentq
 
 import oee_tabular as oee
-from oee_tabular.ratio.prior import evidence
+from oee_tabular.ratio.prior.strength import score
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 ROW = np.array([0.7, 0.1, 0.1, 0.1])
@@ -56,10 +57,11 @@ def tilt_to(slip):
 
 
 def evidence_gained():
-    observed, prior, indptr = np.array([2.0, 0.0]), np.array([0.5, 0.5]), np.array([0, 2])
+    observed, prior = np.array([2.0, 0.0]), np.array([0.5, 0.5])
+    rows = rows_of(prior, [0, 2])
     certain = 2 * math.log(0.5)
-    np.testing.assert_allclose(evidence(1e9, observed, prior, indptr), certain, atol=1e-8)
-    return evidence(1.0, observed, prior, indptr) - certain
+    np.testing.assert_allclose(score(1e9, observed, prior, rows), certain, atol=1e-8)
+    return score(1.0, observed, prior, rows) - certain
 
 
 NUMBERS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 
 
 def grid_problem(n_episodes):
@@ -45,10 +45,10 @@ def test_the_two_solvers_agree(n_episodes, by_row, ridge, toward, largest):
     """Asked for and found: 1e-10 normalised with a box, 1e-9 by rows and with a ridge."""
     program, indptr = coordinates(n_episodes, by_row, ridge, toward)
     ours = dual.solve_rows(program, 0.01, 10.0, indptr)
-    statement = programs.state_rows(program, 0.01, 10.0, indptr)
+    statement = statements.state_rows(program, 0.01, 10.0, indptr)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        statement.problem.solve(solver="CLARABEL", warm_start=False, **programs.clarabel_options(1e-12))
+        statement.problem.solve(solver="CLARABEL", warm_start=False, **statements.clarabel_options(1e-12))
     assert statement.problem.status == "optimal"
     assert np.abs(statement.variable.value - ours.ratio).max() < largest
     assert ours.gap.max() < 1e-14

@@ -88,3 +88,28 @@ def test_the_page_of_the_paper_agrees(logs):
         excess = paper.risk(g.ravel(), p, q) - paper.risk(best, p, q)
         assert 0 <= excess < 0.05 * (paper.risk(np.ones_like(best), p, q) - paper.risk(best, p, q))
         assert np.sqrt(p @ (g.ravel() - best) ** 2) <= MU * np.sqrt(2 * excess)
+
+
+def test_algorithm_1_step_by_step():
+    """The same draws, one update at a time, and its trace."""
+    p, q = np.array([3.0, 1.0, 4.0]) / 8, np.array([2.0, 4.0, 2.0]) / 8
+    options = {"lower": 0.2, "upper": 3.0, "normalized": False, "ridge": 0.1, "toward": 1.0}
+    found = oee.density_ratio(p, q, solver="sgd", step_size=0.05, batch_size=16, n_iterations=60, seed=4, **options)
+    best = oee.density_ratio(p, q, **options)
+    generator, g, trace = np.random.default_rng(4), np.ones(3), {}
+    for iteration in range(1, 61):
+        counts = [
+            np.bincount(np.searchsorted(np.cumsum(x), generator.random(16) * x.sum(), side="right"), minlength=3) / 16
+            for x in (p, q)
+        ]
+        g = np.clip(g - 0.05 * (counts[1] - counts[0] / g + 0.1 * q * (g - 1.0)), 0.2, 3.0)
+        value = q @ g - p @ np.log(g) + 0.05 * q @ (g - 1.0) ** 2
+        trace[iteration] = (value - best.objective, np.abs(g - best.ratio).mean())
+    assert_allclose(found.ratio, g, rtol=1e-12)
+    points = found.trace.iteration
+    assert points[0] == 1
+    assert points[-1] == 60
+    assert_array_equal(points, np.unique(np.round(np.geomspace(1, 60, 50))))
+    assert_allclose(found.trace.excess, [trace[i][0] for i in points], atol=1e-12)
+    assert_allclose(found.trace.error, [trace[i][1] for i in points], rtol=1e-9)
+    assert_allclose(found.gap, trace[60][0], atol=1e-12)

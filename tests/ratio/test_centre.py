@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import dense, dense_values, random_mdp, random_policy, rngs
+from helpers import dense, dense_values, random_mdp, random_policy, rngs, rows_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,13 +12,13 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.ratio import centre
-from oee_tabular.ratio.centre import fit_centre
-from oee_tabular.ratio.library import columns_of, library, values_in
-from oee_tabular.ratio.prior import choose_strength
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection, tilted
-from oee_tabular.ratio.tilt import fit_default_tilt
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior import centre
+from oee_tabular.ratio.prior.centre import fit_centre
+from oee_tabular.ratio.prior.library import columns_of, library, values_in
+from oee_tabular.ratio.prior.selection import Selection
+from oee_tabular.ratio.prior.strength import choose_strength
+from oee_tabular.ratio.prior.tilt import fit_default_tilt, minimise
 
 
 def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=None):
@@ -35,7 +35,7 @@ def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=No
 def tilted_along(simulator, phi):
     """The target with rows proportional to P exp(phi), phi at the simulator's entries."""
     rows = Rows.of(simulator)
-    model, _ = tilted(rows.weights, phi, rows)
+    model, _ = rows.tilted(phi)
     return simulator.with_transitions(
         sparse.csr_array(
             (model, simulator.transitions.indices, simulator.transitions.indptr), simulator.transitions.shape
@@ -109,7 +109,7 @@ def test_evidence_part_by_part():
         missed = 1 - (n_row > 0).mean()
         tilt = fit_default_tilt(counts, simulator)
         for part in parts_of(log, simulator, policy):
-            score = choose_strength(counts[told], part.rows[told], rows.weights, rows.indptr).score
+            score = choose_strength(counts[told], part.rows[told], rows).score
             if part.name == "simulator":
                 cost = 0.0
             elif part.name == "tilt by log P":
@@ -123,7 +123,7 @@ def test_evidence_part_by_part():
                 scale = np.sqrt((rows.weights * column**2).sum() / len(rows))
                 level = np.abs(dense_values(simulator, policy)).max()  # the feature is r + gamma V over its largest
                 theta = part.theta["V"] * scale / level
-                expected = tilted(rows.weights, theta * column / scale, rows)[0]
+                expected = rows.tilted(theta * column / scale)[0]
                 assert_allclose(part.rows[told], expected, rtol=1e-8)
                 size = 0.5 * (np.log(information[0, 0]) - np.log(precision) + precision * theta**2)
                 cost = size + 1.0 + 4.0 * missed
@@ -151,7 +151,7 @@ def test_prices_are_paid_by_feature():
     rows = Rows.of(simulator, n_row > 0)
     assert any("action" in name for part in several for name in part.theta)
     for part in several:
-        score = choose_strength(counts[told], part.rows[told], rows.weights, rows.indptr).score
+        score = choose_strength(counts[told], part.rows[told], rows).score
         scores, information = np.asarray(part.scores), np.asarray(part.information)
         weight = np.repeat(part.counted * n_row, 5) * part.rows
         penalty = np.diag(information - (scores * weight[:, None]).T @ scores)
@@ -416,8 +416,9 @@ def test_the_standard_error_of_an_average_by_refits():
         other.count = n_row  # the rows' numbers of moves are given
         found = [rows.weights]
         for each, fitted in zip(chosen, fits, strict=True):
-            theta = other._newton(other.columns(each), made.counted(kappa), fitted.theta, fitted.precision)[0]
-            found.append(tilted(rows.weights, other.columns(each) @ theta, rows)[0])
+            risk = other._risk(each, kappa, fitted.precision)
+            risk.n = made.counted(kappa) * n_row
+            found.append(minimise(risk, fitted.theta).model)
         centre_rows = sum(w * m for w, m in zip(weights, found, strict=True))
         return (observed + strength * centre_rows) / rows.spread(n_row + strength)
 
@@ -443,7 +444,7 @@ def test_the_standard_error_of_an_average_by_refits():
     plain = oee.transition_ratio(on_rows(counts, simulator), simulator, prior="simulator", strength=strength)
     zeta_p = model(counts)
     influence = replace(
-        plain._influence, kernel=zeta_p, stiffness=rows.weights**2 / zeta_p, parts=tuple(parts)
+        plain._influence, kernel=zeta_p, curvature=rows.weights**2 / zeta_p, parts=tuple(parts)
     )  # p / zeta^2, p = zeta P
     assert_allclose(influence.standard_error(gradient), expected, rtol=1e-4)
 
@@ -551,7 +552,7 @@ def test_a_cvxpy_solver_gives_the_same_centre():
 def test_the_same_features_in_another_order_count_once():
     class Log:
         def strength(self, model):
-            return choose_strength(np.array([3.0, 1.0]), model, np.array([0.5, 0.5]), np.array([0, 2]))
+            return choose_strength(np.array([3.0, 1.0]), model, rows_of([0.5, 0.5], [0, 2]))
 
     rows = np.array([0.6, 0.4])
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.ratio import dual, programs
+from oee_tabular.ratio import dual, statements
 
 
 def random_problem(rng, n, *, box):
@@ -45,10 +45,10 @@ def test_the_structured_answer_against_clarabel(seed):
     high = options["upper"] or np.inf
     indptr = np.array([0, len(ps)]) if options["normalized"] else None
     program = dual.kl_coordinates(ps, qs, bend, center)
-    statement = programs.state_rows(program, low, high, indptr)
+    statement = statements.state_rows(program, low, high, indptr)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        statement.problem.solve(solver="CLARABEL", warm_start=False, **programs.clarabel_options(1e-12))
+        statement.problem.solve(solver="CLARABEL", warm_start=False, **statements.clarabel_options(1e-12))
     assert statement.problem.status in ("optimal", "optimal_inaccurate")
     peer = np.maximum(statement.variable.value, 1e-300)
     value = dual.objective(peer, program)
@@ -214,7 +214,7 @@ def test_clarabel_by_name_and_unknown_solvers():
 
 
 def test_a_solver_that_stops_short_hands_on_no_numbers(monkeypatch):
-    monkeypatch.setattr(programs, "clarabel_options", lambda tolerance: {"max_iter": 2})
+    monkeypatch.setattr(statements, "clarabel_options", lambda tolerance: {"max_iter": 2})
     with pytest.raises(RuntimeError, match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used"):
         oee.density_ratio([3, 1, 4], [2, 2, 4], upper=1.4, solver="CLARABEL")
 
@@ -316,3 +316,53 @@ def test_assumptions():
     assert not check_assumptions([1], [1], lower=1.0, upper=2.0).box_contains_one
     with pytest.raises(ValueError, match="p and q must have one length"):
         check_assumptions([1], [1, 1], lower=0.1, upper=2)
+
+
+@pytest.mark.parametrize("options", [{}, {"normalized": False}, {"lower": 0.6, "upper": 1.4}, {"ridge": 0.2},
+                                     {"ridge": 0.2, "toward": 1.0, "normalized": False}], ids=repr)  # fmt: skip
+@pytest.mark.parametrize("loss", ["kl", "chi2"])
+def test_the_numbers_of_a_fit(options, loss):
+    """The objective as it is written, the bound below it, the sums that were handed over, the divergence."""
+    p, q = np.array([3.0, 1.0, 4.0, 0.0, 0.0]), np.array([2.0, 2.0, 1.0, 3.0, 0.0])
+    found = oee.density_ratio(p, q, loss=loss, **options)
+    g, ps, qs = found.ratio[:4], p[:4] / 8, q[:4] / 8
+    ridge, toward = options.get("ridge", 0.0), options.get("toward")
+    penalty = 0.5 * ridge * ((g**2).sum() if toward is None else qs @ (g - toward) ** 2)
+    if loss == "kl":
+        value = qs @ g - ps[:3] @ np.log(g[:3]) + penalty
+        assert_allclose(found.divergence, ps[:3] @ np.log(g[:3]) - qs @ g + 1, rtol=1e-12)
+    else:
+        value = qs @ g**2 / 2 - ps @ g + penalty
+        assert np.isnan(found.divergence)
+    assert_allclose(found.objective, value, rtol=1e-12)
+    assert_allclose(found.dual_bound, value - found.gap, rtol=1e-12)
+    assert 0 <= found.gap < 1e-10
+    assert (found.p_total, found.q_total, found.n_undetermined, found.status) == (8.0, 8.0, 1, "optimal")
+    assert found.ratio[4] == 1.0
+    assert found.trace is None
+    assert found.weights is None
+    if options.get("normalized", True):
+        assert_allclose(qs @ g, 1.0, rtol=1e-12)
+    else:
+        assert found.normalizer == 0.0
+    assert (found.enclosure[0] <= found.ratio + 1e-12).all()
+    assert (found.ratio <= found.enclosure[1] + 1e-12).all()
+    tried = 0
+    for move in feasible_directions(qs, options.get("normalized", True)):  # and it is the minimum: no step does better
+        other = g + 1e-4 * move
+        if (other < options.get("lower", 0)).any() or (other > options.get("upper", np.inf)).any():
+            continue
+        worse = qs @ other - ps[:3] @ np.log(other[:3]) if loss == "kl" else qs @ other**2 / 2 - ps @ other
+        worse += 0.5 * ridge * ((other**2).sum() if toward is None else qs @ (other - toward) ** 2)
+        assert worse >= value - 1e-12
+        assert worse > value or ps @ move == 0
+        tried += 1
+    assert tried >= 2
+
+
+def feasible_directions(q, normalized):
+    """Up and down along each entry, or along pairs of entries that keep sum q g."""
+    one = np.eye(len(q))
+    if not normalized:
+        return [*one, *-one]
+    return [one[i] / q[i] - one[j] / q[j] for i in range(len(q)) for j in range(len(q)) if i != j]

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
-from helpers import rngs
+from helpers import rngs, rows_of
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from ratio.problem import COUNTS, fit
 
 import oee_tabular as oee
-from oee_tabular.ratio import joint, programs
+from oee_tabular import Transitions
+from oee_tabular._checks import Box
+from oee_tabular.ratio import _joint, joint, statements
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
@@ -28,13 +31,12 @@ def random_program(rng):
     return joint.joint_program(
         observed,
         share / share.sum(),
-        probability,
-        indptr,
-        lower=float(10 ** rng.uniform(-3, -0.1)),
-        upper=float(10 ** rng.uniform(0.1, 2)),
+        rows_of(probability, indptr),
+        Box(float(10 ** rng.uniform(-3, -0.1)), float(10 ** rng.uniform(0.1, 2))),
         ridge=float(rng.choice([0.0, 10 ** rng.uniform(-4, 1)])),
-        least=float(rng.choice([0.0, rng.uniform(0.05, 0.95)])),
-        most=float(rng.choice([np.inf, rng.uniform(1.05, 5.0)])),
+        ratio_box=Box(
+            float(rng.choice([0.0, rng.uniform(0.05, 0.95)])), float(rng.choice([np.inf, rng.uniform(1.05, 5.0)]))
+        ),
     )
 
 
@@ -43,13 +45,13 @@ def test_random_programs_are_solved_and_certified(rng):
     program = random_program(rng)
     found = joint.solve_joint(program)
     pairs = np.repeat(found.pairs, np.diff(program.indptr))
-    assert found.gap.sum() < 1e-12
+    assert joint.joint_gaps(program, found).sum() < 1e-12
     for values in (found.moves, found.pairs):
-        assert values.min() >= program.lower * (1 - 1e-12)
-        assert values.max() <= program.upper * (1 + 1e-12)
-    assert (found.moves >= program.least * pairs * (1 - 1e-12)).all()
-    if np.isfinite(program.most):
-        assert (found.moves <= program.most * pairs * (1 + 1e-12)).all()
+        assert values.min() >= program.nu * (1 - 1e-12)
+        assert values.max() <= program.mu * (1 + 1e-12)
+    assert (found.moves >= program.ratio_lower * pairs * (1 - 1e-12)).all()
+    if np.isfinite(program.ratio_upper):
+        assert (found.moves <= program.ratio_upper * pairs * (1 + 1e-12)).all()
     mass = np.add.reduceat(program.q * found.moves, program.indptr[:-1])
     assert_allclose(mass, np.add.reduceat(program.q, program.indptr[:-1]) * found.pairs, rtol=1e-12)
 
@@ -58,14 +60,11 @@ def test_against_clarabel():
     for seed in range(25):
         program = random_program(np.random.default_rng(seed))
         ours = joint.solve_joint(program)
-        point = programs.solve_joint(program)
-        value = joint.joint_objective(program, point.moves, point.pairs)
-        gap = min(
-            joint.joint_gaps(program, point.moves, point.pairs, sign * point.theta, point.push, point.press).sum()
-            for sign in (1, -1)
-        )
-        assert ours.objective <= value + 1e-9
-        assert ours.objective >= value - gap - 1e-9  # the peer's dual bound is below our value
+        point = statements.solve_joint(program)
+        best, value = joint.joint_objective(program, ours), joint.joint_objective(program, point)
+        gap = min(joint.joint_gaps(program, each).sum() for each in (point, point._replace(theta=-point.theta)))
+        assert best <= value + 1e-9
+        assert best >= value - gap - 1e-9  # the peer's dual bound is below our value
         assert gap < 1e-5
 
 
@@ -74,34 +73,31 @@ def test_a_point_that_is_off_is_not_certified(rng, which, off):
     """Feasible points on the way to B = b = 1, and multipliers that are off: objective - gap stays below the optimum."""
     program = random_program(rng)
     found = joint.solve_joint(program)
-    moves, pairs, theta = found.moves, found.pairs, found.multiplier
+    moves, pairs, theta = found.moves, found.pairs, found.theta
     if which == "theta":
         theta = theta + off
     else:
         moves, pairs = moves + off * (1.0 - moves), pairs + off * (1.0 - pairs)
     nothing = np.zeros(len(program.p))
-    gap = joint.joint_gaps(program, moves, pairs, theta, nothing, nothing).sum()
-    assert joint.joint_objective(program, moves, pairs) - gap <= found.objective + 1e-11
+    point = statements.JointPoint(moves, pairs, theta, nothing, nothing)
+    gap = joint.joint_gaps(program, point).sum()
+    assert joint.joint_objective(program, point) - gap <= joint.joint_objective(program, found) + 1e-11
     if which == "pairs":  # outside the constraint, or the box, by so much
-        far = joint.joint_gaps(program, found.moves, found.pairs * (1.0 + off), found.multiplier, nothing, nothing)
+        far = joint.joint_gaps(program, found._replace(pairs=found.pairs * (1.0 + off), eta=nothing, xi=nothing))
         big = np.add.reduceat(program.q, program.indptr[:-1])
         assert (far >= 0.99 * off * big * found.pairs - 1e-12).all()
 
 
 @pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
 def test_a_corrupted_joint_solver_is_found_out(monkeypatch, bounds):
-    from oee_tabular.kernels import joint as free
-    from oee_tabular.kernels import ratio_box as boxed
-
-    module, name = (boxed, "solve_all_boxed") if bounds else (free, "solve_all")
-    solve = getattr(module, name)
+    solve = _joint.solve_all
 
     def wrong(*arguments):
         moves, *rest = solve(*arguments)
         moves[3] *= 1.01
         return moves, *rest
 
-    monkeypatch.setattr(module, name, wrong)
+    monkeypatch.setattr(_joint, "solve_all", wrong)
     assert oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **bounds).gap > 1e-5
 
 
@@ -183,3 +179,19 @@ def test_exact_data_are_discounted_too():
     assert share.data @ np.abs(found.values.data - 1.0) < 0.03
     alike = oee.transition_ratio(log, SIMULATOR, **own)  # undiscounted on both sides: its data are early moves too
     assert np.abs(alike.values.data - found.values.data).max() > 0.05
+
+
+def test_pairs_that_the_simulator_s_data_lack():
+    """Counted where the log has them; zeta is 1 there; without an upper bound there is no program."""
+    some = Transitions([0, 0, 1, 2], [0, 1, 0, 1], [0, 1, 2, 0])
+    counts = COUNTS.copy()
+    counts[3] = 0.0  # neither side has the row (1, 1); only the log has none of (2, 0); rows 0, 1, 2, 5 on both
+    found = fit(counts, method="joint", simulator_data=some)
+    assert found.details["pairs_without_simulator_data"] == 0
+    counts[4] = 1.0
+    found = fit(counts, method="joint", simulator_data=some)
+    assert found.details["pairs_without_simulator_data"] == 1
+    assert_array_equal(found.values.toarray()[[3, 4]], np.ones((2, 3)))
+    text = r"^simulator_data must cover the log's \(s, a\), or upper be finite: the program is unbounded at 1 of them$"
+    with pytest.raises(ValueError, match=text):
+        fit(counts, method="joint", simulator_data=some, upper=np.inf)

@@ -9,10 +9,10 @@ from scipy import linalg
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.ratio import neighbours as graphs
-from oee_tabular.ratio.library import by_action, columns_of, library, name_of, values_in
-from oee_tabular.ratio.neighbours import smooth_functions
-from oee_tabular.ratio.rows import Rows
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior import neighbours as graphs
+from oee_tabular.ratio.prior.library import by_action, columns_of, library, name_of, values_in
+from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 PLACES = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [3.0, 1.0]])
 

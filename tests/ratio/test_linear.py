@@ -1,19 +1,22 @@
 """Linear and kernel classes: the interior-point method, its certificate, Clarabel, Algorithm 1, and zeta in a class."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers import rngs
 from hypothesis import assume, given, settings
 from numpy.testing import assert_allclose, assert_array_equal
+from ratio import problem
 from scipy import optimize
 
 import oee_tabular as oee
-from oee_tabular.kernels.projection import project
 from oee_tabular.ratio import features, interior
-from oee_tabular.ratio.linear import move_points
-from oee_tabular.ratio.program_types import LinearProgram
+from oee_tabular.ratio._sgd import project
+from oee_tabular.ratio.interior import certificate
+from oee_tabular.ratio.linear import implied_bound, move_points
+from oee_tabular.ratio.statements import LinearProgram
 
 LINE = np.linspace(-3.0, 3.0, 40)
 Q = np.exp(-(LINE**2) / 2)
@@ -329,3 +332,65 @@ def test_numbers_of_many_scales_end_with_a_status(rng):
     assert fit.gap >= 0
     assert (fit.status == "optimal") == (fit.gap <= 1e-8)
     assert fit.gap < 1e-4
+
+
+def test_bounds_that_the_sum_implies():
+    assert_allclose(implied_bound(np.array([0.25, 0.75, 0.0]), 0.2), [(1 - 0.15) / 0.25, (1 - 0.05) / 0.75, np.inf])
+
+
+def test_points_of_moves_are_action_place_and_displacement():
+    points = move_points(problem.SIMULATOR, problem.PLACES)
+    expected = [
+        (a, problem.PLACES[s], problem.PLACES[j] - problem.PLACES[s])
+        for s in range(3)
+        for a in range(2)
+        for j in range(3)
+    ]
+    assert_array_equal(points, expected)
+
+
+def test_a_class_has_the_numbers_of_its_program():
+    p, q = np.array([3.0, 1.0, 4.0, 2.0]), np.array([2.0, 2.0, 1.0, 5.0])
+    features = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0], [1.0, -1.0]])
+    found = oee.density_ratio(p, q, features=features, ridge=0.1)
+    w, ps, qs = found.weights, p / 10, q / 10
+    g = features @ w
+    assert_allclose(found.ratio, g, rtol=1e-9)
+    assert_allclose(found.objective, qs @ g - ps @ np.log(g) + 0.05 * w @ w, rtol=1e-9)
+    assert_allclose(found.dual_bound, found.objective - found.gap)
+    assert_allclose(found.divergence, ps @ np.log(g) - qs @ g + 1, rtol=1e-9)
+    assert found.details == {"feature_rank": 2}
+    slope = features.T @ (qs * (1 + found.normalizer) - ps / g) + 0.1 * w
+    assert_allclose(slope, 0, atol=1e-6)
+    assert (found.p_total, found.q_total, found.n_undetermined, found.status) == (10.0, 10.0, 0, "optimal")
+    assert_array_equal(found.enclosure[0], np.zeros(4))
+    assert_array_equal(found.enclosure[1], np.full(4, np.inf))
+    kernel = oee.density_ratio(p, q, kernel="gaussian", coordinates=[0.0, 0.1, 0.2, 0.4], ridge=0.1)
+    assert set(kernel.details) == {"kernel_residual", "centers"}
+    size = np.std([0.0, 0.1, 0.2, 0.4])
+    gram = np.exp(-((np.subtract.outer([0.0, 0.1, 0.2, 0.4], [0.0, 0.1, 0.2, 0.4]) / size) ** 2) / 2)
+    coefficients = np.linalg.solve(gram, kernel.ratio)
+    assert_allclose(coefficients @ gram @ coefficients, kernel.weights @ kernel.weights, rtol=1e-6)
+
+
+def test_a_class_above_one_without_an_upper_bound():
+    """One feature an entry, 2 <= g: max(p/q, 2)."""
+    p, q = np.array([1.0, 2.0, 5.0]), np.array([4.0, 3.0, 1.0])
+    found = oee.density_ratio(p, q, features=np.eye(3), lower=2.0, normalized=False)
+    assert_allclose(found.ratio, np.maximum((p / 8) / (q / 8), 2.0), rtol=1e-6)
+    assert found.status == "optimal"
+
+
+def test_how_far_a_point_is_from_its_constraints():
+    """Below, above, off the sum, and 0 inside."""
+    q = np.array([0.5, 0.5])
+    program = LinearProgram(
+        b=q, p=q, q=q, offset=np.zeros(2), features=np.eye(2), penalty=0.1, lower=0.5, upper=2.0, normalized=True,
+        ceiling=np.full(2, np.inf),
+    )  # fmt: skip
+    for g, miss in (([1.2, 0.8], 0.0), ([1.75, 0.25], 0.25), ([2.5, 2.5], 1.5), ([0.6, 0.6], 0.4)):
+        violation = certificate(program, np.array(g), np.array(g), np.zeros(2), 0.0)[1]
+        assert_allclose(violation, miss, atol=1e-15)
+    free = replace(program, normalized=False)
+    for g, miss in (([0.6, 0.6], 0.0), ([2.5, 1.0], 0.5), ([0.25, 1.0], 0.25)):
+        assert_allclose(certificate(free, np.array(g), np.array(g), np.zeros(2), 0.0)[1], miss, atol=1e-15)

@@ -11,13 +11,14 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
-from oee_tabular.kernels.matching import match
-from oee_tabular.ratio import local_tilt
-from oee_tabular.ratio import neighbours as graphs
-from oee_tabular.ratio.local_tilt import fit_local_tilt
-from oee_tabular.ratio.neighbours import REST, neighbours
+from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior import local_tilt
+from oee_tabular.ratio.prior import neighbours as graphs
+from oee_tabular.ratio.prior._neighbours import match
+from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
+from oee_tabular.ratio.prior.neighbours import REST, neighbours
+from oee_tabular.ratio.prior.tilt import fit_tilt
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.ratio.tilt import fit_tilt
 
 
 def halves(size):
@@ -195,15 +196,13 @@ def test_the_same_program_by_cvxpy():
 
 
 def test_the_gap_bounds_what_a_wrong_answer_leaves(monkeypatch):
-    from oee_tabular.ratio import programs
-
     simulator, target = halves(4)
     _, observed = counts_of(target, simulator, 600)
     whole, _ = local(observed, simulator, 5.0)
     f = risk_of(observed, simulator, whole.features, 5.0)
     best = optimize.minimize(f, np.zeros(17), method="BFGS").fun
     wrong = 0.1 * np.random.default_rng(0).normal(size=17)
-    monkeypatch.setattr(programs, "solve_tilt", lambda program, solver: wrong)
+    monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: wrong)
     _, found = local(observed, simulator, 5.0, solver="CLARABEL")
     assert 0 < (f(wrong) - best) / 600 <= found.gap
 

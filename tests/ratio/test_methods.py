@@ -63,7 +63,7 @@ def test_the_paper_s_quotient_is_two_ratios_apart():
 
 
 def test_algorithm_1_trains_both_tables():
-    """The same seed gives the same bits; both traces end near the exact programs."""
+    """The same seed gives the same bits; both traces end near the exact statements."""
     method = Quotient(normalized=False, solver=Sgd(step_size=0.1, batch_size=256), lower=0.1, upper=5.0, data="exact")
     first, again, other = (method.fit(LOG, SIMULATOR, seed=seed) for seed in (1, 1, 2))
     assert_array_equal(first.values.data, again.values.data)

@@ -6,7 +6,7 @@ from helpers import random_mdp, rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.ratio.rows import Rows
+from oee_tabular.mdp.rows import Rows
 
 
 def by_hand(simulator, chosen):

@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize, stats
 
-from oee_tabular.ratio import density_ratio_samples, sample_kernel
+from oee_tabular.ratio import density_ratio_samples
 from oee_tabular.ratio.features import gaussian
+from oee_tabular.ratio.samples import kernel as sample_kernel
+from oee_tabular.ratio.samples._log_linear import newton
 
 GRID = np.linspace(-3, 3, 400)
 
@@ -326,3 +328,44 @@ def test_at_asks_for_the_dimension_of_the_samples(options):
 def test_bad_calls(call, text):
     with pytest.raises(ValueError, match=text):
         call()
+
+
+def test_what_two_samples_say():
+    rng = np.random.default_rng(0)
+    p, q = rng.normal(0.3, 1, 60), rng.normal(0, 1, 80)
+    tilt = density_ratio_samples(p, q, features="linear")
+    assert (tilt.method, set(tilt.details)) == ("log-linear", {"theta", "center", "scale"})
+    own = density_ratio_samples(p, q, features=lambda x: x)
+    assert set(own.details) == {"theta"}
+    assert_allclose(own.q_ratio, tilt.q_ratio, rtol=1e-8)
+    kernel = density_ratio_samples(p, q)
+    assert kernel.method == "kernel"
+    assert set(kernel.details) == {"bandwidth", "ridge", "centers", "weights", "scores", "shares"}
+    assert_allclose(sum(kernel.details["shares"].values()), 1.0)
+    least = min(kernel.details["scores"], key=kernel.details["scores"].get)
+    assert least == (kernel.details["bandwidth"], kernel.details["ridge"])
+    assert_allclose(kernel.at(p), kernel.p_ratio, rtol=1e-8)
+    assert_allclose(kernel.at(q), kernel.q_ratio, rtol=1e-8)
+    few = density_ratio_samples(p, q, n_centers=7, seed=3)
+    assert len(few.details["centers"]) == 7
+    again = density_ratio_samples(p, q, n_centers=7, seed=3)
+    assert_array_equal(few.p_ratio, again.p_ratio)
+
+
+@pytest.mark.parametrize(("n", "k"), [(200, 1), (500, 5)])
+def test_the_compiled_newton_against_plain_numpy(n, k):
+    """Newton's steps on log mean exp(theta phi) - aim . theta + penalty/2 |theta|^2, undamped: the start is near enough."""
+    rng = np.random.default_rng(n)
+    phi, aim, penalty = rng.normal(size=(k, n)), rng.normal(0.2, 0.1, k), 0.01
+    theta = np.zeros(k)
+    for _ in range(50):
+        weights = np.exp(theta @ phi)
+        weights /= weights.sum()
+        off = phi - (phi @ weights)[:, None]
+        hessian = (off * weights) @ off.T + penalty * np.eye(k)
+        theta = theta - np.linalg.solve(hessian, phi @ weights - aim + penalty * theta)
+    found, gap, log_mean, shares = newton(phi, aim, penalty)
+    assert_allclose(found, theta, rtol=1e-10, atol=1e-12)
+    assert_allclose(log_mean, np.log(np.exp(theta @ phi).mean()), atol=1e-11)
+    assert_allclose(shares, weights, rtol=1e-9)
+    assert gap < 1e-15

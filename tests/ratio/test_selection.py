@@ -11,9 +11,10 @@ from numpy.testing import assert_allclose
 from scipy import optimize, special
 
 import oee_tabular as oee
-from oee_tabular.ratio import _strength, programs, selection
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selection, tilted
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import statements
+from oee_tabular.ratio.prior import _strength, selection
+from oee_tabular.ratio.prior.selection import Selection
 
 ALL, FIRST = 0, 1  # a feature for all actions, or for action 0 alone
 
@@ -25,7 +26,7 @@ def problem(seed=0, d=4, n=300, theta=0.0):
     simulator = oee.FiniteMDP(rows, np.zeros(5), np.full(5, 0.2), 0.9)
     found = Rows.of(simulator)
     base = found.centred(rng.normal(size=(50, d)))
-    model, _ = tilted(found.weights, base @ np.append(theta, np.zeros(d - np.size(theta))), found)
+    model, _ = found.tilted(base @ np.append(theta, np.zeros(d - np.size(theta))))
     sizes = rng.multinomial(n, np.full(10, 0.1))
     counts = np.concatenate([rng.multinomial(m, p) for m, p in zip(sizes, model.reshape(10, 5), strict=True)]) + 0.0
     allowed = np.ones((3, d), dtype=bool)
@@ -128,7 +129,7 @@ def test_the_gap_bounds_what_a_wrong_answer_leaves(rng, x, y):
     found = made.fit(chosen, kappa)
     wrong = found.theta + np.array([x, y])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(programs, "solve_tilt", lambda program, solver: wrong)
+        patch.setattr(statements, "solve_tilt", lambda program, solver: wrong * np.sqrt(found.precision))
         other = made.by_cvxpy(found, kappa, "CLARABEL")
     f = risk(made, dense_columns(chosen, made), kappa, found.precision)
     left = (f(wrong) - f(found.theta)) / made.count.sum()
@@ -248,7 +249,7 @@ def test_how_much_a_move_counts():
 def test_rows_tilted_by_a_large_exponent():
     rows = Rows.of(random_mdp(np.random.default_rng(0), n_states=4, n_actions=2, zeros=0.0))
     exponent = np.random.default_rng(1).normal(size=len(rows.weights)) * 500
-    model, log_z = tilted(rows.weights, exponent, rows)
+    model, log_z = rows.tilted(exponent)
     assert_allclose(rows.sums(model), 1.0, rtol=1e-13)
     expected = [
         special.logsumexp(exponent[i:j], b=rows.weights[i:j])

@@ -6,13 +6,25 @@ from helpers import random_mdp, rngs
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from ratio.problem import COUNTS, FEATURES, SIMULATOR
 from scipy import integrate, optimize, sparse, special
 
 import oee_tabular as oee
-from oee_tabular.ratio import action_displacement, prior
-from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import action_displacement, statements
+from oee_tabular.ratio.features import feature_array
+from oee_tabular.ratio.prior import strength as prior
+from oee_tabular.ratio.prior._strength import log_rising
+from oee_tabular.ratio.prior.tilt import fit_default_tilt, fit_tilt
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.ratio.tilt import feature_array, fit_default_tilt, fit_tilt
+
+
+def sums(values, indptr):
+    return np.add.reduceat(values, indptr[:-1], axis=0)
+
+
+def spread(rows, indptr):
+    return np.repeat(rows, np.diff(indptr), axis=0)
 
 
 def observed_from(rng, mdp, n):
@@ -36,7 +48,7 @@ def test_the_tilt_minimises_its_risk(rng, d):
     indptr = simulator.transitions.indptr.astype(np.int64)
     weights = simulator.transitions.data
     tilt = fit_tilt(observed, simulator, phi)
-    centred = phi - spread(segment_sums(weights[:, None] * phi, indptr), indptr)
+    centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
     scale = np.sqrt((weights[:, None] * centred**2).sum(axis=0) / 10)
     standard = centred / scale
 
@@ -45,13 +57,13 @@ def test_the_tilt_minimises_its_risk(rng, d):
             special.logsumexp(standard[a:b] @ theta, b=weights[a:b])
             for a, b in zip(indptr[:-1], indptr[1:], strict=True)
         ]
-        return segment_sums(observed, indptr) @ np.array(parts) - observed @ (standard @ theta) + 0.5 * theta @ theta
+        return sums(observed, indptr) @ np.array(parts) - observed @ (standard @ theta) + 0.5 * theta @ theta
 
     found = optimize.minimize(risk, np.zeros(d), method="BFGS", options={"gtol": 1e-9})
     assert risk(tilt.theta * scale) <= found.fun + 1e-10
     assert_allclose(tilt.theta * scale, found.x, atol=1e-5)
     assert 0 <= tilt.gap < 1e-15
-    assert_allclose(segment_sums(weights * tilt.ratio, indptr), 1.0, rtol=1e-12)
+    assert_allclose(sums(weights * tilt.ratio, indptr), 1.0, rtol=1e-12)
 
 
 def test_the_gap_is_a_bound():
@@ -64,12 +76,12 @@ def test_the_gap_is_a_bound():
     # at theta = 0 the gradient is known in closed form
     indptr = simulator.transitions.indptr.astype(np.int64)
     phi = np.log(simulator.transitions.data)
-    centred = phi - spread(segment_sums(simulator.transitions.data * phi, indptr), indptr)
+    centred = phi - spread(sums(simulator.transitions.data * phi, indptr), indptr)
     scale = np.sqrt((simulator.transitions.data * centred**2).sum() / 100)
     gradient = observed @ (centred / scale)
-    n_row = segment_sums(observed, indptr)
+    n_row = sums(observed, indptr)
     theta = best.theta[0] * scale
-    log_z = np.log(segment_sums(simulator.transitions.data * np.exp(theta * centred / scale), indptr))
+    log_z = np.log(sums(simulator.transitions.data * np.exp(theta * centred / scale), indptr))
     fall = -(n_row @ log_z - theta * gradient + 0.5 * theta**2)
     assert 0 < fall <= 0.5 * gradient**2
 
@@ -78,7 +90,7 @@ def test_a_target_that_is_a_tilt_is_found():
     simulator = random_mdp(np.random.default_rng(1), n_states=6, n_actions=2, zeros=0.0)
     indptr = simulator.transitions.indptr.astype(np.int64)
     raw = simulator.transitions.data**1.7
-    data = raw / spread(segment_sums(raw, indptr), indptr)
+    data = raw / spread(sums(raw, indptr), indptr)
     tilt = fit_tilt(1e7 * data, simulator)
     assert_allclose(tilt.theta, [0.7], atol=1e-6)
     assert_allclose(tilt.ratio, data / simulator.transitions.data, rtol=1e-6)
@@ -170,7 +182,7 @@ def test_the_evidence_is_the_probability_of_the_counts(rng, strength):
         entry = indptr[row] + int(np.flatnonzero(simulator.transitions.indices[indptr[row] : indptr[row + 1]] == t)[0])
         total += np.log((strength * m[entry] + seen[entry]) / (strength + seen[rows == row].sum()))
         seen[entry] += 1
-    assert_allclose(prior.evidence(strength, seen, m, indptr), total, rtol=1e-9, atol=1e-9)
+    assert_allclose(prior.score(strength, seen, m, Rows.of(simulator)), total, rtol=1e-9, atol=1e-9)
 
 
 @given(rngs, st.floats(0.01, 1000))
@@ -185,7 +197,7 @@ def test_leave_one_out_leaves_one_out(rng, strength):
         rest = observed.copy()
         rest[x] -= 1
         total += observed[x] * np.log((rest[x] + strength * m[x]) / (rest[rows == rows[x]].sum() + strength))
-    assert_allclose(prior.leave_one_out(strength, observed, m, indptr), total, rtol=1e-12)
+    assert_allclose(prior.score(strength, observed, m, Rows.of(simulator), "loo"), total, rtol=1e-12)
 
 
 @pytest.mark.parametrize("criterion", ["evidence", "loo"])
@@ -210,7 +222,7 @@ def test_log_rising_does_not_cancel():
     n = np.array([3.0, 1.0, 250.0])
     for base in (1e-3, 1.0, 1e8, 1e12):
         direct = [sum(np.log1p(i / base) for i in range(int(k))) + k * np.log(base) for k in n]
-        assert_allclose(prior.log_rising(np.full(3, base), n), direct, rtol=1e-11)
+        assert_allclose([log_rising(base, k) for k in n], direct, rtol=1e-11)
 
 
 def test_the_ridge_may_be_chosen_on_the_data():
@@ -314,7 +326,7 @@ def test_a_target_of_one_power_keeps_one_number():
     indptr = simulator.transitions.indptr.astype(np.int64)
     raw = simulator.transitions.data**1.5
     target = simulator.with_transitions(
-        sparse.csr_array((raw / spread(segment_sums(raw, indptr), indptr), simulator.transitions.indices, indptr))
+        sparse.csr_array((raw / spread(sums(raw, indptr), indptr), simulator.transitions.indices, indptr))
     )
     kept = [fit_default_tilt(observed_from(np.random.default_rng(seed), target, 2000), simulator) for seed in range(8)]
     assert sum(tilt.theta.shape == (1,) for tilt in kept) >= 7
@@ -347,9 +359,43 @@ def test_the_evidence_of_a_tilt_is_its_integral():
     indptr, phi = simulator.transitions.indptr.astype(np.int64), tilt.features[:, 0]
 
     def risk(theta):
-        log_z = np.log(segment_sums(simulator.transitions.data * np.exp(theta * phi), indptr))
-        return segment_sums(observed, indptr) @ log_z - theta * observed @ phi + 0.5 * theta**2
+        log_z = np.log(sums(simulator.transitions.data * np.exp(theta * phi), indptr))
+        return sums(observed, indptr) @ log_z - theta * observed @ phi + 0.5 * theta**2
 
     line = tilt.coefficients[0] + np.linspace(-1, 1, 2001)
     found = np.log(integrate.trapezoid(np.exp([-risk(t) for t in line]), line) / np.sqrt(2 * np.pi))
     assert_allclose(tilt.evidence, found, atol=0.01)
+
+
+def test_the_tilt_at_its_optimum():
+    """The penalised score is 0: expected less observed features plus theta, in standard units."""
+    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES)
+    p, n = SIMULATOR.transitions.toarray(), COUNTS.sum(axis=1)
+    phi = FEATURES.reshape(6, 3, 2)
+    phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
+    scale = np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
+    raw = p * np.exp(phi @ tilt.theta)
+    model = raw / raw.sum(axis=1, keepdims=True)
+    assert_allclose(tilt.ratio.reshape(6, 3), model / p, rtol=1e-9)
+    score = np.einsum("x,xj,xjd->d", n, model, phi / scale) - np.einsum("xj,xjd->d", COUNTS, phi / scale)
+    assert_allclose(score + tilt.theta * scale, 0, atol=1e-6)
+    centred = phi / scale - (model[:, :, None] * phi / scale).sum(axis=1, keepdims=True)
+    assert_allclose(tilt.scores, centred.reshape(18, 2), atol=1e-9)
+    information = np.einsum("x,xj,xjd,xje->de", n, model, centred, centred) + np.eye(2)
+    assert_allclose(tilt.information, information, rtol=1e-8)
+    assert tilt.rank == 2
+    assert tilt.gap < 1e-12
+    other = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
+    assert_allclose(other.theta, tilt.theta, rtol=1e-3, atol=1e-4)
+
+
+def test_the_gap_of_a_tilt_that_is_not_the_best(monkeypatch):
+    """|gradient|^2 / 2 over the number of moves, here at theta = 0: expected less observed features."""
+    monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: np.zeros(2))
+    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
+    p, phi = SIMULATOR.transitions.toarray(), FEATURES.reshape(6, 3, 2)
+    phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
+    phi = phi / np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
+    gradient = -np.einsum("xj,xjd->d", COUNTS, phi)
+    assert_allclose(tilt.gap, 0.5 * gradient @ gradient / 43, rtol=1e-9)
+    assert_allclose(tilt.ratio, 1.0)

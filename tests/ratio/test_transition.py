@@ -8,7 +8,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.ratio.programs import SolverStatusError
+from oee_tabular.ratio.statements import SolverStatusError
 
 
 def by_clarabel(counts, simulator, **options):

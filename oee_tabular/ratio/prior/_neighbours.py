@@ -1,14 +1,11 @@
 """Greedy heavy-edge matching of a weighted graph: one round of coarsening."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def match(indptr: Any, indices: Any, weights: Any, sizes: Any) -> Any:
+@njit(cache=True)
+def match(indptr, indices, weights, sizes):
     """The group of each node after one round: groups are numbered from 0 in the order of their first nodes.
 
     Nodes in order; each free one is joined with its free neighbour of largest weight / (product of sizes) (the first of
@@ -46,6 +43,3 @@ def match(indptr: Any, indices: Any, weights: Any, sizes: Any) -> Any:
             count += 1
             alone = v
     return group
-
-
-match = njit(cache=True)(match)

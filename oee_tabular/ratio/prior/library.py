@@ -28,8 +28,8 @@ from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.layout import DIGITS
-from oee_tabular.ratio.neighbours import smooth_functions
-from oee_tabular.ratio.rows import Rows
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 SMOOTH, MOVES = 3, 8  # functions on the graph, displacements
 FREQUENT = 0.02  # share of the simulated moves that a displacement must have

@@ -3,17 +3,27 @@
 The choice of kappa is 5 times as fast as by scipy's gammaln (a grid of 40 x 40, 20 000 moves).
 """
 
-from __future__ import annotations
-
 from math import log, log1p
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit
 
 FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
 
 
-def log_rising(base: Any, n: Any) -> Any:
+class Counts(NamedTuple):
+    """The visited rows: their kinds, and of their entries with moves the ends, the counts, the prior's rows; n of each row."""
+
+    kind: Any
+    ends: Any
+    counts: Any
+    prior: Any
+    n: Any
+
+
+@njit(cache=True, error_model="numpy")
+def log_rising(base, n):
     """ln Gamma(base + n) - ln Gamma(base), for base, n > 0, without the cancellation of two large logarithms.
 
     Both arguments are carried to at least ``FAR`` by Gamma(x + 1) = x Gamma(x); there the difference of Stirling's series,
@@ -40,19 +50,14 @@ def log_rising(base: Any, n: Any) -> Any:
     return (x - 0.5) * log1p(gap / x) + gap * log(y) - gap + series_y - series_x + log(over / under)
 
 
-log_rising = njit(cache=True, error_model="numpy")(log_rising)
-
-
-def evidence_by_kind(
-    kappa: Any, kind: Any, indptr: Any, counts: Any, prior: Any, total: Any, score: Any
-) -> None:  # one row a visited row, its entries with moves only
-    """Adds to ``score`` (kinds,) the log marginal likelihood of the rows' counts at kappa (kinds,)."""
-    for row in range(len(total)):
-        strength = kappa[kind[row]]
-        gained = -log_rising(strength, total[row])
-        for x in range(indptr[row], indptr[row + 1]):
-            gained += log_rising(strength * prior[x], counts[x])
-        score[kind[row]] += gained
-
-
-evidence_by_kind = njit(cache=True, error_model="numpy")(evidence_by_kind)
+@njit(cache=True, error_model="numpy")
+def evidence_by_kind(kappa, rows):
+    """The log marginal likelihood of the rows' counts, summed over each kind, at kappa (kinds,)."""
+    score = np.zeros(len(kappa))
+    for row in range(len(rows.n)):
+        strength = kappa[rows.kind[row]]
+        gained = -log_rising(strength, rows.n[row])
+        for x in range(rows.ends[row], rows.ends[row + 1]):
+            gained += log_rising(strength * rows.prior[x], rows.counts[x])
+        score[rows.kind[row]] += gained
+    return score

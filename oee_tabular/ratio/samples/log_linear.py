@@ -13,7 +13,8 @@ from scipy import special
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.features import warn_of_rank
-from oee_tabular.ratio.sample_result import SampleRatio
+from oee_tabular.ratio.samples._log_linear import newton
+from oee_tabular.ratio.samples.result import SampleRatio
 
 
 class SampleTilt(NamedTuple):
@@ -53,20 +54,20 @@ def fit_log_linear(p: Array, q: Array, features: Callable[[Array], Any] | str) -
 
 def sample_tilt(p: Array, q: Array, features: Callable[[Array], Any] | str, *, capped: bool = False) -> SampleTilt:
     """The fit; where ``capped`` its function gives no more than the largest ratio at the two samples."""
-    from oee_tabular.kernels.loglinear import log_tilt, newton, row_statistics, standardise
-
     phi, details = _feature_function(q, features)
     at_p, at_q = phi(p), phi(q)
-    center, spread = row_statistics(at_q)
+    center, spread = _mean_and_deviation(at_q)
     used, lost = spread > 0.0, np.zeros(0, dtype=np.int64)
     if not used.all():
         moves = np.abs(at_p - center[:, None]).max(axis=1) > 1e-12 * np.abs(center)
         lost = np.flatnonzero(moves & ~used)
     scale = np.where(used, spread, np.inf)
-    aim, _ = standardise(at_p, center, scale), standardise(at_q, center, scale)
+    for points in (at_p, at_q):
+        points -= center[:, None]
+        points /= scale[:, None]
     values = np.linalg.eigvalsh(at_q @ at_q.T)[len(used) - used.sum() :]
     collinear = at_q[used].T if len(values) and values[0] <= 1e-10 * values[-1] else None
-    theta, _, log_mean, weights = newton(at_q, aim, 1.0 / len(p))
+    theta, _, log_mean, weights = newton(at_q, at_p.mean(axis=1), 1.0 / len(p))
     gap = _gap(theta, weights, at_p, at_q)
     log_p, q_ratio, slope = theta @ at_p - log_mean, weights * len(q), theta / scale
     farthest = int(log_p.argmax())
@@ -74,7 +75,9 @@ def sample_tilt(p: Array, q: Array, features: Callable[[Array], Any] | str, *, c
     limit = max(log_ratio, math.log(q_ratio.max())) if capped else 700.0  # exp of more is not a float
 
     def ratio(x: Array) -> Array:
-        return np.asarray(np.exp(np.minimum(log_tilt(phi(x), center, slope, log_mean), limit)))
+        values = phi(x) - center[:, None]
+        values *= slope[:, None]
+        return np.asarray(np.exp(np.minimum(values.sum(axis=0) - log_mean, limit)))
 
     details = {"theta": slope, **details}
     p_ratio = np.exp(np.minimum(log_p, 700.0))
@@ -122,6 +125,13 @@ def score_test(tilt: SampleTilt, d: int) -> float:
     return float(special.gammaincc(known.sum() / 2.0, statistic / 2.0))
 
 
+def _mean_and_deviation(x: Array) -> tuple[Array, Array]:
+    """Of each row of (k, n) numbers; a deviation that is only rounding is 0."""
+    center = x[:, 0] + (x - x[:, :1]).mean(axis=1)
+    deviation = np.sqrt(((x - center[:, None]) ** 2).mean(axis=1))
+    return center, np.where(deviation <= 1e-12 * np.abs(center), 0.0, deviation)
+
+
 def _bumps(z: Array, places: Array) -> Array:
     """exp(-2 |z - c|^2 / d) for the columns of z (d, n) and of places (d, m), as (m, n)."""
     values = places.T @ z
@@ -135,21 +145,25 @@ def _feature_function(
     q: Array, features: Callable[[Array], Any] | str
 ) -> tuple[Callable[[Array], Array], dict[str, Any]]:
     """The features of points as new (k, n) rows, checked, and what the words make of x first: (x - center) / scale."""
-    function, details = features, {}
-    if not callable(function):
+    if not callable(features):
         _checks.one_of(features, "features", ("linear", "quadratic"))
-        from oee_tabular.kernels.loglinear import row_statistics, words
-
-        center, spread = row_statistics(np.ascontiguousarray(q.T))
+        center, spread = _mean_and_deviation(q.T)
         scale = np.where(spread > 0.0, spread, 1.0)
-        details = {"center": center, "scale": scale}
-        return lambda x: words(x, center, scale, features == "quadratic"), details  # finite, of the right shape
+
+        def standard(x: Array) -> Array:
+            return np.array((x - center).T / scale[:, None], order="C")
+
+        def products(x: Array) -> Array:
+            z = standard(x)
+            return np.concatenate([z, *(z[j] * z[j:] for j in range(len(z)))])
+
+        return {"linear": standard, "quadratic": products}[str(features)], {"center": center, "scale": scale}
 
     def phi(x: Array) -> Array:
-        array = _checks.float_array(function(x), "features", ndim=(1, 2))
+        array = _checks.float_array(features(x), "features", ndim=(1, 2))
         if len(array) != len(x):
             raise ValueError(f"features must give one row a point; they give {len(array)} for {len(x)}")
         _checks.require_finite(array, "features")
         return np.array(array.reshape(len(x), -1).T, order="C")
 
-    return phi, details
+    return phi, {}

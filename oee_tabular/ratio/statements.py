@@ -1,4 +1,4 @@
-"""The same programs as cvxpy statements, solved by a conic solver: the reference that the structured solver is held to.
+"""Every program as data, and as cvxpy states it for a conic solver: the reference that the structured solvers are held to.
 
 Squares stand in epigraph form (s >= (g - c)^2 as second-order cones): a quadratic objective beside exponential cones stalls.
 Only the status "optimal" is accepted.
@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.ratio.dual import Coordinates
-from oee_tabular.ratio.program_types import JointProgram, LinearProgram, TiltProgram
 
 # Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4
 TOLERANCES = (1e-12, 1e-10, 1e-8)
@@ -31,13 +30,66 @@ class SolverStatusError(RuntimeError):
     """The solver did not report an optimal point; its numbers are not handed on."""
 
 
-@dataclass(frozen=True)
-class ProgramSolution:
-    """Ratios, multipliers of the equalities (one a row), status."""
+class JointProgram(NamedTuple):
+    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,); nu, mu the box, lam the ridge.
 
-    ratio: Array
-    multiplier: Array
-    status: str
+    ``ratio_lower`` and ``ratio_upper`` bound the ratio beta_sas' / beta_sa (0 and inf: free).
+    """
+
+    p: Array
+    q: Array
+    s: Array
+    r: Array
+    indptr: IntArray
+    nu: float
+    mu: float
+    ratio_lower: float
+    ratio_upper: float
+    lam: float
+
+
+class JointPoint(NamedTuple):
+    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the lower and upper bounds on their ratio."""
+
+    moves: Array
+    pairs: Array
+    theta: Array
+    eta: Array
+    xi: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProgram:
+    """The program of ``ratio.interior`` over g = offset + features w.
+
+    b, p, q, offset are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized`` says whether sum q g = 1 is
+    imposed. ``ceiling`` is an upper bound on every feasible g that the constraints imply, for the certificate's sake.
+    """
+
+    b: Array
+    p: Array
+    q: Array
+    offset: Array
+    features: Array
+    penalty: float
+    lower: float
+    upper: float
+    normalized: bool
+    ceiling: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TiltProgram:
+    """The tilt's program: counts (entries,), log of the simulator's rows, features (entries, d), rows by ``indptr``.
+
+    ``penalty``: the positive definite matrix M of the term theta' M theta / 2 (None: the identity).
+    """
+
+    counts: Array
+    log_weights: Array
+    features: Array | sparse.csr_array
+    indptr: IntArray
+    penalty: sparse.csc_array | None = None
 
 
 def check_solver(solver: str) -> None:
@@ -79,11 +131,11 @@ def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
         cost = cost - p[seen] @ cp.log(g[seen])
     squares = [(curvature, program.center)] + ([(q, np.zeros(len(q)))] if program.squares else [])
     for weight, center in squares:
-        bent = np.flatnonzero(weight > 0)
-        if bent.size:
-            height = cp.Variable(bent.size)
-            constraints.append(cp.square(g[bent] - center[bent]) <= height)
-            cost = cost + 0.5 * (weight[bent] @ height)
+        curved = np.flatnonzero(weight > 0)
+        if curved.size:
+            height = cp.Variable(curved.size)
+            constraints.append(cp.square(g[curved] - center[curved]) <= height)
+            cost = cost + 0.5 * (weight[curved] @ height)
     equality = None
     filled = np.zeros(0, dtype=np.int64)
     if indptr is not None:
@@ -96,30 +148,19 @@ def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
 
 def solve_rows(
     program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
-) -> ProgramSolution:
-    """The statement above, solved by ``solver``.
+) -> tuple[Array, Array]:
+    """The statement above, solved by ``solver``: g inside the box, and the multipliers of the equalities (one a row).
 
     Raises SolverStatusError (a RuntimeError) for any status but "optimal", ValueError for a solver that is not
     installed. Cost: a conic program with an exponential cone an entry.
     """
     check_solver(solver)
     statement = state_rows(program, lower, upper, indptr)
-    status = _solve(statement.problem, solver)
+    _solve(statement.problem, solver)
     multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
     if statement.equality is not None:
         multiplier[statement.rows] = np.ravel(statement.equality.dual_value)
-    return ProgramSolution(np.asarray(statement.variable.value, dtype=np.float64), multiplier, status)
-
-
-@dataclass(frozen=True, eq=False)
-class JointPoint:
-    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the two bounds on their ratio."""
-
-    moves: Array
-    pairs: Array
-    theta: Array
-    push: Array
-    press: Array
+    return np.clip(statement.variable.value, max(lower, np.finfo(float).tiny), upper), multiplier
 
 
 def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:
@@ -129,35 +170,32 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     check_solver(solver)
     moves, pairs = cp.Variable(len(program.p)), cp.Variable(len(program.s))
     cost = program.q @ moves + program.r @ pairs
-    constraints = [moves >= program.lower, pairs >= program.lower]
-    if program.upper < np.inf:
-        constraints += [moves <= program.upper, pairs <= program.upper]
+    constraints = [moves >= program.nu, pairs >= program.nu]
+    if program.mu < np.inf:
+        constraints += [moves <= program.mu, pairs <= program.mu]
     for weights, variable in ((program.p, moves), (program.s, pairs)):
         seen = np.flatnonzero(weights > 0)
         cost = cost - weights[seen] @ cp.log(variable[seen])
-    for bend, variable in ((program.bend, moves), (program.stiffness, pairs)):
-        if bend.any():
-            height = cp.Variable(len(bend))
+        if program.lam > 0:
+            height = cp.Variable(len(weights))
             constraints.append(cp.square(variable) <= height)
-            cost = cost + 0.5 * (bend @ height)
-    rows = sparse.csr_array(
-        (program.q, np.arange(len(program.q)), program.indptr), shape=(len(program.s), len(program.q))
-    )
+            cost = cost + 0.5 * program.lam * cp.sum(height)
+    shape = len(program.s), len(program.q)
+    rows = sparse.csr_array((program.q, np.arange(len(program.q)), program.indptr), shape=shape)
     consistency = rows @ moves == cp.multiply(np.asarray(rows.sum(axis=1)).reshape(-1), pairs)
     constraints.append(consistency)
     at_entry = pairs[np.repeat(np.arange(len(program.s)), np.diff(program.indptr))]
-    below = moves >= program.least * at_entry if program.least > 0 else None
-    above = moves <= program.most * at_entry if program.most < np.inf else None
+    below = moves >= program.ratio_lower * at_entry if program.ratio_lower > 0 else None
+    above = moves <= program.ratio_upper * at_entry if program.ratio_upper < np.inf else None
     constraints += [bound for bound in (below, above) if bound is not None]
-    problem = cp.Problem(cp.Minimize(cost), constraints)
-    _solve(problem, solver)
-    smallest = max(program.lower, np.finfo(float).tiny)
-    found = [np.clip(variable.value, smallest, program.upper) for variable in (moves, pairs)]
-    push, press = (
+    _solve(cp.Problem(cp.Minimize(cost), constraints), solver)
+    smallest = max(program.nu, np.finfo(float).tiny)
+    found = [np.clip(variable.value, smallest, program.mu) for variable in (moves, pairs)]
+    eta, xi = (
         np.zeros(len(program.q)) if bound is None else np.maximum(np.ravel(bound.dual_value), 0.0)
         for bound in (below, above)
     )
-    return JointPoint(found[0], found[1], np.ravel(consistency.dual_value), push, press)
+    return JointPoint(found[0], found[1], np.ravel(consistency.dual_value), eta, xi)
 
 
 def state_linear(program: LinearProgram) -> tuple[Any, Any, Any, Any]:
@@ -195,7 +233,7 @@ def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[A
 def state_tilt(program: TiltProgram) -> tuple[Any, Any]:
     """The tilt: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + theta' M theta / 2.
 
-    M is the identity (``ratio.tilt``), or the penalty of ``ratio.local_tilt``. Rows of one length share one log-sum-exp atom.
+    M is the identity, or what ``TiltRisk`` penalises by. Rows of one length share one log-sum-exp atom.
     """
     import cvxpy as cp
 
@@ -224,14 +262,13 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
     return np.asarray(theta.value, dtype=np.float64)
 
 
-def _solve(problem: Any, solver: str) -> str:
+def _solve(problem: Any, solver: str) -> None:
     """Solve to the status "optimal", or SolverStatusError."""
     status = _run(problem, solver)
     if status != "optimal":
         raise SolverStatusError(
             f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
         )
-    return status
 
 
 def _run(problem: Any, solver: str) -> str:

@@ -23,13 +23,13 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.library import Feature, by_action, columns_of, library, name_of
-from oee_tabular.ratio.local_tilt import LocalTilt
-from oee_tabular.ratio.prior import StrengthChoice, choose_strength, kinds_of_rows
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.library import Feature, by_action, columns_of, library, name_of
+from oee_tabular.ratio.prior.local_tilt import LocalTilt
+from oee_tabular.ratio.prior.selection import Selected, Selection
+from oee_tabular.ratio.prior.strength import StrengthChoice, choose_strength, kinds_of_rows
+from oee_tabular.ratio.prior.tilt import Tilt
 from oee_tabular.ratio.result import Part
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.selection import Selected, Selection, tilted
-from oee_tabular.ratio.tilt import Tilt
 
 EXPECTED, SEARCHED, UNSEEN = 1.0, 3.0, 4.0
 ENTRY = 2.0  # nats that a feature must gain to be tried at all
@@ -64,14 +64,14 @@ def fit_centre(
     """
     whole = Rows.of(simulator)
     is_open = np.diff(whole.indptr) > 1
-    told = (whole.sums(observed) > 0) & is_open
-    if not told.any():
+    visited = (whole.sums(observed) > 0) & is_open
+    if not visited.any():
         return (Part("simulator", 1.0, 0.0, whole.weights),)
-    rows = Rows.of(simulator, told)
+    rows = Rows.of(simulator, visited)
     counts = observed[rows.entries]
-    log = _Log(rows, counts, kinds_of_rows(rows.weights, counts, rows.indptr))
+    log = _Log(rows, counts, kinds_of_rows(counts, rows))
     matters = np.where(is_open, 1.0 if time is None else time, 0.0)
-    unseen = UNSEEN * float(matters[~told].sum()) / max(float(matters.sum()), 1e-300)
+    unseen = UNSEEN * float(matters[~visited].sum()) / max(float(matters.sum()), 1e-300)
     likelihood = _likelihood(counts, tilt.ratio[rows.entries])
     candidates = [
         _Candidate("simulator", rows.weights, 0.0, lambda: (whole.weights, None, None)),
@@ -94,7 +94,7 @@ class _Log:
 
     def strength(self, model: Array) -> StrengthChoice:
         """kappa around the rows ``model``."""
-        return choose_strength(self.counts, model, self.rows.weights, self.rows.indptr, kind=self.kind)
+        return choose_strength(self.counts, model, self.rows, kind=self.kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +139,12 @@ def _along_features(
         found += [(fitted, kappa) for fitted in selection.path(kappa, price)]
     if solver != "dual":
         found = [(selection.by_cvxpy(fitted, kappa, solver), kappa) for fitted, kappa in found]
-    made = []
+    candidates = []
     for fitted, kappa in found:
         counted = np.ones(len(whole))
-        counted[log.rows.state * simulator.n_actions + log.rows.action] = selection.counted(kappa)
-        made.append(_of_features(fitted, selection.scale, counted, features, whole, unseen))
-    return made
+        counted[log.rows.number] = selection.counted(kappa)
+        candidates.append(_of_features(fitted, selection.scale, counted, features, whole, unseen))
+    return candidates
 
 
 def _of_features(
@@ -154,8 +154,8 @@ def _of_features(
 
     def everywhere() -> tuple[Array, Array, Array]:
         columns = columns_of(fitted.chosen, lambda j: features[j].column(whole), scale, whole.spread(whole.action))
-        model, _ = tilted(whole.weights, columns @ fitted.theta, whole)
-        return model, columns - whole.spread(whole.sums(model[:, None] * columns)), fitted.information
+        model, _ = whole.tilted(columns @ fitted.theta)
+        return model, columns - whole.spread(whole.mean(model, columns)), fitted.information
 
     names = [name_of(chosen, features) for chosen in fitted.chosen]
     price = sum(EXPECTED if features[j].expected and part == 0 else SEARCHED for j, part in fitted.chosen)

@@ -3,15 +3,12 @@
 Reference: [1] C. Hildreth, A quadratic programming procedure, Naval Research Logistics Quarterly 4, 1957.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def project(w: Any, phi: Any, lengths: Any, lower: Any, upper: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def project(w, phi, lengths, lower, upper):
     """Replace ``w`` by its projection; ``lengths`` are the squared lengths of phi's rows. Returns the sweeps made.
 
     Sweeps until no constraint moves Phi w by more than 1e-12, at most 10 000; a polytope without points never settles.
@@ -40,6 +37,3 @@ def project(w: Any, phi: Any, lengths: Any, lower: Any, upper: Any) -> Any:
         if largest <= 1e-12:
             return sweep + 1
     return 10_000
-
-
-project = njit(cache=True, error_model="numpy")(project)

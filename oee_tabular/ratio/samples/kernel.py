@@ -9,7 +9,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio.features import Kernel, gaussian, gram
-from oee_tabular.ratio.sample_result import SampleRatio
+from oee_tabular.ratio.samples.result import SampleRatio
 
 
 def fit_kernel(p: Array, q: Array, kernel: str | Kernel, n_centers: int, generator: np.random.Generator) -> SampleRatio:

@@ -15,6 +15,9 @@ with the most evidence for a theta_j of its own, by its score s and its informat
 
 which is (z^2 - 1 - ln z^2) / 2, z^2 = s^2 / I, where that lambda is not below 1.
 
+Differs from [1] in lambda >= 1 (a unit prior is the widest) and in the rows' weights w; from [2] in that a feature once in
+stays, and pays a price beside its evidence.
+
 References: [1] D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992. [2] M. E. Tipping and A. C. Faul, Fast
 marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
 """
@@ -22,17 +25,14 @@ marginal likelihood maximisation for sparse Bayesian models, AISTATS 2003.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular.ratio import programs
-from oee_tabular.ratio.library import Chosen, columns_of
-from oee_tabular.ratio.program_types import TiltProgram
-from oee_tabular.ratio.rows import Rows
-from oee_tabular.ratio.segments import segment_max
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior.library import Chosen, columns_of
+from oee_tabular.ratio.prior.tilt import Minimum, TiltRisk, minimise
 
 MOST = 6  # features of one tilt
 TIGHTEST = 1e6  # lambda of a feature that is as good as out
@@ -65,14 +65,6 @@ class Selected:
             return 0.0
         log_determinant = float(np.linalg.slogdet(self.information)[1])
         return 0.5 * (log_determinant - float(np.log(self.precision).sum()) + float(self.precision @ self.theta**2))
-
-
-def tilted(weights: Array, exponent: Array, rows: Rows) -> tuple[Array, Array]:
-    """Rows proportional to weights * exp(exponent), and ln Z of each."""
-    top = segment_max(exponent, rows.indptr)
-    raw = weights * np.exp(exponent - rows.spread(top))
-    total = rows.sums(raw)
-    return raw / rows.spread(total), top + np.log(total)
 
 
 class Selection:
@@ -113,53 +105,27 @@ class Selection:
 
     def fit(self, chosen: Sequence[Chosen], kappa: Array, start: Selected | None = None) -> Selected:
         """theta and lambda of given features, by at most eight rounds of Newton's method and MacKay's rule."""
-        weight = self.counted(kappa)
-        features, k = self.columns(chosen), len(chosen)
+        k = len(chosen)
         theta, precision = np.zeros(k), np.ones(k)
         if start is not None:
             theta[: len(start.theta)], precision[: len(start.theta)] = start.theta, start.precision
         for _ in range(8):
-            theta, model, information, gap = self._newton(features, weight, theta, precision)
-            inverse = np.diag(np.linalg.inv(information))
-            new = (1.0 - precision * inverse) / np.maximum(theta**2, 1e-300)
-            new = np.clip(new, 1.0, TIGHTEST)
-            still = bool((np.abs(np.log(new / precision)) < 0.05).all())
-            precision = new
-            if still:
+            found = minimise(self._risk(chosen, kappa, precision), theta)
+            theta, last = found.theta, precision
+            new = (1.0 - precision * np.diag(np.linalg.inv(found.hessian))) / np.maximum(theta**2, 1e-300)
+            precision = np.clip(new, 1.0, TIGHTEST)
+            if (np.abs(np.log(precision / last)) < 0.05).all():
                 break
-        theta, model, information, gap = self._newton(features, weight, theta, precision)
-        return Selected(tuple(chosen), theta, precision, information, model, gap)
+        return self._selected(chosen, precision, minimise(self._risk(chosen, kappa, precision), theta))
 
-    def _newton(
-        self, features: Array, weight: Array, theta: Array, precision: Array
-    ) -> tuple[Array, Array, Array, float]:
-        """The minimiser of f, its rows, f'' and a bound on f less its minimum."""
-        rows, mass = self.rows, weight * self.count
-        pulled = (rows.spread(weight) * self.observed) @ features
+    def _risk(self, chosen: Sequence[Chosen], kappa: Array, precision: Array) -> TiltRisk:
+        """f, with each row's counts weighed."""
+        counts = self.rows.spread(self.counted(kappa)) * self.observed
+        return TiltRisk(self.rows, counts, self.columns(chosen), precision)
 
-        def value(at: Array) -> tuple[float, Array]:
-            model, log_normalizer = tilted(rows.weights, features @ at, rows)
-            return float(mass @ log_normalizer - pulled @ at + 0.5 * precision @ at**2), model
-
-        best, model = value(theta)
-        while True:
-            mean = rows.sums(model[:, None] * features)
-            scores = features - rows.spread(mean)
-            information = (scores * (model * rows.spread(mass))[:, None]).T @ scores + np.diag(precision)
-            gradient = mass @ mean - pulled + precision * theta
-            step = -np.linalg.solve(information, gradient)
-            decrement, length = float(-gradient @ step), 1.0
-            if decrement <= 1e-14 * max(1.0, abs(best)):
-                break
-            trial, found = value(theta + step)
-            while trial > best - 1e-4 * length * decrement and length > 1e-6:
-                length *= 0.5
-                trial, found = value(theta + length * step)
-            if not trial < best:
-                break
-            theta, best, model = theta + length * step, trial, found
-        gap = 0.5 * float(np.sum(gradient**2 / precision)) / max(float(self.count.sum()), 1.0)
-        return theta, model, information, gap
+    def _selected(self, chosen: Sequence[Chosen], precision: Array, found: Minimum) -> Selected:
+        gap = found.gap / max(float(self.count.sum()), 1.0)
+        return Selected(tuple(chosen), found.theta, precision, found.hessian, found.model, gap)
 
     def gains(self, fitted: Selected | None, kappa: Array) -> Array:
         """(1 + A, d) evidence in nats that each feature would add; -inf for one that is in, or tells nothing."""
@@ -200,16 +166,9 @@ class Selection:
 
     def by_cvxpy(self, fitted: Selected, kappa: Array, solver: str) -> Selected:
         """The same features and lambda, theta by a cvxpy solver."""
-        weight, features = self.counted(kappa), self.columns(fitted.chosen)
-        counts = self.rows.spread(weight) * self.observed
-        penalty = sparse.csc_array(np.diag(fitted.precision))
-        program = TiltProgram(counts, np.log(self.rows.weights), features, self.rows.indptr, penalty)
-        theta = programs.solve_tilt(program, solver=solver)
-        model, _ = tilted(self.rows.weights, features @ theta, self.rows)
-        mean, mass = self.rows.sums(model[:, None] * features), weight * self.count
-        gradient = mass @ mean - counts @ features + fitted.precision * theta
-        gap = 0.5 * float(np.sum(gradient**2 / fitted.precision)) / max(float(self.count.sum()), 1.0)
-        return Selected(fitted.chosen, theta, fitted.precision, fitted.information, model, gap)
+        risk = self._risk(fitted.chosen, kappa, fitted.precision)
+        theirs = self._selected(fitted.chosen, fitted.precision, minimise(risk, fitted.theta, solver))
+        return replace(theirs, information=fitted.information)
 
 
 def _gain(score: Array, information: Array, usable: BoolArray) -> Array:

@@ -6,15 +6,12 @@ negative, plus |multiplier| times what an equality is missed by, and the miss it
 its sum: a wrong g, a wrong multiplier and a point outside the constraints all show.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def excess(b: Any, a: Any, p: Any, g: Any, lower: Any, upper: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def excess(b, a, p, g, lower, upper):
     """h(g) - min of h over [lower, upper], h(g) = b g - p log g + a/2 g^2; inf where there is no minimum.
 
     A g outside counts as the nearest inside, and as far as it is off.
@@ -45,67 +42,56 @@ def excess(b: Any, a: Any, p: Any, g: Any, lower: Any, upper: Any) -> Any:
     return total
 
 
-excess = njit(cache=True, error_model="numpy")(excess)
-
-
-def missed(miss: Any, multiplier: Any, n: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def missed(miss, multiplier, n):
     """What an equality of ``n`` terms adds to the gap."""
     size = abs(miss)
     return abs(multiplier) * size + (size if size > 2.3e-16 * (n + 16) else 0.0)
 
 
-missed = njit(cache=True, error_model="numpy")(missed)
-
-
-def row_gaps(
-    squares: Any, m: Any, p: Any, q: Any, a: Any, c: Any, lower: Any, upper: Any, indptr: Any, tied: Any, g: Any
-) -> Any:
+@njit(cache=True, error_model="numpy")
+def row_gaps(program, box, indptr, g, m, tied):
     """(rows,) gaps of g with the multipliers m - 1 of sum q g = sum q (``tied``; without it m is 1).
 
-    minimise sum q g - p log g + a/2 (g - c)^2, or (``squares``) sum q g^2 / 2 - p g + a/2 (g - c)^2, over the box.
+    ``program`` (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or (squares) sum q g^2 / 2 - p g +
+    a/2 (g - c)^2, over the box.
     """
+    p, q, a, c, squares = program
     gaps = np.zeros(len(indptr) - 1)
     for k in range(len(gaps)):
         miss = 0.0
         for x in range(indptr[k], indptr[k + 1]):
             miss += q[x] * (g[x] - 1.0)
             if squares:
-                gaps[k] += excess((m[k] - 1.0) * q[x] - p[x] - a[x] * c[x], q[x] + a[x], 0.0, g[x], lower, upper)
+                slope = (m[k] - 1.0) * q[x] - p[x] - a[x] * c[x]
+                gaps[k] += excess(slope, q[x] + a[x], 0.0, g[x], box.lower, box.upper)
             else:
-                gaps[k] += excess(m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], lower, upper)
+                gaps[k] += excess(m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], box.lower, box.upper)
         if tied:
             gaps[k] += missed(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
     return gaps
 
 
-row_gaps = njit(cache=True, error_model="numpy")(row_gaps)
-
-
-def joint_gaps(
-    p: Any, q: Any, a: Any, s: Any, r: Any, v: Any, box: Any, indptr: Any, moves: Any, pairs: Any, theta: Any,
-    push: Any, press: Any,
-) -> Any:  # fmt: skip
-    """(rows,) gaps of B (``moves``) and b (``pairs``) in the program of ``ratio.joint``; ``box`` is (lower, upper, nu, mu).
-
-    ``theta`` is the multiplier of sum q B = (sum q) b, ``push`` and ``press`` >= 0 those of nu b <= B <= mu b.
-    """
-    lower, upper, nu, mu = box
-    gaps = np.zeros(len(indptr) - 1)
+@njit(cache=True, error_model="numpy")
+def joint_gaps(f, point):
+    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in the program ``f`` of ``ratio.joint``."""
+    moves, pairs, theta, eta, xi = point
+    gaps = np.zeros(len(f.s))
     for k in range(len(gaps)):
-        b, big, miss, steep = pairs[k], 0.0, 0.0, r[k]
-        for x in range(indptr[k], indptr[k + 1]):
-            big += q[x]
-            miss += q[x] * (moves[x] - b)
-            slope = (1.0 + theta[k]) * q[x] - push[x] + press[x]
-            gaps[k] += excess(slope, a[x], p[x], moves[x], lower, upper)
-            gaps[k] += push[x] * abs(moves[x] - nu * b) + (p[x] + q[x]) * max(nu * b - moves[x], 0.0)
-            steep += nu * push[x]
-            if mu < np.inf:
-                gaps[k] += press[x] * abs(mu * b - moves[x]) + (p[x] + q[x]) * max(moves[x] - mu * b, 0.0)
-                steep -= mu * press[x]
-        gaps[k] += excess(steep - theta[k] * big, v[k], s[k], b, lower, upper)
-        gaps[k] += missed(miss, theta[k], indptr[k + 1] - indptr[k])
+        b, mass, miss, slope = pairs[k], 0.0, 0.0, f.r[k]
+        for x in range(f.indptr[k], f.indptr[k + 1]):
+            mass += f.q[x]
+            miss += f.q[x] * (moves[x] - b)
+            gaps[k] += excess((1.0 + theta[k]) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
+            gaps[k] += eta[x] * abs(moves[x] - f.ratio_lower * b) + (f.p[x] + f.q[x]) * max(
+                f.ratio_lower * b - moves[x], 0.0
+            )
+            slope += f.ratio_lower * eta[x]
+            if f.ratio_upper < np.inf:
+                gaps[k] += xi[x] * abs(f.ratio_upper * b - moves[x]) + (f.p[x] + f.q[x]) * max(
+                    moves[x] - f.ratio_upper * b, 0.0
+                )
+                slope -= f.ratio_upper * xi[x]
+        gaps[k] += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
+        gaps[k] += missed(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
     return gaps
-
-
-joint_gaps = njit(cache=True, error_model="numpy")(joint_gaps)

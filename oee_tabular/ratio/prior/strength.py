@@ -22,17 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.ratio import _strength as kernel
-from oee_tabular.ratio.segments import segment_sums, spread
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.prior._strength import Counts, evidence_by_kind
 
-SMALLEST, LARGEST = (
-    1.0,
-    1e8,
-)  # a row of the prior is worth at least one move: few moves must not talk the evidence out of it
+SMALLEST, LARGEST = 1.0, 1e8  # at least one move: few moves must not talk the evidence out of a row of the prior
 FITS, FITS_ROUGHLY = 300.0, 50.0
-CRITERIA = ("evidence", "loo")
-
-
 FEWEST_ROWS, FEWEST_MOVES = 5, 100
 
 
@@ -59,73 +53,36 @@ class StrengthChoice:
     kinds: list[tuple[int, int, float]]
 
 
-def log_rising(base: Array, n: Array) -> Array:
-    """ln Gamma(base + n) - ln Gamma(base) for n > 0, without the cancellation of two large logarithms."""
-    pairs = zip(np.ravel(base).tolist(), np.ravel(n).tolist(), strict=True)
-    return np.array([kernel.log_rising(b, k) for b, k in pairs]).reshape(np.shape(base))
+def score(strength: float | Array, observed: Array, prior: Array, rows: Rows, criterion: str = "evidence") -> float:
+    """A criterion of all rows together, one kappa or one a row."""
+    each, kappa = np.arange(len(rows)), np.broadcast_to(np.asarray(strength, dtype=np.float64), (len(rows),)).copy()
+    return float(_CRITERIA[criterion](observed, prior, rows, each)(kappa).sum())
 
 
-def evidence(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
-    """Log marginal likelihood of the counts, one kappa or one a row."""
-    n_rows = len(indptr) - 1
-    each = np.arange(n_rows)
-    kappa = np.broadcast_to(np.asarray(strength, dtype=np.float64), (n_rows,)).copy()
-    return float(_criterion(observed, prior, indptr, each, n_rows, "evidence")(kappa).sum())
-
-
-def leave_one_out(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> float:
-    """Log predictive probability of each move, given all the others."""
-    return float(_leave_one_out_by_row(strength, observed, prior, indptr).sum())
-
-
-def _leave_one_out_by_row(strength: float | Array, observed: Array, prior: Array, indptr: IntArray) -> Array:
-    n_row = segment_sums(observed, indptr)
-    kappa = spread(np.broadcast_to(strength, n_row.shape), indptr)
-    seen = observed > 0
-    n, total, k = observed[seen], spread(n_row, indptr)[seen], kappa[seen]
-    gained = np.zeros(len(observed))
-    predicted = (np.maximum(n - 1.0, 0.0) + k * prior[seen]) / (np.maximum(total - 1.0, 0.0) + k)
-    gained[seen] = n * np.log(predicted)
-    return segment_sums(gained, indptr)
-
-
-def kinds_of_rows(weights: Array, observed: Array, indptr: IntArray) -> IntArray:
+def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
     """The kind of each row: rows with the same probabilities in any order, kinds with few visited rows pooled.
 
     Told apart by the number of entries, the largest, and the sums of squares and of cubes.
     """
-    keys = np.column_stack(
-        [
-            np.diff(indptr),
-            np.round(np.maximum.reduceat(weights, indptr[:-1]), 6),
-            np.round(segment_sums(weights**2, indptr), 6),
-            np.round(segment_sums(weights**3, indptr), 6),
-        ]
-    )
+    shape = [rows.largest(rows.weights), rows.sums(rows.weights**2), rows.sums(rows.weights**3)]
+    keys = np.column_stack([np.diff(rows.indptr), *np.round(shape, 6)])
     _, kind = np.unique(keys, axis=0, return_inverse=True)
     kind = kind.reshape(-1)
-    n_row, size = segment_sums(observed, indptr), int(kind.max()) + 1
+    n_row, size = rows.sums(observed), int(kind.max()) + 1
     few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (np.bincount(kind, n_row, size) < FEWEST_MOVES)
     return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)
 
 
 def choose_strength(
-    observed: Array,
-    prior: Array,
-    weights: Array,
-    indptr: IntArray,
-    criterion: str = "evidence",
-    *,
-    kind: IntArray | None = None,
+    observed: Array, prior: Array, rows: Rows, criterion: str = "evidence", *, kind: IntArray | None = None
 ) -> StrengthChoice:
     """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
 
-    A grid of five a decade, then three finer grids around the best point. ``weights`` is the simulator's P; ``kind`` the
-    rows' kinds where they are known already.
+    A grid of five a decade, then three finer grids around the best point. ``kind``: the rows' kinds where they are known.
     """
-    kind = kinds_of_rows(weights, observed, indptr) if kind is None else kind
+    kind = kinds_of_rows(observed, rows) if kind is None else kind
     n_kinds = int(kind.max()) + 1
-    score = _criterion(observed, prior, indptr, kind, n_kinds, criterion)
+    score = _CRITERIA[criterion](observed, prior, rows, kind)
     grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 41)
     width = grid[1] - grid[0]
     scores = np.array([score(np.full(n_kinds, np.exp(t))) for t in grid])
@@ -140,7 +97,7 @@ def choose_strength(
             best, value = np.where(found > value, trial, best), np.maximum(found, value)
         width /= 4.0
     strength = np.exp(best)
-    n_row = segment_sums(observed, indptr)
+    n_row = rows.sums(observed)
     table = [
         (int((n_row[kind == j] > 0).sum()), int(n_row[kind == j].sum()), float(strength[j]))
         for j in range(n_kinds)
@@ -158,25 +115,32 @@ def choose_strength(
     )
 
 
-def _criterion(
-    observed: Array, prior: Array, indptr: IntArray, kind: IntArray, n_kinds: int, name: str
-) -> Callable[[Array], Array]:
-    """The criterion of each kind's rows as a function of the kinds' kappas."""
-    if name != "evidence":
-        return lambda kappa: np.bincount(
-            kind, _leave_one_out_by_row(kappa[kind], observed, prior, indptr), n_kinds
-        ).astype(np.float64)
-    n_row, seen = segment_sums(observed, indptr), observed > 0
-    rows = np.flatnonzero(n_row > 0)
-    ends = np.concatenate([[0], np.cumsum(segment_sums(seen.astype(np.int64), indptr)[rows])]).astype(np.int64)
-    data = np.ascontiguousarray(kind[rows], dtype=np.int64), ends, observed[seen], prior[seen], n_row[rows]
+_ByKind = Callable[[Array], Array]  # kappa of each kind of rows -> the criterion of its rows
 
-    def evidence_of(kappa: Array) -> Array:
-        found = np.zeros(n_kinds)
-        kernel.evidence_by_kind(kappa, *data, found)
-        return found
 
-    return evidence_of
+def _evidence(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> _ByKind:
+    n_row, seen = rows.sums(observed), observed > 0
+    visited = np.flatnonzero(n_row > 0)
+    ends = np.concatenate([[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]).astype(np.int64)
+    counts = Counts(np.asarray(kind[visited], dtype=np.int64), ends, observed[seen], prior[seen], n_row[visited])
+    return lambda kappa: np.asarray(evidence_by_kind(kappa, counts))
+
+
+def _leave_one_out(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> _ByKind:
+    seen = observed > 0
+    n, rest, m = observed[seen], np.maximum(rows.spread(rows.sums(observed))[seen] - 1.0, 0.0), prior[seen]
+    of_entry = rows.spread(kind)[seen]
+
+    def score(kappa: Array) -> Array:
+        k = kappa[of_entry]
+        gained = n * np.log((np.maximum(n - 1.0, 0.0) + k * m) / (rest + k))
+        return np.bincount(of_entry, gained, len(kappa)).astype(np.float64)
+
+    return score
+
+
+_CRITERIA = {"evidence": _evidence, "loo": _leave_one_out}
+CRITERIA = tuple(_CRITERIA)
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

@@ -21,8 +21,8 @@ from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.kernels.matching import match
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio.prior._neighbours import match
 
 REST = 1e-4
 LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor
@@ -86,10 +86,10 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
     """
     weights = _weights(simulator)
     group: IntArray = np.arange(simulator.n_states)
-    most = max(1, LARGEST // width)
+    nodes = max(1, LARGEST // width)
     while True:
         sizes = np.bincount(group).astype(np.float64)
-        if len(sizes) <= most:
+        if len(sizes) <= nodes:
             penalty = sparse.csc_array(
                 sparse.diags_array(weights.sum(axis=1) - weights.diagonal() + REST * sizes)
                 - weights

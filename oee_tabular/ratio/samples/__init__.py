@@ -31,9 +31,9 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio.features import Kernel
-from oee_tabular.ratio.sample_kernel import fit_kernel
-from oee_tabular.ratio.sample_result import SampleRatio, sample_points
-from oee_tabular.ratio.sample_tilt import fit_log_linear, sample_tilt, score_test
+from oee_tabular.ratio.samples.kernel import fit_kernel
+from oee_tabular.ratio.samples.log_linear import fit_log_linear, sample_tilt, score_test
+from oee_tabular.ratio.samples.result import SampleRatio, sample_points
 
 
 @one_thread

@@ -1,0 +1,114 @@
+"""The rows of a simulator, or some of them: their entries, sums over each row, and other matrices on their entries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.mdp.finite_mdp import FiniteMDP
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows s*A + a of a simulator, none of them empty.
+
+    Attributes
+    ----------
+    number : (rows,), s*A + a; ``state``, ``action`` : (rows,)
+    arrival : (entries,), the next states
+    weights : (entries,) the simulator's probabilities, each row summing to 1
+    indptr : (rows + 1,), the entries of each row
+    entries : (entries,), their places among the simulator's
+    n_states, n_actions : int
+
+    Examples
+    --------
+    >>> rows = Rows.of(FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0, 1], [1, 0], 0.9))
+    >>> rows.sums(np.array([1.0, 2.0, 3.0])).tolist(), rows.spread(np.array([7, 8])).tolist()
+    ([3.0, 3.0], [7, 7, 8])
+    """
+
+    number: IntArray
+    arrival: IntArray
+    weights: Array
+    indptr: IntArray
+    entries: IntArray
+    n_states: int
+    n_actions: int
+
+    @classmethod
+    def of(cls, simulator: FiniteMDP, chosen: BoolArray | None = None) -> Rows:
+        """All rows of a simulator, or the ``chosen`` (S*A,)."""
+        matrix = simulator.transitions
+        whole: IntArray = matrix.indptr.astype(np.int64)
+        number = np.arange(len(whole) - 1) if chosen is None else np.flatnonzero(chosen)
+        lengths = np.diff(whole)[number]
+        indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        entries = np.arange(int(indptr[-1])) + np.repeat(whole[:-1][number] - indptr[:-1], lengths)
+        data, arrival = matrix.data[entries], matrix.indices[entries].astype(np.int64)
+        weights = data / np.repeat(np.add.reduceat(data, indptr[:-1]), lengths)
+        return cls(number, arrival, weights, indptr, entries, simulator.n_states, simulator.n_actions)
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @cached_property
+    def state(self) -> IntArray:
+        """(rows,)."""
+        return self.number // self.n_actions
+
+    @cached_property
+    def action(self) -> IntArray:
+        """(rows,)."""
+        return self.number % self.n_actions
+
+    def sums(self, values: Array) -> Array:
+        """The sum over each row of (entries,) or (entries, d) values."""
+        return np.asarray(np.add.reduceat(values, self.indptr[:-1], axis=0))
+
+    def largest(self, values: Array) -> Array:
+        """The largest value of each row."""
+        return np.asarray(np.maximum.reduceat(values, self.indptr[:-1]))
+
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Each row's value at each of its entries."""
+        return np.repeat(values, np.diff(self.indptr), axis=0)
+
+    def mean(self, model: Array, values: Array) -> Array:
+        """The mean over each row of (entries,) or (entries, d) values under ``model`` (entries,), whose rows sum to 1."""
+        return self.sums((model if values.ndim == 1 else model[:, None]) * values)
+
+    def variance(self, model: Array, values: Array) -> Array:
+        """The variance over each row of (entries,) values under ``model``."""
+        return self.mean(model, (values - self.spread(self.mean(model, values))) ** 2)
+
+    def centred(self, values: Array) -> Array:
+        """Values less their mean under the simulator in each row."""
+        return np.asarray(values - self.spread(self.mean(self.weights, values)))
+
+    def tilted(self, exponent: Array) -> tuple[Array, Array]:
+        """Rows proportional to ``weights`` exp(exponent), and ln Z of each."""
+        top = self.largest(exponent)
+        raw = self.weights * np.exp(exponent - self.spread(top))
+        total = self.sums(raw)
+        return raw / self.spread(total), top + np.log(total)
+
+    def frequencies(self, counts: Array) -> Array:
+        """(entries,) counts divided by their row's; 0 in rows without counts."""
+        return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
+
+    def aligned(self, matrix: sparse.csr_array) -> tuple[Array, BoolArray]:
+        """The values of a csr (S*A, S) on the entries, 0 where it has none; and which of its entries are among them."""
+        keys = np.repeat(self.number, np.diff(self.indptr)) * self.n_states + self.arrival
+        wanted = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)) * self.n_states + matrix.indices
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        found = keys[place] == wanted
+        values = np.zeros(len(keys))
+        values[place[found]] = matrix.data[found]
+        return values, found

@@ -1,0 +1,96 @@
+"""The quotient of two ratios, and the data of the simulator that it is fitted against."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from ratio.problem import COUNTS, LOG, POLICY, SIMULATOR, fit
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, Transitions
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.method import Given
+from oee_tabular.ratio.quotient import estimated_behavior, simulator_weights
+
+
+@pytest.mark.parametrize("method", ["ratio_of_ratios", "joint"])
+def test_the_ridge_reaches_both_betas(method):
+    """A strong ridge towards 1 (the quotient) or 0 with the sums kept (joint) makes zeta nearly 1."""
+    options = {"method": method, "simulator_data": "exact", "behavior_policy": POLICY}
+    free, bent = (fit(COUNTS + 1.0, ridge=ridge, **options).values.data for ridge in (None, 1e4))
+    assert np.abs(free - 1).max() > 0.3
+    assert np.abs(bent - 1).max() < 0.1
+    assert_array_equal(free, fit(COUNTS + 1.0, ridge=0.0, **options).values.data)
+    of_n, given_number = (fit(COUNTS + 1.0, ridge=r, **options).values.data for r in (lambda n: 5.0 / n, 5.0 / 61.0))
+    assert_allclose(of_n, given_number, rtol=1e-12)
+
+
+def test_the_quotient_without_a_box_is_that_of_frequencies():
+    """(n_x / q_x) / (n_sa / q_sa), normalised on each side; 1 where neither side has the move."""
+    other = np.array([[2, 2, 4], [1, 0, 3], [5, 5, 2], [1, 1, 1], [0, 0, 0], [4, 0, 4]], dtype=float)
+    state, action, following = [], [], []
+    for row, j in np.argwhere(other > 0):
+        for column, number in zip((state, action, following), (row // 2, row % 2, j), strict=True):
+            column.extend([number] * int(other[row, j]))
+    data = Transitions(state, action, following)
+    counts = np.where(other > 0, COUNTS, 0.0)
+    found = fit(counts, method="ratio_of_ratios", simulator_data=data, lower=0.0, upper=np.inf)
+    n, m = counts.sum(axis=1, keepdims=True), other.sum(axis=1, keepdims=True)
+    expected = np.divide(counts * m, other * n, out=np.ones((6, 3)), where=(other > 0) & (n > 0))
+    assert_allclose(found.values.toarray(), expected, rtol=1e-8)
+    facts = found.details
+    assert facts["undetermined_moves"] == 5
+    assert facts["moves_only_in_log"] == 0
+    p, q = counts[counts > 0] / counts.sum(), other[counts > 0] / other.sum()
+    assert_allclose(facts["divergence_moves"], p @ np.log(p / q), rtol=1e-8)
+    pairs = [(a, b) for a, b in zip(n[:, 0] / n.sum(), m[:, 0] / m.sum(), strict=True) if a > 0]
+    assert_allclose(facts["divergence_pairs"], sum(a * np.log(a / b) for a, b in pairs), rtol=1e-8)
+    boxed = fit(method="ratio_of_ratios", simulator_data=data, lower=0.5, upper=1.5)
+    assert boxed.details["moves_only_in_log"] == 1
+    assert (boxed.details["lower"], boxed.details["upper"]) == (0.5, 1.5)
+    moves = oee.density_ratio(COUNTS.reshape(-1), other.reshape(-1), lower=0.5, upper=1.5, toward=1.0).ratio
+    low, high = (moves <= 0.5).mean(), (moves >= 1.5).mean()
+    assert low > 0
+    assert high > 0
+    assert_allclose(boxed.details["share_at_the_box"], low + high)
+
+
+def weights(observed, log, simulator, data, behavior, seed, discount=None):
+    return simulator_weights(
+        Given(observed, simulator, Rows.of(simulator), log=log, discount=discount, seed=seed), data, behavior
+    )
+
+
+def test_data_of_the_simulator():
+    """Exact occupancies over the log's longest episode; counts; samples of the log's size under its policy."""
+    observed = LOG.counts(3, 2)
+    aligned = observed.toarray().reshape(-1)
+    behavior = estimated_behavior(Given(aligned, SIMULATOR, Rows.of(SIMULATOR)))
+    pairs = observed.sum(axis=1).reshape(3, 2)
+    assert_allclose(behavior, pairs / pairs.sum(axis=1, keepdims=True))
+    assert_array_equal(estimated_behavior(Given(np.zeros(18), SIMULATOR, Rows.of(SIMULATOR))), np.full((3, 2), 0.5))
+    share = weights(aligned, LOG, SIMULATOR, "exact", behavior, None)
+    expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=8, of="transition")
+    assert_allclose(share, expected.data, rtol=1e-12)
+    weighted = weights(aligned, LOG, SIMULATOR, "exact", behavior, None, 0.5)
+    expected = oee.occupancy(SIMULATOR.with_discount(0.5), behavior, horizon=8, of="transition")
+    assert_allclose(weighted, expected.data, rtol=1e-12)
+    counted = weights(aligned, LOG, SIMULATOR, LOG, behavior, None)
+    assert_array_equal(counted, aligned)
+    halved = weights(aligned, LOG, SIMULATOR, LOG, behavior, None, 0.5)
+    assert_allclose(halved, LOG.counts(3, 2, discount=0.5).toarray().reshape(-1))
+    drawn = weights(aligned, LOG, SIMULATOR, None, behavior, 3)
+    assert drawn.sum() == len(LOG)
+    assert_array_equal(drawn, weights(aligned, LOG, SIMULATOR, None, behavior, 3))
+    faded = weights(aligned, LOG, SIMULATOR, None, behavior, 3, 0.5)
+    assert faded.sum() < 0.4 * len(LOG)  # 8 steps of 0.5^t: a quarter
+    without = weights(aligned, None, SIMULATOR, None, behavior, 3)
+    assert without.sum() == len(LOG)
+    long = weights(aligned, None, SIMULATOR, "exact", behavior, None)
+    expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=1000, of="transition")
+    assert_allclose(long, expected.data, rtol=1e-9)
+    over = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [1, 0], 0.9)
+    share = weights(np.array([1.0, 1.0, 0.0]), None, over, "exact", np.ones((2, 1)), None)
+    ended = FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.9)
+    assert_array_equal(weights(np.ones(1), None, ended, "exact", np.ones((1, 1)), None), [1.0])
+    assert share[2] == 0.0  # logs stop where an episode is over
+    assert_allclose(share[0], share[1])
