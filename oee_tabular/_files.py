@@ -241,3 +241,13 @@ def render(write: Callable[[IO[bytes]], object]) -> bytes:
     buffer = io.BytesIO()
     write(buffer)
     return buffer.getvalue()
+
+
+def policy_array(spec: str, name: str) -> NDArray[Any]:
+    """The array that a .npy or .npz file holds."""
+    arrays = read_npz(spec)
+    if npz_kind(arrays) is not None:
+        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {npz_kind(arrays)}")
+    if "policy" not in arrays and len(arrays) != 1:
+        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
+    return arrays.get("policy", next(iter(arrays.values())))

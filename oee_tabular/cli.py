@@ -9,20 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from oee_tabular.cli_continuous import (
-    CALIBRATION_HELP,
-    EPISODES_HELP,
-    FLOOR_HELP,
-    GRID_HELP,
-    OUTSIDE_HELP,
-    STRICT_HELP,
-    described,
-    from_states,
-    is_continuous,
-    recorded_states,
-    refuse_settings,
-    settings_of,
-)
+from oee_tabular.cli_described import described
 from oee_tabular.cli_inputs import (
     ESTIMATORS_HELP,
     FEATURES_HELP,
@@ -36,6 +23,19 @@ from oee_tabular.cli_inputs import (
     problem_of,
     recorded,
     task_of,
+)
+from oee_tabular.continuous.command import (
+    CALIBRATION_HELP,
+    EPISODES_HELP,
+    FLOOR_HELP,
+    GRID_HELP,
+    OUTSIDE_HELP,
+    STRICT_HELP,
+    from_states,
+    is_continuous,
+    recorded_states,
+    refuse_settings,
+    settings_of,
 )
 
 app = typer.Typer(

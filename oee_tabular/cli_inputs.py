@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _printing
+from oee_tabular import _files
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
@@ -38,32 +37,6 @@ ESTIMATORS_HELP = (
 )
 
 
-def report_summary(path: Path) -> str:
-    """What a report.json says, in a few lines."""
-    import json
-
-    try:
-        report = json.loads(path.read_text())
-        lines = [
-            f"Report of {report['unit']}",
-            f"Simulator: {report['facts']['simulator']}",
-            f"Log: {report['facts']['log']}",
-        ]
-        lines += [
-            f"{row['policy']}  {row['estimator']}  {row['value']}{_interval_of(row)}" for row in report["results"]
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
-    return "\n".join(lines)
-
-
-def _interval_of(row: Mapping[str, Any]) -> str:
-    """With its method, where a row has one."""
-    if row["lower"] is None or row["upper"] is None:
-        return ""
-    return f"  {_printing.interval(row['lower'], row['upper'])} ({row.get('interval_method')})"
-
-
 def task_of(spec: str, discount: float | None) -> NamedTask:
     """The task that ``spec`` names."""
     from oee_tabular.tasks import named_task
@@ -90,19 +63,7 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
         return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
-    return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
-
-
-def policy_array(spec: str, name: str) -> Array:
-    """The array that a .npy or .npz file holds."""
-    from oee_tabular import _files
-
-    arrays = _files.read_npz(spec)
-    if _files.npz_kind(arrays) is not None:
-        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
-    if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
-    return arrays.get("policy", next(iter(arrays.values())))
+    return check_policy(_files.policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
 
 
 def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:

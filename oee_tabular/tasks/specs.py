@@ -1,10 +1,11 @@
 """Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``.
 
-Continuous ones, ``cartpole:gravity=10``, are in ``named_continuous``.
+Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.names``, which is imported where one is named.
 """
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,11 +16,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.tasks.continuous_simulator import ContinuousSimulator
-from oee_tabular.tasks.discretize import Discretization
+from oee_tabular.tasks.arguments import arguments
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
-from oee_tabular.tasks.named_arguments import arguments
-from oee_tabular.tasks.named_continuous import CONTINUOUS, continuous_simulator
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 
 
@@ -49,8 +47,8 @@ class NamedTask:
     expert: Callable[[], Array]
     environment: Callable[[], Any] | None = None
     grid: int | None = None
-    continuous: ContinuousSimulator | None = None
-    discretization: Discretization | None = None
+    continuous: Any = None
+    discretization: Any = None
 
 
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
@@ -83,8 +81,9 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         mdp = mdp if discount is None else mdp.with_discount(discount)
         return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
     name, _, rest = spec.partition(":")
-    if name in CONTINUOUS:
-        found = continuous_simulator(spec)
+    names = importlib.import_module("oee_tabular.continuous.names")
+    if name in names.CONTINUOUS:
+        found = names.continuous_simulator(spec)
         model = found.build(discount=0.99 if discount is None else discount)
         return NamedTask(spec, model.mdp, lambda: model.policy(found.expert), continuous=found, discretization=model)
     positional, keywords = arguments(rest)

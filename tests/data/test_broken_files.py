@@ -181,7 +181,7 @@ def test_cells_of_a_discretization(tmp_path):
         "grid_shape": np.full(2, 4),
         "grid_periodic": np.zeros(2, bool),
     }
-    from oee_tabular.tasks.discretize import task_metadata
+    from oee_tabular.continuous.discretization import task_metadata
 
     metadata = task_metadata(CartPole())
     chain = oee.FiniteMDP(np.full((17, 2, 17), 1 / 17), np.zeros(17), np.full(17, 1 / 17), 0.9)
@@ -356,8 +356,8 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     import socket
     from pathlib import Path
 
+    from oee_tabular._files import policy_array
     from oee_tabular.cli import main
-    from oee_tabular.cli_inputs import policy_array
 
     def refuse(*_, **__):
         raise AssertionError("the network")

@@ -13,11 +13,11 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
+from oee_tabular.continuous.kinova.experiment import frequencies
 from oee_tabular.estimators import ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import reweight
 from oee_tabular.experiments.common import small_grids
 from oee_tabular.experiments.figure_1bcd import with_next_rewards_averaged
-from oee_tabular.experiments.kinova import frequencies
 from oee_tabular.mdp import displacements
 from oee_tabular.tasks import CartPole, GridInterpolation, defensive_mixture
 from oee_tabular.testing import case

@@ -1,0 +1,1 @@
+"""CartPole under another gravity (the paper's Section VI.B)."""

@@ -1,0 +1,129 @@
+"""Where numbered states lie among the features: the vertices of a regular grid; and the points that stand for noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._sparse import canonical
+from oee_tabular.continuous.task import ContinuousTask
+
+ENTRIES_AT_A_TIME = 4_000_000  # of a matrix under construction: bounds the memory
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The vertices of a regular grid, numbered in C order.
+
+    ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a periodic one ``high`` is ``low`` again.
+    """
+
+    low: Array
+    high: Array
+    shape: tuple[int, ...]
+    periodic: tuple[bool, ...]
+
+    @property
+    def n_cells(self) -> int:
+        """The number of vertices."""
+        return math.prod(self.shape)
+
+    @property
+    def spacing(self) -> Array:
+        """(k,) distance between neighbouring vertices."""
+        parts = np.array(self.shape) - np.where(self.periodic, 0, 1)
+        return np.asarray((self.high - self.low) / parts)
+
+    def vertices(self, numbers: IntArray | None = None) -> Array:
+        """(n, k) where the vertices with these numbers (default: all) lie."""
+        asked = np.arange(self.n_cells) if numbers is None else numbers
+        return np.asarray(self.low + np.stack(np.unravel_index(asked, self.shape), axis=1) * self.spacing)
+
+    def locate(self, features: Array) -> tuple[IntArray, Array, BoolArray]:
+        """Lower corner (n, k), place in the cell (n, k) and outside (n,) of each point."""
+        from oee_tabular.continuous import _grid
+
+        points = np.ascontiguousarray(features, dtype=np.float64)
+        found: tuple[IntArray, Array, BoolArray] = _grid.locate(
+            points, self.low, self.spacing, np.array(self.shape), np.array(self.periodic)
+        )
+        return found
+
+    def interpolate(self, features: Array) -> tuple[IntArray, Array]:
+        """The 2^k vertices around each point and their weights, both (n, 2^k)."""
+        from oee_tabular.continuous import _grid
+
+        corner, fraction, _ = self.locate(features)
+        found: tuple[IntArray, Array] = _grid.vertices_of(
+            corner, fraction, np.array(self.shape), np.array(self.periodic)
+        )
+        return found
+
+    def weights(self, features: Array) -> sparse.csr_array:
+        """(n, n_cells) multilinear weights."""
+        numbers, weights = self.interpolate(features)
+        starts = np.arange(len(numbers) + 1) * numbers.shape[1]
+        matrix = sparse.csr_array((weights.ravel(), numbers.ravel(), starts), shape=(len(numbers), self.n_cells))
+        return canonical(matrix, drop_zeros=True)
+
+    def outside(self, features: Array) -> BoolArray:
+        """(n,) which points lie beyond the faces."""
+        return self.locate(features)[2]
+
+    def extent(self) -> str:
+        """Shape and range."""
+        ranges = " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True))
+        return f"the {' x '.join(map(str, self.shape))} grid on {ranges}"
+
+    def arrays(self) -> dict[str, Any]:
+        """For a file."""
+        return {
+            "grid_low": self.low,
+            "grid_high": self.high,
+            "grid_shape": np.array(self.shape),
+            "grid_periodic": np.array(self.periodic),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, Any]) -> Self:
+        """From ``arrays()``; ValueError for what is no grid."""
+        low, high = (_checks.float_array(arrays[name], name, ndim=1) for name in ("grid_low", "grid_high"))
+        shape, periodic = arrays["grid_shape"], arrays["grid_periodic"]
+        if not low.shape == high.shape == shape.shape == periodic.shape or not 0 < low.size < 32:
+            raise ValueError("grid_low, grid_high, grid_shape and grid_periodic must have a number for each coordinate")
+        if shape.dtype.kind not in "iu" or shape.min() < 2 or periodic.dtype.kind != "b":
+            raise ValueError("grid_shape must be integers of at least 2, grid_periodic booleans")
+        if not np.all((low < high) & np.isfinite(high - low)):
+            raise ValueError("grid_low must be finite and below grid_high")
+        return cls(low, high, tuple(shape.tolist()), tuple(periodic.tolist()))
+
+
+def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:
+    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
+
+    >>> nodes, weights = gauss_hermite((3, 1), 2)
+    >>> round(float(weights @ nodes[:, 0] ** 4), 12), float(abs(nodes[:, 1]).max())
+    (3.0, 0.0)
+    """
+    counts = (points,) * n if isinstance(points, int) else tuple(points)
+    if len(counts) != n:
+        raise ValueError(f"noise_points must be a number or {n} numbers, one for each disturbance; it is {points!r}")
+    lines = [np.polynomial.hermite_e.hermegauss(_checks.positive_integer(count, "noise_points")) for count in counts]
+    if not lines:
+        return np.zeros((1, 0)), np.ones(1)
+    nodes = np.stack(np.meshgrid(*(line[0] for line in lines), indexing="ij"), axis=-1).reshape(-1, n)
+    weights = np.ones(1)
+    for line in lines:
+        weights = np.multiply.outer(weights, line[1] / line[1].sum()).ravel()
+    return nodes, weights
+
+
+def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
+    """Each state under each action, in rows s*A + a."""
+    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))

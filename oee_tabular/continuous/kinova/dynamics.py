@@ -1,0 +1,237 @@
+"""A stand-in for the paper's robot (Section VI.D, Table I): a Kinova Gen3 simulated by MuJoCo, and the same arm perturbed.
+
+**No data of the real arm was ever published. What is called the target here is this simulation with other parameters**:
+a scale on the velocity that a command gives, latency, a payload, joint friction, weaker servos, noisier encoders. Payload,
+gain and friction change the value by less than 1 %, since the servos are stiff and gravity is compensated; what a
+task of Cartesian commands notices is how far a command moves the hand.
+
+A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s. Resolved rates turn it into a moving
+reference of the joints, and position servos follow that. Needs the extra ``mujoco``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular.continuous.kinova.kinematics import HOME, N_JOINTS, arm_xml, end_effector, resolved_rates
+from oee_tabular.continuous.task import ContinuousTask, Moves
+
+SPEED = 0.1  # m/s along each axis
+PERIOD = 0.2  # s between commands
+STEP = SPEED * PERIOD  # m: how far a command should move the hand
+TICKS = 10  # updates of the joint reference in a period
+FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
+START = 0.01  # rad: how exactly the arm returns to its home pose
+COMMANDS = freeze(np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))))
+CENTER = freeze(end_effector(HOME[None])[0])
+DEAD_BAND = 0.75 * STEP  # m: an arm that moves up to 1.5 times as far as asked does not hunt about its goal
+GOALS = freeze(CENTER + np.array([  # m: whole steps from home, about 0.23 m, each in another direction
+    [0.16, 0.18, 0.08], [0.14, -0.18, 0.06], [-0.12, 0.18, 0.12], [-0.10, -0.16, -0.12], [0.18, 0.06, -0.14],
+]))  # fmt: skip
+REACH = np.array([0.24, 0.24, 0.20])  # m on either side of home: what the finite MDP covers
+AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
+STAND_IN = "simulated stand-in, not a robot"
+
+
+def require_mujoco() -> Any:
+    """The module ``mujoco``, or an ImportError that names the extra."""
+    try:
+        import mujoco
+    except ImportError:
+        raise ImportError("mujoco is not installed: pip install 'oee-tabular[mujoco]'") from None
+    return mujoco
+
+
+def goal_number(goal: Any) -> int:
+    """``goal`` as a row number of GOALS."""
+    if isinstance(goal, bool) or not isinstance(goal, int | np.integer) or not 0 <= goal < len(GOALS):
+        raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {goal!r}")
+    return int(goal)
+
+
+@dataclass(frozen=True)
+class KinovaArm(ContinuousTask):
+    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
+
+        r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
+
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    velocity_scale : what a commanded speed is multiplied with; 1.4 is the reference mismatch
+    latency : s, in [0, 0.2]: for so long a period begins with the command of the one before
+    payload : kg at the end effector, not compensated
+    friction : N m of dry friction in each joint
+    gain : factor on the servos' stiffness and damping
+    encoder_noise : rad, standard deviation of each joint's reading from which the position is computed
+
+    Notes
+    -----
+    A state has 27 coordinates: the measured position (3), joint angles (7), speeds (7) and references (7), and the last
+    command (3). Only the position is a feature. 40 steps of MuJoCo a command: some thousand commands a second.
+
+    Examples
+    --------
+    >>> arm = KinovaArm(velocity_scale=1.4)
+    >>> arm.n_actions, arm.n_state, arm.actions[26].tolist()
+    (27, 27, [1.0, 1.0, 1.0])
+    >>> arm.parameters()["data"]
+    'simulated stand-in, not a robot'
+    """
+
+    goal: int = 0
+    velocity_scale: float = 1.0
+    latency: float = 0.0
+    payload: float = 0.0
+    friction: float = 0.0
+    gain: float = 1.0
+    encoder_noise: float = 5e-4
+    name: str = field(default="Kinova Gen3 (simulated stand-in)", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goal", goal_number(self.goal))
+        _checks.number_in(self.velocity_scale, "velocity_scale", 0.0, 3.0)
+        _checks.number_in(self.latency, "latency", 0.0, PERIOD)
+        _checks.number_in(self.payload, "payload", 0.0, 4.0)
+        _checks.number_in(self.friction, "friction", 0.0, 9.0)
+        _checks.number_in(self.gain, "gain", 0.05, 5.0)
+        _checks.number_in(self.encoder_noise, "encoder_noise", 0.0, 0.1)
+        joints = [f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1)]
+        values = {
+            "state_names": ("x", "y", "z", *joints, "command_x", "command_y", "command_z"),
+            "actions": COMMANDS,
+            "n_disturbances": N_JOINTS,
+            "feature_names": ("x", "y", "z"),
+            "feature_low": freeze(CENTER - REACH),
+            "feature_high": freeze(CENTER + REACH),
+            "periodic": (False,) * 3,
+            "terminates": False,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One command from each state: 40 steps of MuJoCo each."""
+        joints, speeds, reference, before = np.split(states[:, 3:], [7, 14, 21], axis=1)
+        command = COMMANDS[np.asarray(actions, dtype=np.int64)]
+        late = self.latency / PERIOD * TICKS
+        references = np.empty((len(states), TICKS, N_JOINTS))
+        for tick in range(TICKS):
+            share = min(1.0, max(0.0, tick + 1.0 - late))  # of this tick in which the new command is in force
+            velocity = self.velocity_scale * SPEED * (share * command + (1.0 - share) * before)
+            rates = resolved_rates(reference, velocity)
+            reference = reference + PERIOD / TICKS * rates
+            references[:, tick] = reference + FEED_FORWARD * rates
+        joints, speeds = self._follow(joints, speeds, references)
+        seen = end_effector(joints + self.encoder_noise * disturbance)
+        following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
+        paid = self.reward_between(states, actions, following)
+        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        """-|x - goal| in m, of the states before the moves."""
+        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
+        joints = HOME + START * rng.standard_normal((n, N_JOINTS))
+        seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, N_JOINTS)))
+        return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
+
+    def features(self, states: Array) -> Array:
+        """The measured position."""
+        return np.ascontiguousarray(states[:, :3])
+
+    def embed(self, features: Array) -> Array:
+        """Refused: a position leaves 24 coordinates open (``kinova_model`` averages over those that are visited)."""
+        raise ValueError("task must be one that a grid can embed; use oee_tabular.tasks.kinova_model(arm)")
+
+    def parameters(self) -> dict[str, Any]:
+        """All of them, and that this is no robot."""
+        names = ("goal", "velocity_scale", "latency", "payload", "friction", "gain", "encoder_noise")
+        return {"data": STAND_IN} | {name: getattr(self, name) for name in names}
+
+    def _follow(self, joints: Array, speeds: Array, references: Array) -> tuple[Array, Array]:
+        """Angles and speeds after the servos have followed references (n, TICKS, 7)."""
+        mujoco = require_mujoco()
+        from mujoco import rollout
+
+        model = self._model(mujoco)
+        data = mujoco.MjData(model)
+        steps = round(PERIOD / TICKS / model.opt.timestep)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        start = np.zeros((len(joints), size))  # time, angles, speeds, then what this model leaves empty
+        start[:, 1 : 1 + N_JOINTS], start[:, 1 + N_JOINTS : 1 + 2 * N_JOINTS] = joints, speeds
+        found = np.empty((len(joints), 2 * N_JOINTS))
+        for low in range(0, len(joints), AT_A_TIME):
+            part = slice(low, low + AT_A_TIME)
+            control = np.repeat(references[part], steps, axis=1)
+            states, _ = rollout.rollout(model, data, start[part], control)
+            found[part] = states[:, -1, 1 : 1 + 2 * N_JOINTS]
+        return found[:, :N_JOINTS], found[:, N_JOINTS:]
+
+    def _model(self, mujoco: Any) -> Any:
+        """The compiled arm with this task's payload, friction and gain."""
+        model = mujoco.MjModel.from_xml_string(arm_xml())
+        hand = model.body("end_effector").id
+        model.body_mass[hand] += self.payload
+        model.body_inertia[hand] += 0.4 * self.payload * 0.05**2  # a ball of 5 cm
+        model.dof_frictionloss[:] = self.friction
+        model.actuator_gainprm[:, 0] *= self.gain
+        model.actuator_biasprm[:, 1:3] *= self.gain
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+
+@dataclass(frozen=True)
+class KinovaPolicy:
+    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a function of states giving (n, 27).
+
+    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m: a
+    proportional command, cut to [-1, 1] and rounded. It looks at the first three coordinates of a state alone, the measured
+    position, so that it is the same for the arm and for its model.
+    """
+
+    goal: int = 0
+    delta: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goal", goal_number(self.goal))
+        _checks.number_in(self.delta, "delta", 0.0, 1.0)
+
+    def __call__(self, states: Array) -> Array:
+        """(n, 27) probabilities of the commands."""
+        apart = GOALS[self.goal] - states[:, :3]
+        command = np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64) + 1
+        table = np.full((len(states), len(COMMANDS)), self.delta / len(COMMANDS))
+        table[np.arange(len(states)), command @ np.array([9, 3, 1])] += 1.0 - self.delta
+        return table
+
+
+def kinova_policy(goal: int, delta: float = 0.0) -> KinovaPolicy:
+    """delta * uniform + (1 - delta) * the proportional controller to a goal.
+
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    delta : share of random commands, in [0, 1]
+
+    Returns
+    -------
+    KinovaPolicy
+        A function of states, whose first three coordinates are the hand's position in m.
+
+    Examples
+    --------
+    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
+    [1.0, 1.0, 1.0]
+    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
+    0.74
+    """
+    return KinovaPolicy(goal, delta)

@@ -1,0 +1,166 @@
+"""Logged trajectories of an arm as a log of its hand's positions: the way that data of a real Gen3 would take.
+
+No such data was ever published; what this package evaluates is the simulated stand-in's. A log of a real arm comes as a table
+(CSV, parquet or npz: columns state_0, ..., next_state_0, ..., action or action_0, ..., episode; one command a row) or as a
+Minari data set with continuous observations. A state is the hand's position in m (3), the joints' angles in rad (7: forward
+kinematics give the position), or a whole state of the stand-in (27, of which the first three are the position).
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.continuous.kinova.dynamics import COMMANDS, KinovaArm
+from oee_tabular.continuous.kinova.kinematics import N_JOINTS, end_effector
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.log_files import SUFFIXES
+
+FARTHEST = 1.3  # m: beyond the reach of a Gen3
+MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+
+
+def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
+    """The same moves with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
+
+    Parameters
+    ----------
+    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the stand-in's own)
+    speed : m/s that a command of 1 stands for, where the log's actions are velocities; None: they are numbers of the 27
+        commands, or their directions
+
+    Raises
+    ------
+    ValueError
+        Another number of coordinates; positions beyond 1.3 m or angles beyond 8 pi (millimetres, degrees?); commands
+        without three coordinates.
+
+    Examples
+    --------
+    >>> from oee_tabular.continuous.kinova.kinematics import HOME
+    >>> joints = ContinuousTransitions([HOME], [[0.0, 0.0, 0.1]], [HOME])
+    >>> found = hand_log(joints, speed=0.1)
+    >>> found.state.round(3).tolist(), found.action.tolist()
+    ([[0.457, 0.001, 0.434]], [[0.0, 0.0, 1.0]])
+    """
+    _checks.instance(log, ContinuousTransitions, "log")
+    columns: dict[str, Any] = log.columns()
+    for name in ("state", "next_state"):
+        columns[name] = _positions(columns[name], name)
+    if speed is not None:
+        scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
+        if log.action.ndim != 2:
+            raise ValueError("speed must be None where log.action has numbers of commands; it is not None")
+        columns["action"] = log.action / scale
+    if columns["action"].ndim == 2 and columns["action"].shape[1] != COMMANDS.shape[1]:
+        raise ValueError(f"log.action must have 3 coordinates, along x, y, z; it has {columns['action'].shape[1]}")
+    return ContinuousTransitions(**columns)
+
+
+def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None) -> ContinuousTransitions:
+    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
+
+    Parameters
+    ----------
+    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
+    speed : m/s that a command of 1 stands for, see ``hand_log``
+
+    Raises
+    ------
+    ValueError
+        What ``hand_log`` refuses, with the file's name.
+    FileNotFoundError
+        Neither a file, nor a Minari folder, nor a Minari id here.
+    ImportError
+        A format's library is missing; it names the extra (``parquet``, ``minari``).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> log = ContinuousTransitions([[0.4, 0.0, 0.4]], [[1.0, 0.0, 0.0]], [[0.43, 0.0, 0.4]], episode=[0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log.save(folder + "/arm.csv")
+    ...     load_kinova_log(folder + "/arm.csv")
+    ContinuousTransitions(1 transitions of 3-dimensional states in 1 episodes: 0 terminated, 1 truncated;
+                          actions are 3-dimensional commands)
+    """
+    name = os.fspath(path)
+    found = ContinuousTransitions.load(name) if Path(name).suffix.lower() in SUFFIXES else _load_minari(name)
+    try:
+        return hand_log(found, speed=speed)
+    except ValueError as error:
+        raise ValueError(f"{name!r}: {error}") from None
+
+
+def _positions(states: Array, name: str) -> Array:
+    width = states.shape[1]
+    if width == N_JOINTS:
+        _bounded(states, f"log.{name}", MOST_TURNS, "joint angles in rad")
+        return end_effector(states)
+    whole = len(KinovaArm().state_names)
+    if width not in (3, whole):
+        raise ValueError(
+            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {whole} (the stand-in's state); "
+            f"it has {width}"
+        )
+    positions = np.array(states[:, :3])
+    _bounded(positions, f"log.{name}", FARTHEST, "positions in m")
+    return positions
+
+
+def _bounded(array: Array, name: str, limit: float, what: str) -> None:
+    bad = np.argwhere(np.abs(array) > limit)
+    if bad.size:
+        first = tuple(bad[0])
+        raise ValueError(f"{_checks.place(name, first)} must be within +-{limit:.4g}: {what}; it is {array[first]:g}")
+
+
+def _load_minari(name: str) -> ContinuousTransitions:
+    try:
+        import minari
+        from minari.dataset.minari_dataset import MinariDataset
+    except ImportError:
+        raise ImportError("minari is not installed: pip install 'oee-tabular[minari]'") from None
+    folder = Path(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Minari asks for an author and a code link
+        if folder.is_dir():
+            data = MinariDataset(folder / "data" if (folder / "data").is_dir() else folder)
+        else:
+            try:
+                data = minari.load_dataset(name.removeprefix("minari:"))
+            except (FileNotFoundError, ValueError) as error:
+                raise FileNotFoundError(
+                    f"{name!r} is neither a file ({', '.join(SUFFIXES)}), nor a Minari folder, nor a Minari id here: {error}"
+                ) from None
+        episodes = list(data.iterate_episodes())
+    parts: dict[str, list[Any]] = {}
+    for number, episode in enumerate(episodes):
+        observed, steps = np.asarray(episode.observations), len(episode.actions)
+        if observed.ndim != 2:
+            raise ValueError(
+                f"{name!r} must have observations of shape (T + 1, d); those of episode {number} are {observed.shape}"
+            )
+        row = {
+            "state": observed[:-1],
+            "action": np.asarray(episode.actions),
+            "next_state": observed[1:],
+            "reward": np.asarray(episode.rewards, dtype=np.float64),
+            "truncated": np.asarray(episode.truncations, dtype=np.bool_),
+            "terminated": np.asarray(episode.terminations, dtype=np.bool_),
+            "episode": np.full(steps, number),
+        }
+        for column, values in row.items():
+            parts.setdefault(column, []).append(values)
+    if not parts:
+        raise ValueError(f"{name!r} must have at least one episode; it has none")
+    try:
+        return ContinuousTransitions(**{column: np.concatenate(values) for column, values in parts.items()})
+    except ValueError as error:
+        raise ValueError(f"{name!r}: {error}") from None

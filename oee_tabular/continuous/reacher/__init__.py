@@ -1,0 +1,1 @@
+"""Reacher with longer or shorter links (the paper's Section VI.C)."""
