@@ -7,23 +7,24 @@ which is matched to the nearest action of the set.
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular.data import transitions as plain
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.continuous.log_files import VECTORS
+from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.files import Format
 
 CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContinuousTransitions:
+class ContinuousTransitions(Log):
     """Logged moves with continuous states, one a row; checked when made and immutable.
 
     Parameters
@@ -50,15 +51,10 @@ class ContinuousTransitions:
                           actions 0..1)
     """
 
+    FILES: ClassVar[Format] = VECTORS
+
     state: Array
-    action: NDArray[Any]
     next_state: Array
-    reward: Array | None
-    terminated: BoolArray
-    truncated: BoolArray
-    episode: IntArray | None
-    timestep: IntArray | None
-    behavior_probability: Array | None
 
     def __init__(
         self,
@@ -75,33 +71,19 @@ class ContinuousTransitions:
     ) -> None:
         states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
         actions = _actions(action)
-        n = len(states)
         if following.shape[1] != states.shape[1]:
             raise ValueError(
                 f"next_state must have the {states.shape[1]} coordinates of state; it has {following.shape[1]}"
             )
-        lengths = {"state": n, "action": len(actions), "next_state": len(following)}
-        if len(set(lengths.values())) > 1:
-            raise ValueError(f"columns must have equal lengths; they have {lengths}")
-        # the checks of the other columns are those of a log whose states are all one state
-        rest = plain.Transitions(
-            np.zeros(n, dtype=np.int64),
-            np.zeros(n, dtype=np.int64),
-            np.zeros(n, dtype=np.int64),
-            reward,
-            terminated=terminated,
-            episode=episode,
-            timestep=timestep,
-            behavior_probability=behavior_probability,
-            truncated=truncated,
-        )
-        _check_chain(states, following, rest.episode)
-        columns = rest.columns() | {"state": freeze(states), "action": freeze(actions), "next_state": freeze(following)}
-        for name in plain.COLUMNS:
-            object.__setattr__(self, name, columns.get(name))
-
-    def __len__(self) -> int:
-        return len(self.state)
+        rest = {
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+            "episode": episode,
+            "timestep": timestep,
+            "behavior_probability": behavior_probability,
+        }
+        self._check({"state": states, "action": actions, "next_state": following}, rest, _apart)
 
     def __repr__(self) -> str:
         text = f"{len(self)} transitions of {self.n_state}-dimensional states"
@@ -120,10 +102,6 @@ class ContinuousTransitions:
     def n_state(self) -> int:
         """The number d of coordinates of a state."""
         return int(self.state.shape[1])
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns that the log has, (n,) or (n, d)."""
-        return {name: getattr(self, name) for name in plain.COLUMNS if getattr(self, name) is not None}
 
     def action_numbers(self, actions: Any, *, strict: bool = False) -> IntArray:
         """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
@@ -161,49 +139,6 @@ class ContinuousTransitions:
             warnings.warn(f"log.action is moved to the nearest of the task's actions: {found}", stacklevel=3)
         return np.asarray(nearest, dtype=np.int64)
 
-    def select(self, rows: Any) -> Self:
-        """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
-        asked = np.asarray(rows)
-        if asked.size == 0:
-            raise ValueError("rows must choose at least one row; they choose none")
-        try:
-            chosen = np.arange(len(self))[asked]
-        except IndexError as error:
-            raise ValueError(f"rows must be a mask or row numbers of the log's {len(self)} rows; {error}") from None
-        if chosen.size == 0:
-            raise ValueError("rows must choose at least one row; they choose none")
-        return type(self)(**{name: column[chosen] for name, column in self.columns().items() if name != "episode"})
-
-    def first(self, n: int) -> Self:
-        """The first n rows with their episodes; the last episode is truncated where it is cut."""
-        size = _checks.positive_integer(n, "n")
-        if size > len(self):
-            raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
-        columns = {name: column[:size].copy() for name, column in self.columns().items()}
-        if self.episode is not None:
-            columns["truncated"][-1] |= not columns["terminated"][-1]
-        return type(self)(**columns)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, .csv or .parquet, whole or not at all; numbers survive each of them to the last bit."""
-        from oee_tabular.continuous import log_files
-
-        log_files.write(self.columns(), path)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read .npz, .csv, .parquet, or a Minari folder or id, whose observations are the states.
-
-        Required of a table are state_0, ..., next_state_0, ... and action or action_0, ...
-        """
-        from oee_tabular.continuous import log_files
-
-        columns = log_files.read(path)
-        try:
-            return cls(**columns)
-        except ValueError as error:
-            raise ValueError(f"{os.fspath(path)!r}: {error}") from None
-
 
 def _vectors(value: Any, name: str) -> Array:
     array = _checks.float_array(value, name)
@@ -221,18 +156,10 @@ def _actions(value: Any) -> NDArray[Any]:
         return _vectors(array, "action")
     if array.ndim != 1:
         raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
-    return plain._integers(array, "action")
+    return integers(array, "action")
 
 
-def _check_chain(state: Array, following: Array, episode: IntArray | None) -> None:
-    if episode is None or len(state) < 2:
-        return
-    apart = np.abs(following[:-1] - state[1:])
-    broken = (apart > CHAIN_TOLERANCE * (1.0 + np.abs(state[1:]))).any(axis=1) & (episode[:-1] == episode[1:])
-    rows = np.flatnonzero(broken)
-    if rows.size:
-        row = int(rows[0])
-        raise ValueError(
-            f"next_state[{row}] must be the state of row {row + 1}, the next of episode {episode[row]}; it is "
-            f"{following[row].tolist()}, and state[{row + 1}] is {state[row + 1].tolist()} ({rows.size} such rows in all)"
-        )
+def _apart(following: Array, state: Array) -> BoolArray:
+    """Whether a next state and the state after it differ by more than a float32 copy does."""
+    far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
+    return np.asarray(far.any(axis=1))

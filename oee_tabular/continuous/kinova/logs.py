@@ -9,8 +9,6 @@ kinematics give the position), or a whole state of the stand-in (27, of which th
 from __future__ import annotations
 
 import os
-import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ from oee_tabular._checks import Array
 from oee_tabular.continuous.kinova.dynamics import COMMANDS, KinovaArm
 from oee_tabular.continuous.kinova.kinematics import N_JOINTS, end_effector
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.log_files import SUFFIXES
 
 FARTHEST = 1.3  # m: beyond the reach of a Gen3
 MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
@@ -90,12 +87,11 @@ def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None)
     ContinuousTransitions(1 transitions of 3-dimensional states in 1 episodes: 0 terminated, 1 truncated;
                           actions are 3-dimensional commands)
     """
-    name = os.fspath(path)
-    found = ContinuousTransitions.load(name) if Path(name).suffix.lower() in SUFFIXES else _load_minari(name)
+    found = ContinuousTransitions.load(path)
     try:
         return hand_log(found, speed=speed)
     except ValueError as error:
-        raise ValueError(f"{name!r}: {error}") from None
+        raise ValueError(f"{os.fspath(path)!r}: {error}") from None
 
 
 def _positions(states: Array, name: str) -> Array:
@@ -119,48 +115,3 @@ def _bounded(array: Array, name: str, limit: float, what: str) -> None:
     if bad.size:
         first = tuple(bad[0])
         raise ValueError(f"{_checks.place(name, first)} must be within +-{limit:.4g}: {what}; it is {array[first]:g}")
-
-
-def _load_minari(name: str) -> ContinuousTransitions:
-    try:
-        import minari
-        from minari.dataset.minari_dataset import MinariDataset
-    except ImportError:
-        raise ImportError("minari is not installed: pip install 'oee-tabular[minari]'") from None
-    folder = Path(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Minari asks for an author and a code link
-        if folder.is_dir():
-            data = MinariDataset(folder / "data" if (folder / "data").is_dir() else folder)
-        else:
-            try:
-                data = minari.load_dataset(name.removeprefix("minari:"))
-            except (FileNotFoundError, ValueError) as error:
-                raise FileNotFoundError(
-                    f"{name!r} is neither a file ({', '.join(SUFFIXES)}), nor a Minari folder, nor a Minari id here: {error}"
-                ) from None
-        episodes = list(data.iterate_episodes())
-    parts: dict[str, list[Any]] = {}
-    for number, episode in enumerate(episodes):
-        observed, steps = np.asarray(episode.observations), len(episode.actions)
-        if observed.ndim != 2:
-            raise ValueError(
-                f"{name!r} must have observations of shape (T + 1, d); those of episode {number} are {observed.shape}"
-            )
-        row = {
-            "state": observed[:-1],
-            "action": np.asarray(episode.actions),
-            "next_state": observed[1:],
-            "reward": np.asarray(episode.rewards, dtype=np.float64),
-            "truncated": np.asarray(episode.truncations, dtype=np.bool_),
-            "terminated": np.asarray(episode.terminations, dtype=np.bool_),
-            "episode": np.full(steps, number),
-        }
-        for column, values in row.items():
-            parts.setdefault(column, []).append(values)
-    if not parts:
-        raise ValueError(f"{name!r} must have at least one episode; it has none")
-    try:
-        return ContinuousTransitions(**{column: np.concatenate(values) for column, values in parts.items()})
-    except ValueError as error:
-        raise ValueError(f"{name!r}: {error}") from None
