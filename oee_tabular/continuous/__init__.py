@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.interpolation import GridInterpolation
     from oee_tabular.continuous.kinova import record_goals
-    from oee_tabular.continuous.kinova.dynamics import KinovaArm, kinova_policy
+    from oee_tabular.continuous.kinova.dynamics import KinovaArm
+    from oee_tabular.continuous.kinova.expert import kinova_policy
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
     from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -49,7 +50,8 @@ _MODULES = {
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
     "kinova": ("record_goals",),
-    "kinova.dynamics": ("KinovaArm", "kinova_policy"),
+    "kinova.dynamics": ("KinovaArm",),
+    "kinova.expert": ("kinova_policy",),
     "kinova.hand": ("KinovaHand", "fit_hand", "kinova_model"),
     "kinova.logs": ("hand_log", "load_kinova_log"),
     "log": ("ContinuousTransitions",),

@@ -1,14 +1,11 @@
 """Multilinear interpolation onto the vertices of a regular grid."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def locate(points: Any, low: Any, spacing: Any, shape: Any, periodic: Any) -> Any:
+@njit(cache=True)
+def locate(points, low, spacing, shape, periodic):
     """The lower corner of each point's cell (n, d), its place in the cell in [0, 1] (n, d), and which points lie outside.
 
     Points outside are moved to the nearest face. A periodic coordinate has ``shape`` cells and none outside.
@@ -34,10 +31,8 @@ def locate(points: Any, low: Any, spacing: Any, shape: Any, periodic: Any) -> An
     return corner, fraction, outside
 
 
-locate = njit(cache=True)(locate)
-
-
-def vertices_of(corner: Any, fraction: Any, shape: Any, periodic: Any) -> Any:
+@njit(cache=True)
+def vertices_of(corner, fraction, shape, periodic):
     """The 2**d vertices around each point and their weights: vertex numbers (n, 2**d) in C order, weights (n, 2**d)."""
     n, d = corner.shape
     many = 1 << d
@@ -59,6 +54,3 @@ def vertices_of(corner: Any, fraction: Any, shape: Any, periodic: Any) -> Any:
             numbers[i, m] = number
             weights[i, m] = weight
     return numbers, weights
-
-
-vertices_of = njit(cache=True)(vertices_of)

@@ -143,7 +143,7 @@ def record(
     if n_episodes is not None:
         wanted = _checks.positive_integer(n_episodes, "n_episodes")
         parts = [_episodes(task, policy, size, steps, rng) for rng, size in _streams(seed, wanted)]
-        return _as_log(parts)
+        return ContinuousTransitions.concatenate(parts)
     assert n_transitions is not None
     rows = _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * rows, "n_transitions", rows)
@@ -151,8 +151,8 @@ def record(
     generator = _checks.generator(seed)
     while found < rows:
         parts.append(_episodes(task, policy, 256, steps, generator.spawn(1)[0]))
-        found += len(parts[-1]["action"])
-    return _as_log(parts).first(rows)
+        found += len(parts[-1])
+    return ContinuousTransitions.concatenate(parts).first(rows)
 
 
 def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
@@ -165,8 +165,8 @@ def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
 
 def _episodes(
     task: ContinuousTask, policy: StatePolicy, n: int, steps: int, rng: np.random.Generator
-) -> dict[str, Any]:
-    """Columns of n episodes, sorted by episode and then by time."""
+) -> ContinuousTransitions:
+    """n episodes, sorted by episode and then by time."""
     alive = np.arange(n)
     states = task.initial_states(n, rng)
     rows: list[tuple[Any, ...]] = []
@@ -185,15 +185,7 @@ def _episodes(
     names = ("state", "action", "next_state", "reward", "terminated", "truncated", "episode", "behavior_probability")
     columns = {name: np.concatenate(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)}
     order = np.argsort(columns["episode"], kind="stable")
-    return {name: column[order] for name, column in columns.items()}
-
-
-def _as_log(parts: list[dict[str, Any]]) -> ContinuousTransitions:
-    before = 0
-    for part in parts:
-        part["episode"] = part["episode"] + before
-        before = int(part["episode"].max()) + 1
-    return ContinuousTransitions(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    return ContinuousTransitions(**{name: column[order] for name, column in columns.items()})
 
 
 def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> ContinuousTransitions:

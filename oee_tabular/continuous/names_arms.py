@@ -11,7 +11,8 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular.continuous.discretization import Discretization, task_metadata
-from oee_tabular.continuous.kinova.dynamics import KinovaArm, kinova_policy
+from oee_tabular.continuous.kinova.dynamics import KinovaArm
+from oee_tabular.continuous.kinova.expert import kinova_policy
 from oee_tabular.continuous.kinova.hand import (
     KinovaHand,
     displacement_tie,

@@ -92,18 +92,8 @@ def test_laws_of_a_step(seed, length, tamed):
     assert_allclose(arm.advance(turned, commands), after + np.array([0.7, 0.0, 0.0, 0.0]), rtol=0, atol=1e-12)
     assert_allclose(fingertip(states + np.array([2 * np.pi, 0, 0, 0]), length), fingertip(states, length), atol=1e-12)
     assert (np.abs(after[:, 1]) <= STOP).all()
-    plain = kernel.steps.py_func(
-        states,
-        0.05 * commands,
-        link_bodies(length),
-        length,
-        0.0,
-        arm.damping,
-        arm.drag,
-        STOP,
-        arm.timestep,
-        arm.substeps,
-    )
+    made = kernel.Arm(link_bodies(length), length, 0.0, arm.damping, arm.drag, STOP)
+    plain = kernel.steps.py_func(states, 0.05 * commands, made, arm.timestep, arm.substeps)
     assert_allclose(plain, after, rtol=1e-12, atol=1e-12)
 
 
@@ -122,10 +112,10 @@ def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
             velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
             row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
             row -= turn * k * moment * spin * (1 + abs(spin))
-    rest = np.ascontiguousarray(link_bodies(length, "box")), length, 0.0, 0.0
-    braked = kernel.steps(states, np.zeros((20, 2)), *rest, k, 10.0, 1e-3, 1)
-    pushed = kernel.steps(states, torques, *rest, 0.0, 10.0, 1e-3, 1)
-    free = kernel.steps(states, np.zeros((20, 2)), *rest, 0.0, 10.0, 1e-3, 1)
+    arm, drawn = (kernel.Arm(link_bodies(length, "box"), length, 0.0, 0.0, drag, 10.0) for drag in (0.0, k))
+    braked = kernel.steps(states, np.zeros((20, 2)), drawn, 1e-3, 1)
+    pushed = kernel.steps(states, torques, arm, 1e-3, 1)
+    free = kernel.steps(states, np.zeros((20, 2)), arm, 1e-3, 1)
     assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
     assert np.abs(braked - free)[:, 2:].max() > 1e-4
 

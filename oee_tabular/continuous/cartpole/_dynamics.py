@@ -3,16 +3,14 @@
 Every product, quotient and sum stands in the order of Gymnasium's own ``step``, so that the results agree to the last bit.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 
-def steps(states: Any, pushes: Any, shifts: Any, gravity: Any, x_limit: Any, angle_limit: Any) -> Any:
+@njit(cache=True)
+def steps(states, pushes, shifts, gravity, x_limit, angle_limit):
     """One step of 0.02 s from each row (x, x', theta, theta'): the next states, and which of them are over.
 
     ``pushes`` are forces in newton; ``shifts`` (n, 4) are added to the next state before it is judged.
@@ -37,6 +35,3 @@ def steps(states: Any, pushes: Any, shifts: Any, gravity: Any, x_limit: Any, ang
         following[i, 0], following[i, 1], following[i, 2], following[i, 3] = x, x_dot, theta, theta_dot
         over[i] = x < -x_limit or x > x_limit or theta < -angle_limit or theta > angle_limit
     return following, over
-
-
-steps = njit(cache=True)(steps)

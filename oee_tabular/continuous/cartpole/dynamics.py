@@ -50,6 +50,11 @@ class CartPole(ContinuousTask):
     [True]
     """
 
+    state_names = ("x", "x_dot", "theta", "theta_dot")
+    actions = freeze(np.array([-FORCE, FORCE]))
+    n_disturbances = 4
+    terminates = True
+
     gravity: float = 10.0
     noise: float = PAPER_NOISE
     form: str = "angle"
@@ -59,20 +64,15 @@ class CartPole(ContinuousTask):
         _checks.number_in(self.gravity, "gravity", 0.0, np.inf)
         _checks.number_in(self.noise, "noise", 0.0, np.inf)
         _checks.one_of(self.form, "form", ("angle", "full"))
-        names = ("x", "x_dot", "theta", "theta_dot")
-        low = np.array([-1.2, -2.5, -ANGLE_LIMIT, -3.2])
+        high = np.array([1.2, 2.5, ANGLE_LIMIT, 3.2])
         used = slice(2, 4) if self.form == "angle" else slice(0, 4)
-        values = {
-            "state_names": names,
-            "actions": freeze(np.array([-FORCE, FORCE])),
-            "n_disturbances": 4,
-            "feature_names": names[used],
-            "feature_low": freeze(low[used]),
-            "feature_high": freeze(-low[used]),
-            "periodic": (False,) * len(names[used]),
-            "terminates": True,
+        features = {
+            "feature_names": self.state_names[used],
+            "feature_low": freeze(-high[used]),
+            "feature_high": freeze(high[used]),
+            "periodic": (False,) * len(high[used]),
         }
-        for name, value in values.items():
+        for name, value in features.items():
             object.__setattr__(self, name, value)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:

@@ -18,8 +18,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from oee_tabular import _checks
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.kinova.dynamics import (
@@ -27,10 +25,9 @@ from oee_tabular.continuous.kinova.dynamics import (
     GOALS,
     STAND_IN,
     KinovaArm,
-    KinovaPolicy,
-    kinova_policy,
     require_mujoco,
 )
+from oee_tabular.continuous.kinova.expert import KinovaPolicy, kinova_policy
 from oee_tabular.continuous.kinova.hand import (
     KinovaHand,
     box_policy,
@@ -108,6 +105,4 @@ def record_goals(
         record(replace(arm, goal=g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
         for g in range(len(GOALS))
     ]
-    columns = {name: np.concatenate([log.columns()[name] for log in logs]) for name in logs[0].columns()}
-    columns["episode"] = np.repeat(np.arange(len(GOALS) * runs), steps)
-    return ContinuousTransitions(**columns)
+    return ContinuousTransitions.concatenate(logs)

@@ -28,6 +28,7 @@ STEP = SPEED * PERIOD  # m: how far a command should move the hand
 TICKS = 10  # updates of the joint reference in a period
 FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
 START = 0.01  # rad: how exactly the arm returns to its home pose
+JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1))
 COMMANDS = freeze(np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))))
 CENTER = freeze(end_effector(HOME[None])[0])
 DEAD_BAND = 0.75 * STEP  # m: an arm that moves up to 1.5 times as far as asked does not hunt about its goal
@@ -55,8 +56,32 @@ def goal_number(goal: Any) -> int:
     return int(goal)
 
 
+class HandTask(ContinuousTask):
+    """What the arm and the model of its hand share: 27 commands, the position (x, y, z) as the feature, and the cost of it."""
+
+    actions = COMMANDS
+    feature_names = ("x", "y", "z")
+    feature_low = freeze(CENTER - REACH)
+    feature_high = freeze(CENTER + REACH)
+    periodic = (False,) * 3
+    terminates = False
+    goal: int
+
+    def features(self, states: Array) -> Array:
+        """The measured position: the first three coordinates."""
+        return np.ascontiguousarray(states[:, :3])
+
+    def costs(self, states: Array) -> Array:
+        """(n,) r(x) = -|x - goal| in m."""
+        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        """The costs of the states before the moves."""
+        return self.costs(states)
+
+
 @dataclass(frozen=True)
-class KinovaArm(ContinuousTask):
+class KinovaArm(HandTask):
     """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
 
         r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
@@ -85,6 +110,9 @@ class KinovaArm(ContinuousTask):
     'simulated stand-in, not a robot'
     """
 
+    state_names = ("x", "y", "z", *JOINT_STATES, "command_x", "command_y", "command_z")
+    n_disturbances = N_JOINTS
+
     goal: int = 0
     velocity_scale: float = 1.0
     latency: float = 0.0
@@ -102,19 +130,6 @@ class KinovaArm(ContinuousTask):
         _checks.number_in(self.friction, "friction", 0.0, 9.0)
         _checks.number_in(self.gain, "gain", 0.05, 5.0)
         _checks.number_in(self.encoder_noise, "encoder_noise", 0.0, 0.1)
-        joints = [f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1)]
-        values = {
-            "state_names": ("x", "y", "z", *joints, "command_x", "command_y", "command_z"),
-            "actions": COMMANDS,
-            "n_disturbances": N_JOINTS,
-            "feature_names": ("x", "y", "z"),
-            "feature_low": freeze(CENTER - REACH),
-            "feature_high": freeze(CENTER + REACH),
-            "periodic": (False,) * 3,
-            "terminates": False,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One command from each state: 40 steps of MuJoCo each."""
@@ -131,22 +146,13 @@ class KinovaArm(ContinuousTask):
         joints, speeds = self._follow(joints, speeds, references)
         seen = end_effector(joints + self.encoder_noise * disturbance)
         following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
-        paid = self.reward_between(states, actions, following)
-        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
-        """-|x - goal| in m, of the states before the moves."""
-        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
+        return Moves(following, self.costs(states), np.zeros(len(states), dtype=np.bool_))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
         joints = HOME + START * rng.standard_normal((n, N_JOINTS))
         seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, N_JOINTS)))
         return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
-
-    def features(self, states: Array) -> Array:
-        """The measured position."""
-        return np.ascontiguousarray(states[:, :3])
 
     def embed(self, features: Array) -> Array:
         """Refused: a position leaves 24 coordinates open (``kinova_model`` averages over those that are visited)."""
@@ -187,51 +193,3 @@ class KinovaArm(ContinuousTask):
         model.actuator_biasprm[:, 1:3] *= self.gain
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
-
-
-@dataclass(frozen=True)
-class KinovaPolicy:
-    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a function of states giving (n, 27).
-
-    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m: a
-    proportional command, cut to [-1, 1] and rounded. It looks at the first three coordinates of a state alone, the measured
-    position, so that it is the same for the arm and for its model.
-    """
-
-    goal: int = 0
-    delta: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "goal", goal_number(self.goal))
-        _checks.number_in(self.delta, "delta", 0.0, 1.0)
-
-    def __call__(self, states: Array) -> Array:
-        """(n, 27) probabilities of the commands."""
-        apart = GOALS[self.goal] - states[:, :3]
-        command = np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64) + 1
-        table = np.full((len(states), len(COMMANDS)), self.delta / len(COMMANDS))
-        table[np.arange(len(states)), command @ np.array([9, 3, 1])] += 1.0 - self.delta
-        return table
-
-
-def kinova_policy(goal: int, delta: float = 0.0) -> KinovaPolicy:
-    """delta * uniform + (1 - delta) * the proportional controller to a goal.
-
-    Parameters
-    ----------
-    goal : 0..4, a row of GOALS
-    delta : share of random commands, in [0, 1]
-
-    Returns
-    -------
-    KinovaPolicy
-        A function of states, whose first three coordinates are the hand's position in m.
-
-    Examples
-    --------
-    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
-    [1.0, 1.0, 1.0]
-    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
-    0.74
-    """
-    return KinovaPolicy(goal, delta)

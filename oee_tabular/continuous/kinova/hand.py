@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.defensive import defensive_mixture
@@ -34,22 +34,23 @@ from oee_tabular.continuous.kinova.dynamics import (
     GOALS,
     REACH,
     STEP,
+    HandTask,
     KinovaArm,
     goal_number,
-    kinova_policy,
 )
+from oee_tabular.continuous.kinova.expert import kinova_policy
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.task import Moves
 
 DEFENSIVE = (0.5, 1.5)  # factors on the displacements that a defensive simulator mixes in: a target may lie between
 WIDER = 2.0  # its scatter beside the simulator's
-ARM_STATE = 27  # coordinates of a KinovaArm's state
+ARM_STATE = len(KinovaArm.state_names)
 WIDEST = 20  # boxes that a command may lead along an axis
 EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
 
 
 @dataclass(frozen=True, eq=False)
-class KinovaHand(ContinuousTask):
+class KinovaHand(HandTask):
     """The position of the (simulated) arm's hand as a process of its own; made by ``fit_hand``.
 
     Attributes
@@ -70,6 +71,9 @@ class KinovaHand(ContinuousTask):
     ([[1.5, 1.5, 1.5]], [-0.247])
     """
 
+    state_names = ("x", "y", "z")
+    n_disturbances = 3
+
     coefficients: Array
     scatter: Array
     starts: Array
@@ -79,18 +83,6 @@ class KinovaHand(ContinuousTask):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "goal", goal_number(self.goal))
-        values = {
-            "state_names": ("x", "y", "z"),
-            "actions": COMMANDS,
-            "n_disturbances": 3,
-            "feature_names": ("x", "y", "z"),
-            "feature_low": freeze(CENTER - REACH),
-            "feature_high": freeze(CENTER + REACH),
-            "periodic": (False,) * 3,
-            "terminates": False,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One command: O(n)."""
@@ -105,18 +97,6 @@ class KinovaHand(ContinuousTask):
         """The same hand with all displacements times ``factor``, and twice the scatter."""
         changed = self.source | {"scaled": factor, "scatter": WIDER}
         return replace(self, coefficients=factor * self.coefficients, scatter=WIDER * self.scatter, source=changed)
-
-    def features(self, states: Array) -> Array:
-        """The position: the first three coordinates, of an arm's whole state too."""
-        return np.ascontiguousarray(states[:, :3])
-
-    def costs(self, states: Array) -> Array:
-        """(n,) r(x) = -|x - goal| in m."""
-        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
-        """The costs of the states before the moves."""
-        return self.costs(states)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""

@@ -99,7 +99,7 @@ def _positions(states: Array, name: str) -> Array:
     if width == N_JOINTS:
         _bounded(states, f"log.{name}", MOST_TURNS, "joint angles in rad")
         return end_effector(states)
-    whole = len(KinovaArm().state_names)
+    whole = len(KinovaArm.state_names)
     if width not in (3, whole):
         raise ValueError(
             f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {whole} (the stand-in's state); "

@@ -9,32 +9,28 @@ Joint damping is taken implicitly, as MuJoCo's Euler integrator does. Drag is Bu
 mass, torque -k I w (1 + |w|). At the elbow's stop the elbow is stopped, by an impulse in that joint alone.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 
-def steps(
-    states: Any,
-    torques: Any,
-    bodies: Any,
-    length: Any,
-    armature: Any,
-    damping: Any,
-    drag: Any,
-    stop: Any,
-    h: Any,
-    n: Any,
-) -> Any:
-    """N steps of h seconds from each row (q1, q2, w1, w2) under torques (rows, 2) held all the while.
+class Arm(NamedTuple):
+    """What an arm is made of: the body of the upper link, of the lower link, and of the tip that the lower link carries."""
 
-    ``bodies`` (3, 3): mass, distance of the centre of mass from the link's joint, moment of inertia about it; of the upper
-    link, the lower link, and the tip that the lower link carries.
-    """
+    bodies: Any  # (3, 3) mass, distance of the centre of mass from the link's joint, moment of inertia about it
+    length: float
+    armature: float
+    damping: float
+    drag: float
+    stop: float
+
+
+@njit(cache=True)
+def steps(states, torques, arm, h, n):
+    """N steps of h seconds from each row (q1, q2, w1, w2) under torques (rows, 2) held all the while."""
+    bodies, length, armature, damping, drag, stop = arm
     near = bodies[0, 2] + bodies[0, 0] * bodies[0, 1] ** 2 + (bodies[1, 0] + bodies[2, 0]) * length**2
     far, cross = 0.0, 0.0
     for b in range(1, 3):
@@ -77,6 +73,3 @@ def steps(
                     w2 = 0.0
         following[i, 0], following[i, 1], following[i, 2], following[i, 3] = q1, q2, w1, w2
     return following
-
-
-steps = njit(cache=True)(steps)

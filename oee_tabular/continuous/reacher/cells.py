@@ -276,14 +276,8 @@ def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
     1000
     """
     size = _checks.positive_integer(n, "n")
-    parts, episodes = [], 0
-    for k, stream in enumerate(_checks.generator(seed).spawn(11)):
-        part = record(
-            task, reacher_policy(k / 10), n_transitions=-(-size // 11), max_steps=max_steps, seed=stream
-        ).columns()
-        part["episode"] = part["episode"] + episodes
-        episodes = int(part["episode"].max()) + 1
-        parts.append(part)
-    return ContinuousTransitions(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}).first(
-        size
-    )
+    parts = [
+        record(task, reacher_policy(k / 10), n_transitions=-(-size // 11), max_steps=max_steps, seed=stream)
+        for k, stream in enumerate(_checks.generator(seed).spawn(11))
+    ]
+    return ContinuousTransitions.concatenate(parts).first(size)

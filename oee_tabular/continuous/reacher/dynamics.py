@@ -106,7 +106,7 @@ class Reacher(ContinuousTask):
     -----
     A step is deterministic and compiled, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
     [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
-    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/tasks/test_reacher.py.
+    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_reacher.py.
 
     Examples
     --------
@@ -116,6 +116,13 @@ class Reacher(ContinuousTask):
     >>> Reacher.tamed(0.05).substeps
     4
     """
+
+    state_names = ("q1", "q2", "w1", "w2")
+    actions = freeze(np.array(list(itertools.product(LEVELS, LEVELS))))
+    n_disturbances = 0
+    feature_names = ("cos_q1", "sin_q1", "q2", "w1", "w2")
+    periodic = (False,) * 5
+    terminates = False
 
     length: float = LENGTH
     reward_length: float | None = None
@@ -142,18 +149,8 @@ class Reacher(ContinuousTask):
         _checks.positive_integer(self.substeps, "substeps")
         fastest = 4.0 if self.damping > 0 else 40.0
         high = np.array([1.0, 1.0, STOP, fastest, fastest])
-        values = {
-            "state_names": ("q1", "q2", "w1", "w2"),
-            "actions": freeze(np.array(list(itertools.product(LEVELS, LEVELS)))),
-            "n_disturbances": 0,
-            "feature_names": ("cos_q1", "sin_q1", "q2", "w1", "w2"),
-            "feature_low": freeze(-high),
-            "feature_high": freeze(high),
-            "periodic": (False,) * 5,
-            "terminates": False,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "feature_low", freeze(-high))
+        object.__setattr__(self, "feature_high", freeze(high))
 
     @classmethod
     def tamed(cls, length: float = LENGTH, **changes: Any) -> Self:
@@ -170,14 +167,11 @@ class Reacher(ContinuousTask):
         """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
         from oee_tabular.continuous.reacher import _dynamics
 
-        found: Array = _dynamics.steps(
-            np.ascontiguousarray(states, dtype=np.float64),
-            np.ascontiguousarray(self.gear * commands, dtype=np.float64),
-            self._bodies,  # type: ignore[attr-defined]
-            float(self.length), float(self.armature), float(self.damping), float(self.drag), STOP,
-            float(self.timestep), int(self.substeps),
-        )  # fmt: skip
-        return found
+        length, armature, damping, drag = map(float, (self.length, self.armature, self.damping, self.drag))
+        arm = _dynamics.Arm(self._bodies, length, armature, damping, drag, STOP)  # type: ignore[attr-defined]
+        states = np.ascontiguousarray(states, dtype=np.float64)
+        torques = np.ascontiguousarray(self.gear * commands, dtype=np.float64)
+        return np.asarray(_dynamics.steps(states, torques, arm, float(self.timestep), int(self.substeps)))
 
     def distance(self, states: Array) -> Array:
         """(n,) from the fingertip (of ``reward_length``) to the target, m."""

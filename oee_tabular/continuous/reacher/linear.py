@@ -35,12 +35,10 @@ class LinearReacher(Reacher):
     True
     """
 
+    n_disturbances = 4
+
     coefficients: Array = field(default_factory=lambda: np.zeros((7, 4)), compare=False, repr=False)
     root: Array = field(default_factory=lambda: np.zeros((4, 4)), compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "n_disturbances", 4)
 
     @classmethod
     def fit(cls, log: ContinuousTransitions, task: Reacher | None = None) -> LinearReacher:
