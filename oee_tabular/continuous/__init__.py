@@ -16,8 +16,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from oee_tabular.continuous.cartpole.dynamics import CartPole, cartpole_policy
-    from oee_tabular.continuous.cartpole.expert import train_expert
+    from oee_tabular.continuous.cartpole.dynamics import CartPole
+    from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
     from oee_tabular.continuous.cells import VisitedCells, visited_states
     from oee_tabular.continuous.closure import Closure
     from oee_tabular.continuous.defensive import defensive_mixture
@@ -26,11 +26,10 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.interpolation import GridInterpolation
-    from oee_tabular.continuous.kinova import record_goals
     from oee_tabular.continuous.kinova.dynamics import KinovaArm
     from oee_tabular.continuous.kinova.expert import kinova_policy
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
-    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log
+    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import Reacher
@@ -39,8 +38,8 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 _MODULES = {
-    "cartpole.dynamics": ("CartPole", "cartpole_policy"),
-    "cartpole.expert": ("train_expert",),
+    "cartpole.dynamics": ("CartPole",),
+    "cartpole.expert": ("cartpole_policy", "train_expert"),
     "cells": ("VisitedCells", "visited_states"),
     "closure": ("Closure",),
     "defensive": ("defensive_mixture",),
@@ -49,11 +48,10 @@ _MODULES = {
     "evaluation": ("Settings", "evaluate_continuous"),
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
-    "kinova": ("record_goals",),
     "kinova.dynamics": ("KinovaArm",),
     "kinova.expert": ("kinova_policy",),
     "kinova.hand": ("KinovaHand", "fit_hand", "kinova_model"),
-    "kinova.logs": ("hand_log", "load_kinova_log"),
+    "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
     "log": ("ContinuousTransitions",),
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("Reacher",),

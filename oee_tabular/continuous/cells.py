@@ -28,6 +28,7 @@ from oee_tabular._sparse import canonical
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization, task_metadata
 from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
 from oee_tabular.mdp import FiniteMDP
 
@@ -241,6 +242,13 @@ class VisitedCells:
             "neighbours": self.neighbours,
         }
         return Discretization(mdp, task, found, states, here, metadata, {"clipped": 0.0})
+
+    def at(
+        self, task: ContinuousTask, visited: Array, log: ContinuousTransitions, *, discount: float = 0.99
+    ) -> Discretization:
+        """The task on cells of ``visited`` states, looked at in the log's places (and in the cells' own centres)."""
+        cells = self.cells(task.features(visited))
+        return self.build(task, np.concatenate([log.state, cells.centres]), cells=cells, discount=discount)
 
     def _with_floor(self, matrix: sparse.csr_array, cells: VoronoiCells, terminates: bool) -> sparse.csr_array:
         """(1 - floor) P + floor P N, where N leads from a cell to its neighbours, itself and what is over."""

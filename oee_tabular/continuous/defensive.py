@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._sparse import canonical, row_of_entry, row_sums
+from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry, row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action
 from oee_tabular.continuous.task import ContinuousTask
@@ -74,6 +74,21 @@ def defensive_mixture(
     mdp = FiniteMDP(matrix, rewards, own.initial, own.discount, layout=own.layout)
     said = {"epsilon": weight, "others": [other.task.parameters() for other in others]}
     return replace(simulator, mdp=mdp, metadata=simulator.metadata | {"defensive": said})
+
+
+def supported(counts: sparse.csr_array, transitions: sparse.csr_array) -> tuple[sparse.csr_array, float]:
+    """The counts that lie where ``transitions`` has probability, and the share of those that do not: to be reported with it."""
+    matrix = canonical(counts, drop_zeros=True)
+    known = canonical(transitions, drop_zeros=True)
+    possible = find(known, row_of_entry(matrix), matrix.indices.astype(np.int64))[1]
+    kept = canonical(on_pattern(matrix, np.where(possible, matrix.data, 0.0)), drop_zeros=True)
+    total = float(matrix.data.sum())
+    return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
+
+
+def within_support(counts: sparse.csr_array, model: Discretization) -> tuple[sparse.csr_array, float]:
+    """``supported`` by the model's transitions."""
+    return supported(counts, model.mdp.transitions)
 
 
 def with_floor(

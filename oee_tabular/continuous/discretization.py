@@ -54,8 +54,36 @@ class Cells(Protocol):
         """What a file needs to make them again."""
 
 
+class Places:
+    """Cells of a task, and states that stand for them: ``points`` (m, d), each in the cell ``point_cell`` (m,)."""
+
+    task: ContinuousTask
+    cells: Cells
+    points: Array
+    point_cell: IntArray
+
+    @property
+    def over(self) -> int | None:
+        """The number of the absorbing state in which episodes end, None where they do not."""
+        return self.cells.n_cells if self.task.terminates else None
+
+    def mean(self, values: Array) -> Array:
+        """(n_cells,) the mean over each cell of values (m,), one for each point."""
+        n = np.bincount(self.point_cell, minlength=self.cells.n_cells)
+        return np.asarray(np.bincount(self.point_cell, values, self.cells.n_cells) / n)
+
+    def policy(self, function: StatePolicy) -> Array:
+        """(S, A) the policy function in each state: its mean over the points of the cell; uniform where it is over."""
+        n_actions = self.task.n_actions
+        at_points = check_probabilities(function, self.points, n_actions)
+        table = np.full((self.cells.n_cells + self.task.terminates, n_actions), 1.0 / n_actions)
+        for a in range(n_actions):
+            table[: self.cells.n_cells, a] = self.mean(at_points[:, a])
+        return np.asarray(table / table.sum(axis=1, keepdims=True))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Discretization:
+class Discretization(Places):
     """A FiniteMDP made from a continuous task, with the encoding that belongs to it.
 
     Attributes
@@ -90,21 +118,6 @@ class Discretization:
     def __repr__(self) -> str:
         settings = ", ".join(f"{name}={value}" for name, value in self.task.parameters().items())
         return f"Discretization({self.task.name}({settings}): {self.cells.extent()}; {self.mdp})"
-
-    @property
-    def over(self) -> int | None:
-        """The number of the absorbing state in which episodes end, None where they do not."""
-        return self.cells.n_cells if self.task.terminates else None
-
-    def policy(self, function: StatePolicy) -> Array:
-        """(S, A) the policy function in each state: its mean over the points of the cell; uniform where it is over."""
-        at_points = check_probabilities(function, self.points, self.task.n_actions)
-        table = np.full((self.mdp.n_states, self.task.n_actions), 1.0 / self.task.n_actions)
-        n = np.bincount(self.point_cell, minlength=self.cells.n_cells)
-        for a in range(self.task.n_actions):
-            total = np.bincount(self.point_cell, at_points[:, a], self.cells.n_cells)
-            table[: self.cells.n_cells, a] = total / n
-        return np.asarray(table / table.sum(axis=1, keepdims=True))
 
     def encode(self, states: Any, *, seed: Any = None, outside: str = "error") -> IntArray:
         """(n,) the number of each state.

@@ -207,7 +207,7 @@ def _made(
         "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
         "grid": model.cells.extent(),
         "floor": floor,
-        "ratio": {name: "displacements" if name == "tie" else value for name, value in simulator.ratio.items()},
+        "ratio": ({} if simulator.tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
         "rows_left_out": len(log) - len(encoded),
         **support,
     }

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.interpolation import GridInterpolation
@@ -21,17 +21,9 @@ Counter = Callable[[Discretization, ContinuousTransitions, str], sparse.csr_arra
 
 
 class Builder(Protocol):
-    """Makes the finite MDP: ``grid`` None for the task's default, ``floor`` the defensive share (0: the plain simulator)."""
+    """Makes the finite MDP on a task's own cells; ``floor`` is the defensive share (0: the plain simulator)."""
 
-    def __call__(
-        self,
-        task: Any,
-        *,
-        grid: tuple[int, ...] | None,
-        at: ContinuousTransitions | None,
-        floor: float,
-        discount: float,
-    ) -> Discretization:
+    def __call__(self, task: Any, *, at: ContinuousTransitions | None, floor: float, discount: float) -> Discretization:
         """The task on its cells, looked at in the log's own places where ``at`` is given."""
         ...
 
@@ -45,15 +37,17 @@ class ContinuousSimulator:
     name : str, as it was given
     task : ContinuousTask
     expert : function of states (n, d) giving probabilities (n, A)
-    builder : makes a Discretization; see ``Builder``
+    cells : the shape of the default grid, or what makes a Discretization on other cells; see ``Builder``
     horizon : of an episode and of a value, where none is given
     floor : share of the defensive simulator's other steps, where a log is evaluated; ``defence`` says which steps those are
-    ratio : options of ``transition_ratio`` for the counts; ``tie`` is a function of the Discretization
+    ratio : options of ``transition_ratio`` for the counts
+    tie : the ties of zeta, a function of the Discretization; None: not tied
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
     count : (model, log, outside) -> csr of counts (S*A, S); None: ``model.counts``
     episodes : of Monte Carlo, for each policy
     at_log : whether the builder looks at the simulator in the log's own places
     cells_of_log : whether the cells are made of the log, so that no array of a policy can be known before
+    no_grid : why no other grid can be asked for; empty where it can
 
     Examples
     --------
@@ -66,16 +60,18 @@ class ContinuousSimulator:
     name: str
     task: ContinuousTask
     expert: StatePolicy
-    builder: Builder
+    cells: tuple[int, ...] | Builder
     horizon: int
     floor: float = 0.0
     ratio: Mapping[str, Any] = field(default_factory=dict)
+    tie: Callable[[Discretization], IntArray] | None = None
     calibration: str = "ratio"
     count: Counter | None = None
     defence: str = "a step ends anywhere near"
     episodes: int = 50_000
     at_log: bool = True
     cells_of_log: bool = False
+    no_grid: str = ""
 
     def counts(self, model: Discretization, log: ContinuousTransitions, *, outside: str = "error") -> sparse.csr_array:
         """The log's moves on the cells of ``model``."""
@@ -85,10 +81,7 @@ class ContinuousSimulator:
 
     def ratio_options(self, model: Discretization) -> dict[str, Any]:
         """Those of ``transition_ratio`` on the cells of ``model``."""
-        options = dict(self.ratio)
-        if "tie" in options:
-            options["tie"] = options["tie"](model)
-        return options
+        return dict(self.ratio) if self.tie is None else {"tie": self.tie(model), **self.ratio}
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
         """``uniform``, ``expert``, or ``mix:0.7``: the expert with that probability, else uniform."""
@@ -113,7 +106,12 @@ class ContinuousSimulator:
         discount: float = 0.99,
     ) -> Discretization:
         """The finite MDP: on the default cells or a grid of that shape, plain or defensive, looked at where the log was."""
-        return self.builder(self.task, grid=grid, at=at, floor=floor, discount=discount)
+        if grid is not None and self.no_grid:
+            raise ValueError(f"grid must be left out for {self.no_grid}")
+        cells = self.cells if grid is None else grid
+        if not isinstance(cells, tuple):
+            return cells(self.task, at=at, floor=floor, discount=discount)
+        return GridInterpolation(cells, floor=floor).build(self.task, at=at, discount=discount)
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
         """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as in ``tasks.record``."""
@@ -126,15 +124,3 @@ def _mixed(expert: StatePolicy, weight: float) -> StatePolicy:
         return np.asarray(weight * found + (1.0 - weight) / found.shape[1])
 
     return policy
-
-
-def on_grid(default: tuple[int, ...], **options: Any) -> Builder:
-    """A builder by ``GridInterpolation(shape, **options)``."""
-
-    def build(
-        task: Any, *, grid: tuple[int, ...] | None, at: ContinuousTransitions | None, floor: float, discount: float
-    ) -> Discretization:
-        shape = default if grid is None else grid
-        return GridInterpolation(shape, floor=floor, **options).build(task, at=at, discount=discount)
-
-    return build

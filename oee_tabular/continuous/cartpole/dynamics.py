@@ -18,14 +18,13 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+from oee_tabular.continuous.task import ContinuousTask, Moves
 
 ANGLE_LIMIT = 12 * 2 * np.pi / 360
 X_LIMIT = 2.4
 START = 0.05
 FORCE = 10.0
 PAPER_NOISE = 1e-4
-EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what cartpole_expert.train_expert() returns
 
 
 @dataclass(frozen=True)
@@ -123,43 +122,3 @@ class CartPole(ContinuousTask):
     def parameters(self) -> dict[str, Any]:
         """Gravity, noise and form."""
         return {"gravity": self.gravity, "noise": self.noise, "form": self.form}
-
-
-@dataclass(frozen=True)
-class CartPolePolicy:
-    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 2).
-
-    The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3); deterministic, where that is above 1/2.
-    delta is the share of the uniform policy: the opposite sense to the gridworld, as in the paper.
-    """
-
-    delta: float = 0.0
-    deterministic: bool = False
-    weights: tuple[float, float, float] = EXPERT
-
-    def __post_init__(self) -> None:
-        _checks.number_in(self.delta, "delta", 0.0, 1.0)
-
-    def __call__(self, states: Array) -> Array:
-        """(n, 2) probabilities of pushing to the left and to the right."""
-        lean = self.weights[0] * states[:, 2] + self.weights[1] * states[:, 3] + self.weights[2]
-        right = (lean > 0).astype(np.float64) if self.deterministic else 1.0 / (1.0 + np.exp(-lean))
-        right = 0.5 * self.delta + (1.0 - self.delta) * right
-        return np.stack([1.0 - right, right], axis=1)
-
-
-def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy:
-    """The paper's policies: delta * uniform + (1 - delta) * the shipped expert (stochastic by default).
-
-    Parameters
-    ----------
-    delta : share of the uniform policy, in [0, 1]
-    deterministic : whether the expert takes its likelier action
-
-    Examples
-    --------
-    >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
-    [[0.5, 0.5]]
-    """
-    _checks.boolean(deterministic, "deterministic")
-    return CartPolePolicy(delta, deterministic)

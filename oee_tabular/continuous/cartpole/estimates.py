@@ -21,7 +21,8 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole import truth as cartpole_truth
-from oee_tabular.continuous.cartpole.dynamics import CartPole, cartpole_policy
+from oee_tabular.continuous.cartpole.dynamics import CartPole
+from oee_tabular.continuous.cartpole.expert import cartpole_policy
 from oee_tabular.continuous.cartpole.truth import DELTAS, HORIZON, SIMULATED
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular._checks import Array
-from oee_tabular.continuous.cartpole import figures
+from oee_tabular.continuous.cartpole import figures, visited_by_policies
 from oee_tabular.continuous.cartpole import truth as cartpole_truth
-from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole, cartpole_policy
+from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole
 from oee_tabular.continuous.cartpole.estimates import (
     BEHAVIOR,
     FLOOR,
@@ -22,11 +22,11 @@ from oee_tabular.continuous.cartpole.estimates import (
     policies_of,
     target_log,
 )
-from oee_tabular.continuous.cartpole.truth import DELTAS, GRAVITIES, HORIZON, SIMULATED
-from oee_tabular.continuous.cells import VisitedCells, visited_states
+from oee_tabular.continuous.cartpole.truth import DELTAS, GRAVITIES, SIMULATED
+from oee_tabular.continuous.cells import VisitedCells
+from oee_tabular.continuous.defensive import within_support
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.interpolation import GridInterpolation
-from oee_tabular.continuous.kinova import within_support
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.ratio import transition_ratio
@@ -144,23 +144,16 @@ def _without_data(name: str, gravity: float) -> list[Row]:
 
 def _discretised(name: str, task: CartPole) -> Discretization:
     if name in FULL_CELLS:
-        return VisitedCells(FULL_CELLS[name]).build(task, _visited())
+        return VisitedCells(FULL_CELLS[name]).build(task, visited_by_policies(CartPole(SIMULATED, form="full")))
     shape = (GRIDS[name],) * 2 if name in GRIDS else (FULL_GRIDS[name],) * 4
     return GridInterpolation(shape, closure_episodes=0).build(task)
-
-
-def _visited() -> Array:
-    """Where the simulator goes under four policies."""
-    policies = [cartpole_policy(delta) for delta in (0.0, 0.3, 0.6, 1.0)]
-    return visited_states([CartPole(SIMULATED, form="full")], policies, 200_000, max_steps=HORIZON, seed=0)
 
 
 def _whole_state(name: str, log: Any, gravity: float) -> list[Row]:
     """Estimates on cells of (x, x', theta, theta'), the simulator looked at in the log's places."""
     builder, simulator = VisitedCells(FULL_CELLS[name], floor=FLOOR, neighbours=NEIGHBOURS), CartPole(form="full")
-    cells = builder.cells(simulator.features(_visited()))
-    model = builder.build(simulator, np.concatenate([log.state, cells.centres]), cells=cells)
-    inside = ~(cells.outside(log.state) | cells.outside(log.next_state) & ~log.terminated)
+    model = builder.at(simulator, visited_by_policies(simulator), log)
+    inside = ~(model.cells.outside(log.state) | model.cells.outside(log.next_state) & ~log.terminated)
     policies = policies_of(model)
     counts, uncovered = within_support(model.counts(log.select(inside)), model)
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=FULL_STRENGTH)

@@ -1,11 +1,11 @@
-"""CartPole's expert, trained by the cross-entropy method in the simulator (gravity 10).
+"""CartPole's policies, and their expert, trained by the cross-entropy method in the simulator (gravity 10).
 
 The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3). The method [1] keeps a Gaussian over w,
 samples a population, runs each candidate for some episodes, and fits the Gaussian to the elite; the expert is its last mean.
 Two iterations only: the paper's expert is no perfect balancer either, and its figure is that of a policy which acts at random
 (a deterministic one does not fit it).
 
-``cartpole.EXPERT`` is what ``train_expert()`` returns, to the last bit. Of the seeds 0 to 3999 its seed is the one whose policy
+``EXPERT`` is what ``train_expert()`` returns, to the last bit. Of the seeds 0 to 3999 its seed is the one whose policy
 comes nearest (mean |difference of probabilities| .020 on 20 000 visited states) to sigma(17.685 theta + 1.367 theta' - .199),
 the expert that this task was first measured with. The choice saw no target.
 
@@ -14,6 +14,7 @@ Reference: [1] R. Rubinstein, The cross-entropy method for combinatorial and con
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,53 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT, CartPole
+from oee_tabular.continuous.task import StatePolicy
 
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
 EXPERT_SEED = 2346
+
+
+EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
+
+
+@dataclass(frozen=True)
+class CartPolePolicy:
+    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 2).
+
+    The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3); deterministic, where that is above 1/2.
+    delta is the share of the uniform policy: the opposite sense to the gridworld, as in the paper.
+    """
+
+    delta: float = 0.0
+    deterministic: bool = False
+    weights: tuple[float, float, float] = EXPERT
+
+    def __post_init__(self) -> None:
+        _checks.number_in(self.delta, "delta", 0.0, 1.0)
+
+    def __call__(self, states: Array) -> Array:
+        """(n, 2) probabilities of pushing to the left and to the right."""
+        lean = self.weights[0] * states[:, 2] + self.weights[1] * states[:, 3] + self.weights[2]
+        right = (lean > 0).astype(np.float64) if self.deterministic else 1.0 / (1.0 + np.exp(-lean))
+        right = 0.5 * self.delta + (1.0 - self.delta) * right
+        return np.stack([1.0 - right, right], axis=1)
+
+
+def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy:
+    """The paper's policies: delta * uniform + (1 - delta) * the shipped expert (stochastic by default).
+
+    Parameters
+    ----------
+    delta : share of the uniform policy, in [0, 1]
+    deterministic : whether the expert takes its likelier action
+
+    Examples
+    --------
+    >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
+    [[0.5, 0.5]]
+    """
+    _checks.boolean(deterministic, "deterministic")
+    return CartPolePolicy(delta, deterministic)
 
 
 def train_expert(

@@ -19,7 +19,8 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular._checks import Array
-from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole, cartpole_policy
+from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole
+from oee_tabular.continuous.cartpole.expert import cartpole_policy
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value
 
 DELTAS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)

@@ -15,18 +15,16 @@ Without MuJoCo everything imports; what simulates the arm raises an ImportError 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
+from scipy import sparse
+
 from oee_tabular import _checks
-from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.kinova.dynamics import (
-    COMMANDS,
-    GOALS,
-    STAND_IN,
-    KinovaArm,
-    require_mujoco,
-)
+from oee_tabular.continuous.defensive import within_support
+from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, STAND_IN, KinovaArm, require_mujoco
 from oee_tabular.continuous.kinova.expert import KinovaPolicy, kinova_policy
 from oee_tabular.continuous.kinova.hand import (
     KinovaHand,
@@ -37,13 +35,13 @@ from oee_tabular.continuous.kinova.hand import (
     ideal_hand,
     kinova_model,
     move_counts,
-    within_support,
 )
 from oee_tabular.continuous.kinova.kinematics import HOME, end_effector
-from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log
+from oee_tabular.continuous.kinova.logs import HORIZON, hand_log, load_kinova_log, record_goals
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.simulator import ContinuousSimulator
 
-HORIZON = 25  # commands of a run
+KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
 REFERENCE_SCALE = 1.4  # velocity_scale of the reference mismatch
 
 __all__ = [
@@ -73,36 +71,48 @@ __all__ = [
 ]
 
 
-def record_goals(
-    arm: KinovaArm | KinovaHand, *, n_runs: int = 10, delta: float = 0.0, horizon: int = HORIZON, seed: Any = None
-) -> ContinuousTransitions:
-    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
+def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
+    """A simulated stand-in for the Gen3 that moves its hand to a goal, on the grid of table1: it is not the robot.
 
-    Parameters
-    ----------
-    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
-    n_runs : to each goal
-    delta : share of random commands, in [0, 1]
-    horizon : commands of a run
-    seed : the same seed gives the same bits
-
-    Returns
-    -------
-    ContinuousTransitions
-        States are whole states of ``arm``; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
-        episode's goal. It is a simulated stand-in's log, not a robot's.
-
-    Examples
-    --------
-    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
-    >>> len(log), log.n_state, int(log.truncated.sum())
-    (125, 3, 5)
+    Parameters of ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs of the hand's position
+    (x, y, z) alone, as a real arm's would be (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
+    simulated arm. Defensive (a tenth of the moves half or one and a half times as far), zeta tied over displacements,
+    calibrated by the difference. MuJoCo is needed.
     """
-    runs = _checks.positive_integer(n_runs, "n_runs")
-    steps = _checks.positive_integer(horizon, "horizon")
-    rng = _checks.generator(seed)
-    logs = [
-        record(replace(arm, goal=g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
-        for g in range(len(GOALS))
-    ]
-    return ContinuousTransitions.concatenate(logs)
+    _checks.one_of(form, "form", ("arm", "hand"))
+    arm = KinovaArm(**parameters)
+    return ContinuousSimulator(
+        "kinova",
+        fit_hand(arm) if form == "hand" else arm,
+        kinova_policy(arm.goal),
+        _kinova_grid,
+        horizon=25,
+        floor=0.1,
+        ratio={"strength": 3.0},
+        tie=displacement_tie,
+        calibration="difference",
+        count=_moves_with_support,
+        defence="a command moves the hand half or one and a half times as far",
+        at_log=False,
+        no_grid="kinova: its vertices are a command's step apart",
+        episodes=KINOVA_RUNS if form == "arm" else 10_000,
+    )
+
+
+def _kinova_grid(
+    task: KinovaArm | KinovaHand, *, at: ContinuousTransitions | None, floor: float, discount: float
+) -> Discretization:
+    model = kinova_model(task, defensive=floor)
+    return replace(model, mdp=model.mdp.with_discount(discount), task=task)  # logs have the task's own coordinates
+
+
+def _moves_with_support(model: Discretization, log: ContinuousTransitions, outside: str) -> sparse.csr_array:
+    """The log's displacements; those that the defensive simulator does not know are left out, with a warning."""
+    counts = move_counts(model, log, outside=outside)
+    kept, uncovered = within_support(counts, model)
+    if uncovered > 0.0:
+        warnings.warn(
+            f"log must stay where the simulator has probability; {uncovered:.2g} of its moves have none and are left out",
+            stacklevel=3,
+        )
+    return kept

@@ -12,8 +12,8 @@ reference of the joints, and position servos follow that. Needs the extra ``mujo
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -70,6 +70,10 @@ class HandTask(ContinuousTask):
     def features(self, states: Array) -> Array:
         """The measured position: the first three coordinates."""
         return np.ascontiguousarray(states[:, :3])
+
+    def towards(self, goal: int) -> Self:
+        """The same with another goal."""
+        return replace(self, goal=goal)  # type: ignore[type-var]
 
     def costs(self, states: Array) -> Array:
         """(n,) r(x) = -|x - goal| in m."""

@@ -20,7 +20,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry
+from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.defensive import defensive_mixture
 from oee_tabular.continuous.discretization import Discretization
@@ -169,7 +169,7 @@ def fit_hand(arm: KinovaArm | KinovaHand, *, n_states: int = 500, seed: Any = 0)
     rng = _checks.generator(seed)
     each = max(1, -(-wanted // (25 * len(GOALS) * len(EXPLORED)))) + 1
     visited = [
-        record(replace(arm, goal=g), kinova_policy(g, delta), n_episodes=each, max_steps=25, seed=rng).state
+        record(arm.towards(g), kinova_policy(g, delta), n_episodes=each, max_steps=25, seed=rng).state
         for g in range(len(GOALS))
         for delta in EXPLORED
     ]
@@ -220,6 +220,7 @@ def kinova_model(
     >>> model.mdp.n_states, box_policy(model, 0).shape, round(float(goal_costs(model, 0).max()), 3)
     (1859, (1859, 27), -0.026)
     >>> moved = ContinuousTransitions([CENTER], [26], [CENTER + 1.4 * STEP])
+    >>> from oee_tabular.continuous.defensive import within_support
     >>> counts, uncovered = within_support(move_counts(model, moved), model)
     >>> round(float(counts.sum()), 6), round(uncovered, 6), len(displacement_tie(model)) == model.mdp.transitions.nnz
     (1.0, 0.0, True)
@@ -245,9 +246,7 @@ def kinova_model(
 
 def goal_costs(model: Discretization, goal: int) -> Array:
     """(S,) r of each state for a goal, -mean |x - goal| over its box, in m: ``model.mdp.with_rewards`` takes it."""
-    distance = np.linalg.norm(model.points - GOALS[goal_number(goal)], axis=1)
-    n = np.bincount(model.point_cell, minlength=model.cells.n_cells)
-    return np.asarray(-np.bincount(model.point_cell, distance, model.cells.n_cells) / n)
+    return -model.mean(np.linalg.norm(model.points - GOALS[goal_number(goal)], axis=1))
 
 
 def box_policy(model: Discretization, goal: int, delta: float = 0.0) -> Array:
@@ -313,12 +312,3 @@ def displacement_tie(model: Discretization) -> IntArray:
     places = np.stack(np.unravel_index(np.arange(cells.n_cells), cells.shape), axis=1)
     apart = places[matrix.indices] - places[first] + WIDEST
     return np.asarray(action * (2 * WIDEST + 1) ** 3 + apart @ np.array([(2 * WIDEST + 1) ** 2, 2 * WIDEST + 1, 1]))
-
-
-def within_support(counts: sparse.csr_array, model: Discretization) -> tuple[sparse.csr_array, float]:
-    """The counts that lie where ``model.mdp`` has probability, and the share of those that do not: to be reported with it."""
-    matrix = canonical(counts, drop_zeros=True)
-    _, stored = find(model.mdp.transitions, row_of_entry(matrix), matrix.indices.astype(np.int64))
-    kept = canonical(on_pattern(matrix, np.where(stored, matrix.data, 0.0)), drop_zeros=True)
-    total = float(matrix.data.sum())
-    return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0

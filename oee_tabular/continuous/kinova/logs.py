@@ -15,12 +15,53 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.continuous.kinova.dynamics import COMMANDS, KinovaArm
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, HandTask, KinovaArm
+from oee_tabular.continuous.kinova.expert import kinova_policy
 from oee_tabular.continuous.kinova.kinematics import N_JOINTS, end_effector
 from oee_tabular.continuous.log import ContinuousTransitions
 
 FARTHEST = 1.3  # m: beyond the reach of a Gen3
 MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+
+
+HORIZON = 25  # commands of a run
+
+
+def record_goals(
+    arm: HandTask, *, n_runs: int = 10, delta: float = 0.0, horizon: int = HORIZON, seed: Any = None
+) -> ContinuousTransitions:
+    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
+
+    Parameters
+    ----------
+    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
+    n_runs : to each goal
+    delta : share of random commands, in [0, 1]
+    horizon : commands of a run
+    seed : the same seed gives the same bits
+
+    Returns
+    -------
+    ContinuousTransitions
+        States are whole states of ``arm``; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
+        episode's goal. It is a simulated stand-in's log, not a robot's.
+
+    Examples
+    --------
+    >>> from oee_tabular.continuous.kinova.hand import ideal_hand
+    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
+    >>> len(log), log.n_state, int(log.truncated.sum())
+    (125, 3, 5)
+    """
+    runs = _checks.positive_integer(n_runs, "n_runs")
+    steps = _checks.positive_integer(horizon, "horizon")
+    rng = _checks.generator(seed)
+    logs = [
+        record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
+        for g in range(len(GOALS))
+    ]
+    return ContinuousTransitions.concatenate(logs)
 
 
 def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:

@@ -24,11 +24,12 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.cells import VisitedCells, VoronoiCells, visited_states
+from oee_tabular.continuous.defensive import supported
+from oee_tabular.continuous.discretization import Discretization, Places, task_metadata
 from oee_tabular.continuous.episodes import record, resimulate
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher.dynamics import Reacher, at_stop
 from oee_tabular.continuous.reacher.expert import reacher_policy
-from oee_tabular.continuous.task import StatePolicy, check_probabilities
 from oee_tabular.mdp import FiniteMDP
 
 LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)  # m, of the averaged simulator
@@ -36,8 +37,8 @@ VISITING = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)  # deltas of the policies that visit s
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ArmCells:
-    """Numbered states of the arm, with its moves under several lengths and those of a log.
+class ArmCells(Places):
+    """Numbered states of the arm, with its moves under several lengths and those of a log: builds a ``Discretization``.
 
     Attributes
     ----------
@@ -73,17 +74,6 @@ class ArmCells:
         lengths = ", ".join(f"{length:g}" for length in self.transitions)
         return f"ArmCells({self.cells.extent()}; lengths {lengths} m; {self.counts.sum():.0f} moves logged)"
 
-    def mean(self, values: Array) -> Array:
-        """(S,) the mean of values (m,), one for each point, in each cell."""
-        n = np.bincount(self.point_cell, minlength=self.cells.n_cells)
-        return np.asarray(np.bincount(self.point_cell, values, self.cells.n_cells) / n)
-
-    def policy(self, function: StatePolicy) -> Array:
-        """(S, 9) a policy in each cell: its mean over the cell's points."""
-        table = check_probabilities(function, self.points, self.task.n_actions)
-        means = np.stack([self.mean(column) for column in table.T], axis=1)
-        return np.asarray(means / means.sum(axis=1, keepdims=True))
-
     def mdp(self, transitions: sparse.csr_array) -> FiniteMDP:
         """The FiniteMDP of these transitions, with the reward that telescopes on cells (see above)."""
         matrix = canonical(sparse.csr_array(transitions), drop_zeros=True)
@@ -95,6 +85,11 @@ class ArmCells:
         paid -= 0.1 * self.mean(at_stop(self.points))[to]
         rewards = sparse.csr_array((paid, matrix.indices, matrix.indptr), shape=matrix.shape)
         return FiniteMDP(matrix, rewards, self.initial, self.discount)
+
+    def build(self, transitions: sparse.csr_array, **facts: Any) -> Discretization:
+        """The Discretization of these transitions; ``facts`` go into its metadata."""
+        made = task_metadata(self.task) | {"builder": "arm_cells", "n_cells": self.cells.n_cells} | facts
+        return Discretization(self.mdp(transitions), self.task, self.cells, self.points, self.point_cell, made, {})
 
     def paying(self, task: Reacher) -> ArmCells:
         """The same cells and moves with the reward of another ``task``."""
@@ -114,8 +109,7 @@ class ArmCells:
         if unknown or not lengths:
             raise ValueError(f"lengths must be among {', '.join(map(str, self.transitions))}; got {list(lengths)}")
         part = replace(self, transitions={length: self.transitions[length] for length in lengths})
-        allowed = canonical(sparse.csr_array(self.counts.multiply(part.mixture() > 0)), drop_zeros=True)
-        return replace(part, counts=allowed)
+        return replace(part, counts=supported(self.counts, part.mixture())[0])
 
     def mixture(self, weights: Sequence[float] | None = None) -> sparse.csr_array:
         """sum_k w_k P_k over the lengths, in their order; by default all alike: the averaged-length simulator.
@@ -167,8 +161,7 @@ class ArmCells:
 
     def uncovered(self, transitions: sparse.csr_array) -> float:
         """The share of the log's moves to which ``transitions`` gives probability 0."""
-        possible = sparse.csr_array(self.counts.multiply(transitions > 0))
-        return float(1.0 - possible.sum() / self.counts.sum())
+        return supported(self.counts, transitions)[1]
 
 
 def arm_cells(
