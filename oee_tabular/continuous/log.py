@@ -23,7 +23,7 @@ from oee_tabular.data.files import Format
 CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class ContinuousTransitions(Log):
     """Logged moves with continuous states, one a row; checked when made and immutable.
 
@@ -56,34 +56,20 @@ class ContinuousTransitions(Log):
     state: Array
     next_state: Array
 
-    def __init__(
-        self,
-        state: Any,
-        action: Any,
-        next_state: Any,
-        reward: Any = None,
-        *,
-        terminated: Any = None,
-        episode: Any = None,
-        timestep: Any = None,
-        behavior_probability: Any = None,
-        truncated: Any = None,
-    ) -> None:
+    @staticmethod
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
         states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
-        actions = _actions(action)
         if following.shape[1] != states.shape[1]:
             raise ValueError(
                 f"next_state must have the {states.shape[1]} coordinates of state; it has {following.shape[1]}"
             )
-        rest = {
-            "reward": reward,
-            "terminated": terminated,
-            "truncated": truncated,
-            "episode": episode,
-            "timestep": timestep,
-            "behavior_probability": behavior_probability,
-        }
-        self._check({"state": states, "action": actions, "next_state": following}, rest, _apart)
+        return {"state": states, "action": _actions(action), "next_state": following}
+
+    @staticmethod
+    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+        """Differ by more than a float32 copy does."""
+        far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
+        return np.asarray(far.any(axis=1))
 
     def __repr__(self) -> str:
         text = f"{len(self)} transitions of {self.n_state}-dimensional states"
@@ -157,9 +143,3 @@ def _actions(value: Any) -> NDArray[Any]:
     if array.ndim != 1:
         raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
     return integers(array, "action")
-
-
-def _apart(following: Array, state: Array) -> BoolArray:
-    """Whether a next state and the state after it differ by more than a float32 copy does."""
-    far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
-    return np.asarray(far.any(axis=1))

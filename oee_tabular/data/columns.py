@@ -17,7 +17,7 @@ from oee_tabular.data import files
 Apart = Callable[[NDArray[Any], NDArray[Any]], BoolArray]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Log:
     """The columns of a log, (n,) or, where states are vectors, (n, d); those of ``Transitions`` are described there."""
 
@@ -33,11 +33,27 @@ class Log:
     timestep: IntArray | None
     behavior_probability: Array | None
 
-    def _check(self, moves: dict[str, NDArray[Any]], rest: dict[str, Any], apart: Apart) -> None:
-        """Sets the columns: state, action and next_state as they are, and the rest once it is checked and filled in.
-
-        ``apart`` says row by row whether a next state and the state that follows it differ.
-        """
+    def __init__(
+        self,
+        state: Any,
+        action: Any,
+        next_state: Any,
+        reward: Any = None,
+        *,
+        terminated: Any = None,
+        episode: Any = None,
+        timestep: Any = None,
+        behavior_probability: Any = None,
+        truncated: Any = None,
+    ) -> None:
+        rest = {
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+            "episode": episode,
+            "timestep": timestep,
+            "behavior_probability": behavior_probability,
+        }
         readers: dict[str, Callable[[Any, str], NDArray[Any]]] = {
             "reward": lambda value, name: _checks.float_array(value, name, ndim=1),
             "terminated": booleans,
@@ -46,7 +62,7 @@ class Log:
             "timestep": integers,
             "behavior_probability": lambda value, name: _checks.float_array(value, name, ndim=1),
         }
-        columns: dict[str, NDArray[Any] | None] = dict(moves)
+        columns: dict[str, NDArray[Any] | None] = self._moves(state, action, next_state)
         columns |= {name: None if rest[name] is None else read(rest[name], name) for name, read in readers.items()}
         lengths = {name: len(column) for name, column in columns.items() if column is not None}
         if len(set(lengths.values())) > 1:
@@ -58,11 +74,21 @@ class Log:
         if columns["terminated"] is None:
             columns["terminated"] = np.zeros(n, dtype=np.bool_)
         if columns["episode"] is not None:
-            _check_episodes(columns, _episode_starts(columns["episode"]), apart)
+            _check_episodes(columns, _episode_starts(columns["episode"]), self._apart)
         elif columns["truncated"] is None:
             columns["truncated"] = np.zeros(n, dtype=np.bool_)
         for name, column in columns.items():
             object.__setattr__(self, name, None if column is None else freeze(column))
+
+    @staticmethod
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+        """The three columns of a move, checked each for itself."""
+        raise NotImplementedError
+
+    @staticmethod
+    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+        """Row by row, whether a next state and the state that follows it differ."""
+        raise NotImplementedError
 
     def __len__(self) -> int:
         return len(self.state)
@@ -136,12 +162,20 @@ class Log:
         return self.select(_checks.generator(seed).permutation(len(self))[:size])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, .csv or .parquet, whole or not at all; numbers survive each of them to the last bit."""
+        """Write .npz, .csv or .parquet; a log of numbered states also as a Minari data set (which needs episodes and rewards).
+
+        A Minari data set is a folder without suffix, or ``minari:namespace/name-v0``. What is written appears whole or not at
+        all; numbers survive each format to the last bit.
+        """
         files.save(self, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what ``save`` writes, tables of others, and Minari data sets."""
+        """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this machine.
+
+        Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
+        vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
+        """
         return files.load(cls, path)
 
 

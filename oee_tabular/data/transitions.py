@@ -6,21 +6,21 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import IntArray
+from oee_tabular._checks import BoolArray, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(Log):
     """Logged moves of the target environment, one a row; checked when made and immutable.
 
@@ -60,30 +60,14 @@ class Transitions(Log):
     action: IntArray
     next_state: IntArray
 
-    def __init__(
-        self,
-        state: Any,
-        action: Any,
-        next_state: Any,
-        reward: Any = None,
-        *,
-        terminated: Any = None,
-        episode: Any = None,
-        timestep: Any = None,
-        behavior_probability: Any = None,
-        truncated: Any = None,
-    ) -> None:
-        moves = {"state": integers(state, "state"), "action": integers(action, "action")}
-        moves["next_state"] = integers(next_state, "next_state")
-        rest = {
-            "reward": reward,
-            "terminated": terminated,
-            "truncated": truncated,
-            "episode": episode,
-            "timestep": timestep,
-            "behavior_probability": behavior_probability,
-        }
-        self._check(moves, rest, np.not_equal)
+    @staticmethod
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+        numbers = {"state": state, "action": action, "next_state": next_state}
+        return {name: integers(column, name) for name, column in numbers.items()}
+
+    @staticmethod
+    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+        return np.asarray(following != state)
 
     def __repr__(self) -> str:
         return f"Transitions({self.describe()})"
@@ -153,18 +137,3 @@ class Transitions(Log):
         if self.reward is not None:
             text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
         return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, .csv, .parquet, or a Minari data set (a folder without suffix, or ``minari:namespace/name-v0``).
-
-        The file appears whole or not at all. A Minari data set needs episodes and rewards.
-        """
-        super().save(path)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this machine.
-
-        Columns of CSV and parquet are the constructor's names; only state, action and next_state are required.
-        """
-        return super().load(path)

@@ -12,39 +12,7 @@ from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, toy_text
 
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
-    from oee_tabular.continuous import (
-        ArmCells,
-        CartPole,
-        Closure,
-        ContinuousTask,
-        Discretization,
-        GridInterpolation,
-        GymnasiumTask,
-        KinovaArm,
-        KinovaHand,
-        LinearReacher,
-        MonteCarlo,
-        Moves,
-        Reacher,
-        StatePolicy,
-        VisitedCells,
-        arm_cells,
-        cartpole_policy,
-        defensive_mixture,
-        fit_hand,
-        hand_log,
-        kinova_model,
-        kinova_policy,
-        load_kinova_log,
-        monte_carlo_value,
-        reacher_log,
-        reacher_policy,
-        record,
-        record_goals,
-        resimulate,
-        train_expert,
-        visited_states,
-    )
+    from oee_tabular.continuous import *
 
 __all__ = [
     "ArmCells",
