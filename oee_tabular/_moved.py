@@ -19,7 +19,7 @@ MOVED = {
     "tasks.discretize_geometry": "continuous.grid",
     "tasks.discretize_grid": "continuous.interpolation",
     "tasks.discretize_gymnasium": "continuous.gymnasium_task",
-    "tasks.discretize_mixture": "continuous.defensive",
+    "tasks.discretize_mixture": "continuous.support",
     "tasks.named_continuous": "continuous.names",
     "tasks.named_arms": "continuous.names",
     "tasks.named_arguments": "tasks.specs",

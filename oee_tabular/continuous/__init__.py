@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
     from oee_tabular.continuous.cells import VisitedCells, visited_states
     from oee_tabular.continuous.closure import Closure
-    from oee_tabular.continuous.defensive import defensive_mixture
     from oee_tabular.continuous.discretization import Discretization
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
     from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.reacher.dynamics import Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
     from oee_tabular.continuous.reacher.linear import LinearReacher
+    from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 _MODULES = {
@@ -43,7 +43,7 @@ _MODULES = {
     "cartpole.experiment": ("CARTPOLE_CHOICE", "CARTPOLE_DATA", "FIGURE_2", "RESOLUTION"),
     "cells": ("VisitedCells", "visited_states"),
     "closure": ("Closure",),
-    "defensive": ("defensive_mixture",),
+    "support": ("defensive_mixture",),
     "discretization": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("Settings", "evaluate_continuous"),

@@ -15,8 +15,8 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.continuous.cells import VoronoiCells
-from oee_tabular.continuous.discretization import Cells, Discretization, task_metadata
-from oee_tabular.continuous.grid import Grid
+from oee_tabular.continuous.discretization import Discretization, task_metadata
+from oee_tabular.continuous.grid import Cells, Grid
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import KIND

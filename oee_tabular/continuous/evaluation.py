@@ -183,19 +183,16 @@ def _made(
         # rewards differ within a cell: no contradiction of the simulator's mean
         episodes = encoded if encoded.episode is not None else None
         bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
-    try:
-        problem = Problem(model.mdp, bag, horizon=horizon, counts=counts, episodes=episodes)
-        zeta = transition_ratio(counts, model.mdp, **simulator.ratio_options(model))
-    except ValueError as error:
-        if "stay where the simulator has probability" not in str(error):
-            raise
-        share = uncovered_share(counts, model.mdp)
+    share = uncovered_share(counts, model.mdp)
+    if share > 0.0:
         raise ValueError(
             f"log must stay where the simulator has probability: {share:.2g} of its moves have none on "
             f"{model.cells.extent()}, with a defensive share of {floor:g}. No ratio exists there. Ways out: a defensive share "
             "(--floor 0.001), a coarser grid (--grid), process noise, or a mixture of simulator parameters "
             "(tasks.defensive_mixture)"
-        ) from None
+        )
+    problem = Problem(model.mdp, bag, horizon=horizon, counts=counts, episodes=episodes)
+    zeta = transition_ratio(counts, model.mdp, **simulator.ratio_options(model))
     largest = float(zeta.values.data.max())
     support = {
         "uncovered_mass": uncovered_share(counts, plain.mdp),

@@ -1,10 +1,10 @@
-"""Where numbered states lie among the features: the vertices of a regular grid; and the points that stand for noise."""
+"""Where numbered states lie among the features: cells, the vertices of a grid; and the points that stand for noise."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from scipy import sparse
@@ -12,9 +12,57 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 
 ENTRIES_AT_A_TIME = 4_000_000  # of a matrix under construction: bounds the memory
+
+
+class Cells(Protocol):
+    """Where the numbered states lie among the features: a grid's vertices, or centres."""
+
+    @property
+    def n_cells(self) -> int:
+        """How many there are."""
+
+    def weights(self, features: Array) -> sparse.csr_array:
+        """(n, n_cells) how each point is shared out; rows sum to 1, points outside go to the nearest face."""
+
+    def outside(self, features: Array) -> BoolArray:
+        """(n,) which points lie outside what the cells describe."""
+
+    def extent(self) -> str:
+        """What they describe, in words."""
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file needs to make them again."""
+
+
+class Places:
+    """Cells of a task, and states that stand for them: ``points`` (m, d), each in the cell ``point_cell`` (m,)."""
+
+    task: ContinuousTask
+    cells: Cells
+    points: Array
+    point_cell: IntArray
+
+    @property
+    def over(self) -> int | None:
+        """The number of the absorbing state in which episodes end, None where they do not."""
+        return self.cells.n_cells if self.task.terminates else None
+
+    def mean(self, values: Array) -> Array:
+        """(n_cells,) the mean over each cell of values (m,), one for each point."""
+        n = np.bincount(self.point_cell, minlength=self.cells.n_cells)
+        return np.asarray(np.bincount(self.point_cell, values, self.cells.n_cells) / n)
+
+    def policy(self, function: StatePolicy) -> Array:
+        """(S, A) the policy function in each state: its mean over the points of the cell; uniform where it is over."""
+        n_actions = self.task.n_actions
+        at_points = check_probabilities(function, self.points, n_actions)
+        table = np.full((self.cells.n_cells + self.task.terminates, n_actions), 1.0 / n_actions)
+        for a in range(n_actions):
+            table[: self.cells.n_cells, a] = self.mean(at_points[:, a])
+        return np.asarray(table / table.sum(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)

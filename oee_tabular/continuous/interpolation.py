@@ -29,10 +29,10 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.closure import warn_if_coarse
-from oee_tabular.continuous.defensive import with_floor
 from oee_tabular.continuous.discretization import Discretization, task_metadata
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action, gauss_hermite
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import with_floor
 from oee_tabular.continuous.task import ContinuousTask, check_states
 from oee_tabular.mdp import FiniteMDP
 

@@ -15,7 +15,6 @@ from oee_tabular.continuous.cartpole import truth as cartpole_truth
 from oee_tabular.continuous.cartpole.estimates import (
     Linear,
     exact_values,
-    frequencies,
     importance_sampling,
     linear_values,
     off_environment,
@@ -23,6 +22,7 @@ from oee_tabular.continuous.cartpole.estimates import (
     target_log,
 )
 from oee_tabular.continuous.cartpole.experiment import published_error
+from oee_tabular.continuous.support import frequencies
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.output import figures, summary_of
 from oee_tabular.experiments.run import run_cell

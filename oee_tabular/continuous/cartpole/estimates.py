@@ -29,9 +29,8 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import frequencies, staying
 from oee_tabular.continuous.task import Moves
-from oee_tabular.estimators import Estimate
-from oee_tabular.estimators.calibrated import calibrate
 from oee_tabular.estimators.rollouts import Weighted, combine, segment_products
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
@@ -52,13 +51,9 @@ def policies_of(model: Discretization) -> list[Array]:
     return [model.policy(cartpole_policy(delta)) for delta in DELTAS]
 
 
-def calibrated(raw: Array, discretised: Array, continuous: Array) -> Array:
-    """Each raw value times the simulator's continuous / discretised value."""
-    found = [
-        calibrate(Estimate(float(value)), discretised=float(below), continuous=float(above))
-        for value, below, above in zip(raw, discretised, continuous, strict=True)
-    ]
-    return np.array([estimate.diagnostics["calibrated_value"] for estimate in found])
+def calibrated(raw: Array, discretised: Array) -> Array:
+    """Each raw value times the simulator's own value, by Monte Carlo / its value on the cells."""
+    return raw * (cartpole_truth.values("simulator", SIMULATED) / discretised)
 
 
 # ---- logs ----------------------------------------------------------------------------------------------------------------
@@ -90,19 +85,6 @@ def gymnasium_task(gravity: float) -> GymnasiumTask:
 
 
 # ---- models of the log -----------------------------------------------------------------------------------------------------
-
-
-def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
-    """The log's rows n(s, a, s') / n(s, a); what was never visited stays where it is."""
-    total = row_sums(counts)
-    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-    return sparse.csr_array(sparse.diags_array(scale) @ counts + _staying(total > 0, n_actions))
-
-
-def _staying(seen: Any, n_actions: int) -> sparse.csr_array:
-    rows = np.arange(len(seen))
-    shape = (len(seen), len(seen) // n_actions)
-    return sparse.csr_array(((~seen).astype(float), (rows, rows // n_actions)), shape=shape)
 
 
 @dataclass(frozen=True)
@@ -180,7 +162,7 @@ def off_environment(log: ContinuousTransitions, *, vertices: int = VERTICES, str
     policies = policies_of(simulator)
     raw = exact_values(zeta.target_model(simulator.mdp), policies)
     inside = exact_values(simulator.mdp, policies)
-    mended = calibrated(raw, inside, cartpole_truth.values("simulator", SIMULATED))
+    mended = calibrated(raw, inside)
     return Corrected(simulator, counts, zeta, policies, raw, mended)
 
 
@@ -194,9 +176,9 @@ def model_based(log: ContinuousTransitions, found: Corrected) -> tuple[Array, Ar
     shape = found.simulator.metadata["shape"]
     looked = GridInterpolation(tuple(shape), closure_episodes=0, vertex_weight=0.0).build(CartPole(SIMULATED), at=log)
     seen = row_sums(found.counts) > 0
-    same = sparse.diags_array(seen.astype(float)) @ looked.mdp.transitions + _staying(seen, n_actions)
+    same = sparse.diags_array(seen.astype(float)) @ looked.mdp.transitions + staying(~seen, n_actions)
     placebo = exact_values(mdp.with_transitions(sparse.csr_array(same)), found.policies)
-    return raw, calibrated(raw, placebo, cartpole_truth.values("simulator", SIMULATED))
+    return raw, calibrated(raw, placebo)
 
 
 def oracle(log: ContinuousTransitions, gravity: float, found: Corrected, noise: float) -> tuple[Array, Array]:
@@ -204,7 +186,7 @@ def oracle(log: ContinuousTransitions, gravity: float, found: Corrected, noise: 
     builder = GridInterpolation(tuple(found.simulator.metadata["shape"]), closure_episodes=0)
     both = [builder.build(task, at=log) for task in (CartPole(gravity, noise), CartPole(SIMULATED))]
     raw, inside = (exact_values(model.mdp, found.policies) for model in both)
-    return raw, calibrated(raw, inside, cartpole_truth.values("simulator", SIMULATED))
+    return raw, calibrated(raw, inside)
 
 
 def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tuple[dict[str, Array], Corrected]:

@@ -24,9 +24,9 @@ from oee_tabular.continuous.cartpole.estimates import (
 )
 from oee_tabular.continuous.cartpole.truth import DELTAS, GRAVITIES, SIMULATED
 from oee_tabular.continuous.cells import VisitedCells
-from oee_tabular.continuous.defensive import within_support
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.interpolation import GridInterpolation
+from oee_tabular.continuous.support import within_support
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.ratio import transition_ratio
@@ -138,7 +138,7 @@ def _without_data(name: str, gravity: float) -> list[Row]:
     form = "angle" if name in GRIDS else "full"
     target, simulator = (_discretised(name, CartPole(g, form=form)) for g in (gravity, SIMULATED))
     raw, inside = (exact_values(model.mdp, policies_of(model)) for model in (target, simulator))
-    mended = calibrated(raw, inside, cartpole_truth.values("simulator", SIMULATED))
+    mended = calibrated(raw, inside)
     return _with_cost({"target on these states": raw, "the same, calibrated": mended}, gravity, simulator)
 
 
@@ -159,7 +159,7 @@ def _whole_state(name: str, log: Any, gravity: float) -> list[Row]:
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=FULL_STRENGTH)
     raw = exact_values(zeta.target_model(model.mdp), policies)
     below = exact_values(model.mdp, policies)
-    mended = calibrated(raw, below, cartpole_truth.values("simulator", SIMULATED))
+    mended = calibrated(raw, below)
     return _with_cost({"OEE": raw, "OEE, calibrated": mended}, gravity, model, uncovered)
 
 

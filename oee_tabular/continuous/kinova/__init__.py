@@ -22,7 +22,6 @@ from typing import Any
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular.continuous.defensive import within_support
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, STAND_IN, KinovaArm, require_mujoco
 from oee_tabular.continuous.kinova.expert import KinovaPolicy, kinova_policy
@@ -40,6 +39,7 @@ from oee_tabular.continuous.kinova.kinematics import HOME, end_effector
 from oee_tabular.continuous.kinova.logs import HORIZON, hand_log, load_kinova_log, record_goals
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.simulator import ContinuousSimulator
+from oee_tabular.continuous.support import within_support
 
 KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
 REFERENCE_SCALE = 1.4  # velocity_scale of the reference mismatch

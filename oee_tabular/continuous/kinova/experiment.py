@@ -11,14 +11,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import row_sums
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import frequencies
 from oee_tabular.exact.values import policy_kernel
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.common import panels
@@ -103,15 +102,6 @@ def goal_values(model: Discretization, mdp: FiniteMDP) -> dict[float, Array]:
     return {delta: np.array(values) for delta, values in found.items()}
 
 
-def frequencies(counts: sparse.csr_array, like: FiniteMDP) -> FiniteMDP:
-    """The model-based baseline: the log's frequencies; the hand stays where it is in rows that were never visited."""
-    totals = row_sums(counts)
-    scale = sparse.diags_array(np.divide(1.0, totals, out=np.zeros_like(totals), where=totals > 0))
-    empty = np.flatnonzero(totals == 0)
-    stay = sparse.csr_array((np.ones(len(empty)), (empty, empty // like.n_actions)), shape=counts.shape)
-    return FiniteMDP(scale @ counts + stay, like.rewards, like.initial, like.discount, layout=like.layout)
-
-
 def run_values(log: ContinuousTransitions) -> Array:
     """(5,) mean discounted cost of the runs to each goal."""
     assert log.reward is not None
@@ -180,7 +170,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
         OEE: (zeta.target_model(defensive.mdp), uncovered),
         "OEE, tied, exact, plain simulator": (tied_plain.target_model(plain.mdp), uncovered_plain),
         "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
-        "model-based": (frequencies(counts, plain.mdp), 0.0),
+        "model-based": (plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)), 0.0),
     }
     exact = {name: goal_values(plain, model) for name, (model, _) in models.items()} | grid_values(target)
     rows: list[Row] = []
@@ -222,10 +212,8 @@ ORDER = (
 
 def published(summary: pd.DataFrame) -> list[float]:
     """Table I, beside the controller's rows of the reference mismatch; the robot's numbers, not the stand-in's."""
-    table = paper.published()
-    known = table[table.figure == "kinova"].set_index("series")["mean"]
     return [
-        float(known[PUBLISHED[name]]) if name in PUBLISHED and policy == 0.0 and target == REFERENCE else np.nan
+        paper_value(name) if name in PUBLISHED and policy == 0.0 and target == REFERENCE else np.nan
         for target, policy, name in zip(summary["target"], summary["policy"], summary["estimator"], strict=True)
     ]
 

@@ -22,7 +22,6 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.defensive import defensive_mixture
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.grid import Grid, each_action
@@ -40,6 +39,7 @@ from oee_tabular.continuous.kinova.dynamics import (
 )
 from oee_tabular.continuous.kinova.expert import kinova_policy
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import defensive_mixture
 from oee_tabular.continuous.task import Moves
 
 DEFENSIVE = (0.5, 1.5)  # factors on the displacements that a defensive simulator mixes in: a target may lie between
@@ -220,7 +220,7 @@ def kinova_model(
     >>> model.mdp.n_states, box_policy(model, 0).shape, round(float(goal_costs(model, 0).max()), 3)
     (1859, (1859, 27), -0.026)
     >>> moved = ContinuousTransitions([CENTER], [26], [CENTER + 1.4 * STEP])
-    >>> from oee_tabular.continuous.defensive import within_support
+    >>> from oee_tabular.continuous.support import within_support
     >>> counts, uncovered = within_support(move_counts(model, moved), model)
     >>> round(float(counts.sum()), 6), round(uncovered, 6), len(displacement_tie(model)) == model.mdp.transitions.nnz
     (1.0, 0.0, True)

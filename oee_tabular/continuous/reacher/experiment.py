@@ -9,14 +9,12 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
 from oee_tabular.continuous.reacher.dynamics import Reacher
 from oee_tabular.continuous.reacher.expert import reacher_policy
 from oee_tabular.continuous.reacher.linear import LinearReacher
-from oee_tabular.estimators import Estimate
-from oee_tabular.estimators.calibrated import calibrate
+from oee_tabular.continuous.support import frequencies
 from oee_tabular.exact import policy_value
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.common import panels
@@ -60,15 +58,6 @@ def truth(length: float, reward_length: float) -> Array:
     return np.array(
         [monte_carlo_value(task, reacher_policy(d), TRUTH_EPISODES, HORIZON, seed=[3, k]).value for k, d in enumerate(DELTAS)]
     )  # fmt: skip
-
-
-def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
-    """The log's rows; rows never visited stay where they are."""
-    total = row_sums(counts)
-    unseen = (total == 0.0).astype(np.float64)
-    rows = np.arange(len(total))
-    stay = sparse.csr_array((unseen, (rows, rows // n_actions)), shape=counts.shape)
-    return sparse.csr_array(sparse.diags_array((1.0 - unseen) / np.maximum(total, 1e-300)) @ counts + stay)
 
 
 def values_of(mdp: FiniteMDP, policies: list[Array]) -> Array:
@@ -122,12 +111,7 @@ def estimates(arm: ArmCells, policies: list[Array], length: float) -> tuple[dict
 
     def add(name: str, values: Array) -> None:
         found[name] = values
-        found[f"{name}, calibrated"] = np.array(
-            [
-                calibrate(Estimate(v), discretised=d, continuous=c, kind="difference").diagnostics["calibrated_value"]
-                for v, d, c in zip(values, below, above, strict=True)
-            ]
-        )
+        found[f"{name}, calibrated"] = values + above - below
 
     for name, (allowed, prior) in priors.items():
         simulator = arm.mdp(prior)

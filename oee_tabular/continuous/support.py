@@ -1,7 +1,7 @@
-"""Defensive simulators: mixtures that have support where a target may go.
+"""Where a log's moves have probability: what a simulator supports of them, and defensive simulators, which support more.
 
-Either of the task under several parameters (``defensive_mixture``), or with a small chance of ending anywhere near
-(``with_floor``, which ``GridInterpolation(floor=...)`` uses). Both are other simulators than the plain one, and say so.
+Those are mixtures: of the task under several parameters (``defensive_mixture``), or with a small chance of ending anywhere
+near (``with_floor``, which ``GridInterpolation(floor=...)`` uses). Both are other simulators than the plain one, and say so.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._checks import BoolArray
 from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry, row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action
@@ -89,6 +90,20 @@ def supported(counts: sparse.csr_array, transitions: sparse.csr_array) -> tuple[
 def within_support(counts: sparse.csr_array, model: Discretization) -> tuple[sparse.csr_array, float]:
     """``supported`` by the model's transitions."""
     return supported(counts, model.mdp.transitions)
+
+
+def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
+    """The log's own rows n(s, a, s') / n(s, a); what was never visited stays where it is."""
+    total = row_sums(counts)
+    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+    return sparse.csr_array(sparse.diags_array(scale) @ counts + staying(total == 0, n_actions))
+
+
+def staying(rows: BoolArray, n_actions: int) -> sparse.csr_array:
+    """csr (S*A, S): the given rows s*A + a lead to s, the others nowhere."""
+    number = np.arange(len(rows))
+    shape = (len(rows), len(rows) // n_actions)
+    return sparse.csr_array((rows.astype(np.float64), (number, number // n_actions)), shape=shape)
 
 
 def with_floor(
