@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from oee_tabular.cli_described import described
 from oee_tabular.cli_inputs import (
     ESTIMATORS_HELP,
     FEATURES_HELP,
     POLICY_HELP,
     SIMULATOR_HELP,
     TIE_HELP,
+    described,
     embedded,
     from_files,
     policies_of,

@@ -314,7 +314,7 @@ def reprlib(read, name):
 def _readers():
     import oee_tabular as oee
     from oee_tabular._files import policy_array
-    from oee_tabular.cli_described import described
+    from oee_tabular.cli_inputs import described
     from oee_tabular.mdp import check_policy
 
     grid = oee.tasks.gridworld(3, 0.3)

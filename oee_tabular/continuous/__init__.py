@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
-    from oee_tabular.continuous.reacher.dynamics import Reacher
+    from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
-    from oee_tabular.continuous.reacher.linear import LinearReacher
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
@@ -56,10 +55,9 @@ _MODULES = {
     "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
     "log": ("ContinuousTransitions",),
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
-    "reacher.dynamics": ("Reacher",),
+    "reacher.dynamics": ("LinearReacher", "Reacher"),
     "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
-    "reacher.linear": ("LinearReacher",),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use

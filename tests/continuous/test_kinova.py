@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.kinova.dynamics import CENTER, STEP
-from oee_tabular.continuous.kinova.kinematics import HOME, end_effector, resolved_rates
+from oee_tabular.continuous.kinova.dynamics import CENTER, HOME, STEP, end_effector, resolved_rates
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import kinova
 
@@ -37,7 +36,7 @@ def test_resolved_rates_move_the_hand_as_asked():
 
 def test_mujoco_agrees_with_the_kinematics():
     mujoco = needs_mujoco()
-    from oee_tabular.continuous.kinova.kinematics import arm_xml
+    from oee_tabular.continuous.kinova.dynamics import arm_xml
 
     model = mujoco.MjModel.from_xml_string(arm_xml())
     data = mujoco.MjData(model)

@@ -23,7 +23,15 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular.continuous.discretization import Discretization
-from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, STAND_IN, KinovaArm, require_mujoco
+from oee_tabular.continuous.kinova.dynamics import (
+    COMMANDS,
+    GOALS,
+    HOME,
+    STAND_IN,
+    KinovaArm,
+    end_effector,
+    require_mujoco,
+)
 from oee_tabular.continuous.kinova.expert import KinovaPolicy, kinova_policy
 from oee_tabular.continuous.kinova.hand import (
     KinovaHand,
@@ -35,7 +43,6 @@ from oee_tabular.continuous.kinova.hand import (
     kinova_model,
     move_counts,
 )
-from oee_tabular.continuous.kinova.kinematics import HOME, end_effector
 from oee_tabular.continuous.kinova.logs import HORIZON, hand_log, load_kinova_log, record_goals
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.simulator import ContinuousSimulator

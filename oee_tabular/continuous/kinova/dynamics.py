@@ -6,21 +6,97 @@ gain and friction change the value by less than 1 %, since the servos are stiff 
 task of Cartesian commands notices is how far a command moves the hand.
 
 A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s. Resolved rates turn it into a moving
-reference of the joints, and position servos follow that. Needs the extra ``mujoco``.
+reference of the joints, and position servos follow that. Simulating needs the extra ``mujoco``; where the hand is needs NumPy
+alone:
+
+    T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),      dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
+
+The offsets p_k (m) and r_k (rad) are read from gen3.xml, the file that MuJoCo simulates: there is one set of numbers.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import dataclass, field, replace
+from importlib import resources
 from typing import Any, Self
+from xml.etree import ElementTree
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular.continuous.kinova.kinematics import HOME, N_JOINTS, arm_xml, end_effector, resolved_rates
 from oee_tabular.continuous.task import ContinuousTask, Moves
+
+N_JOINTS = 7
+HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])  # rad, the usual resting pose
+DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
+
+
+def arm_xml() -> str:
+    """The MJCF of the stand-in: published geometry, masses, inertias and limits; assumed armature and servo gains."""
+    return resources.files("oee_tabular.continuous.kinova").joinpath("gen3.xml").read_text()
+
+
+@functools.cache
+def _chain() -> tuple[Array, Array]:
+    """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end effector."""
+    root = ElementTree.fromstring(arm_xml())
+    bodies = [body for body in root.iter("body") if "euler" in body.attrib]
+    offsets = np.array([[float(x) for x in body.attrib["pos"].split()] for body in bodies])
+    turns = np.array([float(body.attrib["euler"].split()[0]) for body in bodies])
+    return offsets, turns
+
+
+def _frames(joints: Array) -> tuple[Array, Array, Array]:
+    """Joint origins (n, 7, 3), joint axes (n, 7, 3) and the end effector (n, 3)."""
+    offsets, turns = _chain()
+    n = len(joints)
+    place = np.zeros((n, 3))
+    x, y, z = (np.broadcast_to(row, (n, 3)) for row in np.eye(3))
+    origins, axes = np.empty((n, N_JOINTS, 3)), np.empty((n, N_JOINTS, 3))
+    for k in range(N_JOINTS + 1):
+        p, c, s = offsets[k], np.cos(turns[k]), np.sin(turns[k])
+        place = place + p[0] * x + p[1] * y + p[2] * z
+        y, z = c * y + s * z, c * z - s * y
+        if k < N_JOINTS:
+            origins[:, k], axes[:, k] = place, z
+            c, s = np.cos(joints[:, k, None]), np.sin(joints[:, k, None])
+            x, y = c * x + s * y, c * y - s * x
+    return origins, axes, place
+
+
+def end_effector(joints: Array) -> Array:
+    """(n, 3) position of the end effector in m, in the frame of the base, at joint angles (n, 7) in rad.
+
+    Raises ValueError for another shape or numbers that are not finite. Cost: O(n).
+
+    Examples
+    --------
+    >>> end_effector(HOME[None]).round(4).tolist()
+    [[0.4567, 0.0014, 0.4337]]
+    """
+    angles = _checks.float_array(joints, "joints")
+    if angles.ndim != 2 or angles.shape[1] != N_JOINTS:
+        raise ValueError(f"joints must have shape (n, {N_JOINTS}), angles in rad; it has shape {angles.shape}")
+    _checks.require_finite(angles, "joints")
+    return _frames(angles)[2]
+
+
+def resolved_rates(joints: Array, velocity: Array) -> Array:
+    """(n, 7) joint speeds in rad/s that move the end effector with ``velocity`` (n, 3) m/s and do not turn it.
+
+    Damped least squares on the 6-row Jacobian; O(n).
+    """
+    origins, axes, place = _frames(joints)
+    linear = np.cross(axes, place[:, None, :] - origins)
+    jacobian = np.concatenate([linear, axes], axis=2).transpose(0, 2, 1)
+    twist = np.concatenate([velocity, np.zeros_like(velocity)], axis=1)[:, :, None]
+    square = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING**2 * np.eye(6)
+    rates = jacobian.transpose(0, 2, 1) @ np.linalg.solve(square, twist)
+    return np.asarray(rates[:, :, 0])
+
 
 SPEED = 0.1  # m/s along each axis
 PERIOD = 0.2  # s between commands

@@ -16,9 +16,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, HandTask, KinovaArm
+from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, N_JOINTS, HandTask, KinovaArm, end_effector
 from oee_tabular.continuous.kinova.expert import kinova_policy
-from oee_tabular.continuous.kinova.kinematics import N_JOINTS, end_effector
 from oee_tabular.continuous.log import ContinuousTransitions
 
 FARTHEST = 1.3  # m: beyond the reach of a Gen3
@@ -81,7 +80,7 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
 
     Examples
     --------
-    >>> from oee_tabular.continuous.kinova.kinematics import HOME
+    >>> from oee_tabular.continuous.kinova.dynamics import HOME
     >>> joints = ContinuousTransitions([HOME], [[0.0, 0.0, 0.1]], [HOME])
     >>> found = hand_log(joints, speed=0.1)
     >>> found.state.round(3).tolist(), found.action.tolist()

@@ -11,9 +11,8 @@ from scipy import sparse
 from oee_tabular._checks import Array
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
-from oee_tabular.continuous.reacher.dynamics import Reacher
+from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
 from oee_tabular.continuous.reacher.expert import reacher_policy
-from oee_tabular.continuous.reacher.linear import LinearReacher
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.exact import policy_value
 from oee_tabular.experiments import paper
