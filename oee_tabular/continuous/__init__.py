@@ -11,30 +11,7 @@ dynamics, its expert, its configuration and the paper's experiment.
 from __future__ import annotations
 
 import importlib
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
-    from oee_tabular.continuous.cartpole.dynamics import CartPole
-    from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
-    from oee_tabular.continuous.cells import VisitedCells, visited_states
-    from oee_tabular.continuous.closure import Closure
-    from oee_tabular.continuous.discretization import Discretization
-    from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
-    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
-    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-    from oee_tabular.continuous.interpolation import GridInterpolation
-    from oee_tabular.continuous.kinova.dynamics import KinovaArm
-    from oee_tabular.continuous.kinova.expert import kinova_policy
-    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
-    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
-    from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
-    from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
-    from oee_tabular.continuous.reacher.expert import reacher_policy
-    from oee_tabular.continuous.support import defensive_mixture
-    from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+from typing import Any
 
 _MODULES = {
     "cartpole.dynamics": ("CartPole",),
@@ -62,43 +39,6 @@ _MODULES = {
 }
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use
 
-__all__ = [
-    "ArmCells",
-    "CartPole",
-    "Closure",
-    "ContinuousTask",
-    "ContinuousTransitions",
-    "Discretization",
-    "GridInterpolation",
-    "GymnasiumTask",
-    "KinovaArm",
-    "KinovaHand",
-    "LinearReacher",
-    "MonteCarlo",
-    "Moves",
-    "Reacher",
-    "Settings",
-    "StatePolicy",
-    "VisitedCells",
-    "arm_cells",
-    "cartpole_policy",
-    "defensive_mixture",
-    "evaluate_continuous",
-    "fit_hand",
-    "hand_log",
-    "kinova_model",
-    "kinova_policy",
-    "load_kinova_log",
-    "monte_carlo_value",
-    "reacher_log",
-    "reacher_policy",
-    "record",
-    "record_goals",
-    "resimulate",
-    "train_expert",
-    "visited_states",
-]
-
 
 def __getattr__(name: str) -> Any:
     if name not in _EXPORTS:
@@ -109,4 +49,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_EXPORTS)

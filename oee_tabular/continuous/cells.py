@@ -28,6 +28,7 @@ from oee_tabular._sparse import canonical
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization, task_metadata
 from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.grid import begins
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
 from oee_tabular.mdp import FiniteMDP
@@ -231,9 +232,7 @@ class VisitedCells:
             table: Any = sparse.csr_array((total.data / counts.data, counts.indices, counts.indptr), shape=shape)
         else:
             table = (np.bincount(rows, paid, shape[0]) / n).reshape(n_states, n_actions)
-        starts, mass = task.initial_points()
-        initial = np.bincount(found.nearest(task.features(starts))[0], mass, n_states)
-        mdp = FiniteMDP(matrix, table, initial / initial.sum(), discount)
+        mdp = FiniteMDP(matrix, table, begins(task, found), discount)
         metadata = task_metadata(task) | {
             "builder": "VisitedCells",
             "n_cells": n_cells,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from oee_tabular._files import policy_array
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.evaluation import Settings
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import ContinuousSimulator
     from oee_tabular.continuous.task import StatePolicy
@@ -69,7 +68,7 @@ def from_states(
     settings: dict[str, Any],
 ) -> Report:
     """The report on a continuous simulator, a log of continuous states and policies."""
-    from oee_tabular.continuous.evaluation import evaluate_continuous
+    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
 
@@ -91,7 +90,7 @@ def from_states(
         simulator,
         ContinuousTransitions.load(log),
         _policies(policy, simulator),
-        settings=_settings(settings),
+        settings=Settings(**settings),
         behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
         target=None if target is None else continuous_simulator(target).task,
         horizon=options["horizon"],
@@ -116,12 +115,6 @@ def recorded_states(
         max_steps=horizon,
         seed=seed,
     )
-
-
-def _settings(given: dict[str, Any]) -> Settings:
-    from oee_tabular.continuous.evaluation import Settings
-
-    return Settings(**given)
 
 
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:

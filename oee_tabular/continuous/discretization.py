@@ -197,13 +197,8 @@ class Discretization(Places):
         self, log: ContinuousTransitions, outside: str, strict: bool
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """The rows that can be encoded, their action numbers, and which end in the absorbing state."""
-        _checks.instance(log, ContinuousTransitions, "log")
+        require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
-        if log.n_state != self.task.n_state:
-            raise ValueError(
-                f"log.state must have the {self.task.n_state} coordinates of {self.task.name} "
-                f"({', '.join(self.task.state_names)}); it has {log.n_state}"
-            )
         actions = log.action_numbers(self.task.actions, strict=strict)
         ended = np.array(log.terminated)
         if self.over is None and ended.any():
@@ -254,6 +249,16 @@ class Discretization(Places):
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
             warnings.warn(f"{text}. They are {done}", stacklevel=5)
         return gone
+
+
+def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
+    """ValueError for a log of other states than the task's."""
+    _checks.instance(log, ContinuousTransitions, "log")
+    if log.n_state != task.n_state:
+        raise ValueError(
+            f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
+            f"it has {log.n_state}"
+        )
 
 
 def task_metadata(task: ContinuousTask) -> dict[str, Any]:

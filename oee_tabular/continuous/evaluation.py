@@ -18,7 +18,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.discretization import Discretization, require_log_of
 from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Simulated, Supported
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -120,7 +120,7 @@ def evaluate_continuous(
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
     steps = simulator.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
-    _fits(log, simulator.task)
+    require_log_of(simulator.task, log)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         made = _made(simulator, log, chosen, behavior, steps, discount, seed)
@@ -259,15 +259,6 @@ def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array
         "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
         f"they make {', '.join(lost)}, and another environment's may suffer more"
     )
-
-
-def _fits(log: ContinuousTransitions, task: ContinuousTask) -> None:
-    _checks.instance(log, ContinuousTransitions, "log")
-    if log.n_state != task.n_state:
-        raise ValueError(
-            f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
-            f"it has {log.n_state}"
-        )
 
 
 def as_table(policy: StatePolicy | Array, model: Discretization, name: str) -> Array:

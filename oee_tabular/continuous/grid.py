@@ -65,6 +65,14 @@ class Places:
         return np.asarray(table / table.sum(axis=1, keepdims=True))
 
 
+def begins(task: ContinuousTask, cells: Cells) -> Array:
+    """(S,) where episodes begin, on the cells and, where they can end, the state that is over."""
+    starts, mass = task.initial_points()
+    initial = np.zeros(cells.n_cells + task.terminates)
+    initial[: cells.n_cells] = cells.weights(task.features(starts)).T @ mass
+    return np.asarray(initial / initial.sum())
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """The vertices of a regular grid, numbered in C order.

@@ -30,7 +30,7 @@ from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.closure import warn_if_coarse
 from oee_tabular.continuous.discretization import Discretization, task_metadata
-from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action, gauss_hermite
+from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, begins, each_action, gauss_hermite
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import with_floor
 from oee_tabular.continuous.task import ContinuousTask, check_states
@@ -163,10 +163,7 @@ class GridInterpolation:
         table: Any = paid
         if rewards == "transition":
             table = _transition_rewards(task, points, canonical(matrix, drop_zeros=True), paid)
-        starts, mass = task.initial_points()
-        initial = np.zeros(grid.n_cells + task.terminates)
-        initial[: grid.n_cells] = grid.weights(task.features(starts)).T @ mass
-        mdp = FiniteMDP(matrix, table, initial / initial.sum(), discount)
+        mdp = FiniteMDP(matrix, table, begins(task, grid), discount)
         found = Discretization(mdp, task, grid, points, np.arange(grid.n_cells), metadata, diagnostics)
         if self.closure_episodes:
             closure = found.closure(n_episodes=self.closure_episodes)

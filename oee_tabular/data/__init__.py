@@ -9,7 +9,7 @@ from oee_tabular import _moved
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous import ContinuousTransitions
+    from oee_tabular.continuous.log import ContinuousTransitions
 
 __all__ = ["ContinuousTransitions", "Transitions"]
 

@@ -11,7 +11,7 @@ from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.results import Report, Result
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous import Settings, evaluate_continuous
+    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
 
 __all__ = ["Report", "Result", "Settings", "check_output", "check_page", "evaluate", "evaluate_continuous"]
 

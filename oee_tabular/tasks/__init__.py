@@ -12,7 +12,23 @@ from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, toy_text
 
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
-    from oee_tabular.continuous import *
+    from oee_tabular.continuous.cartpole.dynamics import CartPole
+    from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
+    from oee_tabular.continuous.cells import VisitedCells, visited_states
+    from oee_tabular.continuous.closure import Closure
+    from oee_tabular.continuous.discretization import Discretization
+    from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
+    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
+    from oee_tabular.continuous.interpolation import GridInterpolation
+    from oee_tabular.continuous.kinova.dynamics import KinovaArm
+    from oee_tabular.continuous.kinova.expert import kinova_policy
+    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
+    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
+    from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
+    from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
+    from oee_tabular.continuous.reacher.expert import reacher_policy
+    from oee_tabular.continuous.support import defensive_mixture
+    from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 __all__ = [
     "ArmCells",

@@ -186,3 +186,30 @@ def test_a_file_that_is_not_there(tmp_path):
     for suffix in (".csv", ".npz", ".parquet"):
         with pytest.raises(FileNotFoundError):
             ContinuousTransitions.load(tmp_path / f"none{suffix}")
+
+
+def test_logs_are_joined_and_drawn_from():
+    both = ContinuousTransitions.concatenate([log(), log(episode=None)])
+    assert both.episode is None
+    two = ContinuousTransitions.concatenate([log(), log()])
+    assert_array_equal(two.episode, [4, 4, 4, 7, 12, 12, 12, 15])
+    assert_array_equal(two.state, np.concatenate([STATES, STATES]))
+    assert_array_equal(two.truncated, np.tile([False, False, False, True], 2))
+    drawn = two.draw(8, seed=0)
+    assert drawn.episode is None
+    assert_array_equal(np.sort(drawn.state[:, 0]), np.sort(two.state[:, 0]))
+    with pytest.raises(ValueError, match="logs must be one or more ContinuousTransitions"):
+        ContinuousTransitions.concatenate([log(), "log"])
+
+
+def test_a_column_with_a_hole_is_refused_by_name(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("state_0,action,next_state_0,reward\n1,0,2,\n1,0,2,1\n")
+    with pytest.raises(ValueError, match=r"column 'reward' of .* must have a value in every row; row 0 has none"):
+        ContinuousTransitions.load(path)
+
+
+@pytest.mark.parametrize("path", ["folder", "minari:arm/log-v0"])
+def test_no_minari_data_set_is_written(path):
+    with pytest.raises(ValueError, match=r"path must end in .npz, .csv, .parquet; it is "):
+        log().save(path)

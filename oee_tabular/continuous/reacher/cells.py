@@ -26,7 +26,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.continuous.cells import VisitedCells, VoronoiCells, visited_states
 from oee_tabular.continuous.discretization import Discretization, task_metadata
 from oee_tabular.continuous.episodes import record, resimulate
-from oee_tabular.continuous.grid import Places
+from oee_tabular.continuous.grid import Places, begins
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher.dynamics import Reacher, at_stop
 from oee_tabular.continuous.reacher.expert import reacher_policy
@@ -240,9 +240,7 @@ def arm_cells(
         counts = _count(rows, cells.nearest(base.features(following))[0], shape)
         transitions[arm.length] = sparse.csr_array(sparse.diags_array(1.0 / row_sums(counts)) @ counts)
     counts = _count(logged_rows, cells.nearest(base.features(log.next_state))[0], shape)
-    starts, mass = base.initial_points()
-    initial = np.bincount(cells.nearest(base.features(starts))[0], mass, cells.n_cells)
-    return ArmCells(base, cells, points, point_cell, transitions, counts, initial / initial.sum())
+    return ArmCells(base, cells, points, point_cell, transitions, counts, begins(base, cells))
 
 
 def _count(rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.csr_array:
