@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous.episodes import monte_carlo_value
+from oee_tabular.continuous.grid import Places
 from oee_tabular.continuous.task import StatePolicy
 from oee_tabular.exact import policy_value
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.mdp import FiniteMDP
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class Closure:
 
 
 def measure(
-    found: Discretization,
+    found: Places,
+    mdp: FiniteMDP,
     policy: StatePolicy | None,
     *,
     horizon: int,
@@ -58,22 +59,18 @@ def measure(
         return np.full((len(states), found.task.n_actions), 1.0 / found.task.n_actions)
 
     chosen = uniform if policy is None else policy
-    gamma = found.mdp.discount if discount is None else discount
+    gamma = mdp.discount if discount is None else discount
     mc = monte_carlo_value(found.task, chosen, n_episodes, horizon, discount=gamma, seed=seed)
-    value = policy_value(found.mdp.with_discount(gamma), found.policy(chosen), horizon=horizon)
+    value = policy_value(mdp.with_discount(gamma), found.policy(chosen), horizon=horizon)
     scale = max(abs(mc.value), mc.deviation, np.finfo(float).tiny)
     return Closure(value, mc.value, (value - mc.value) / scale, mc.standard_error / scale)
 
 
-def warn_if_coarse(found: Discretization, tolerance: float) -> None:
+def warn_if_coarse(found: Places, closure: Closure, steps_in_cells: Sequence[float], tolerance: float) -> None:
     """A warning where the measured closure error is beyond ``tolerance`` and Monte Carlo's own error."""
-    closure: Closure = found.diagnostics["closure"]
     if abs(closure.error) <= tolerance + 2.0 * closure.standard_error:
         return
-    steps = ", ".join(
-        f"{name} {step:.2g}"
-        for name, step in zip(found.task.feature_names, found.diagnostics["step_in_cells"], strict=True)
-    )
+    steps = ", ".join(f"{name} {step:.2g}" for name, step in zip(found.task.feature_names, steps_in_cells, strict=True))
     warnings.warn(
         f"{found.cells.extent()} is too coarse for the steps of {found.task.name}: the uniform policy's value is "
         f"{closure.discretised:.4g}, and {closure.monte_carlo:.4g} by Monte Carlo, a closure error of {closure.error:+.1%} "

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from scipy import sparse
@@ -18,6 +18,8 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
+from oee_tabular.continuous import discretization_files
+from oee_tabular.continuous.closure import Closure, measure
 from oee_tabular.continuous.grid import Cells, Places
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import (
@@ -27,9 +29,6 @@ from oee_tabular.continuous.task import (
 )
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.closure import Closure
 
 OUTSIDE = ("error", "nearest", "drop")
 
@@ -150,21 +149,15 @@ class Discretization(Places):
         seed: Any = 0,
     ) -> Closure:
         """The error that discretising makes in the value of ``policy`` (default: uniform), measured by Monte Carlo."""
-        from oee_tabular.continuous import closure
-
-        return closure.measure(self, policy, horizon=horizon, n_episodes=n_episodes, discount=discount, seed=seed)
+        return measure(self, self.mdp, policy, horizon=horizon, n_episodes=n_episodes, discount=discount, seed=seed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an npz: the rows of the MDP, the cells, and the metadata as JSON."""
-        from oee_tabular.continuous import discretization_files
-
-        discretization_files.save(self, path)
+        discretization_files.save(self, self.mdp, self.metadata, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], task: ContinuousTask) -> Self:
         """Read what ``save`` wrote; ``task`` must be the one that it was made from (name, parameters, features)."""
-        from oee_tabular.continuous import discretization_files
-
         return discretization_files.load(cls, path, task)
 
     def _weights(self, states: Array, ended: BoolArray) -> sparse.csr_array:
@@ -259,8 +252,3 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
             f"it has {log.n_state}"
         )
-
-
-def task_metadata(task: ContinuousTask) -> dict[str, Any]:
-    """What identifies a task in a file."""
-    return {"task": task.name, "parameters": task.parameters(), "features": list(task.feature_names)}

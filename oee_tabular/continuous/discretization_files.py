@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -14,28 +15,25 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.continuous.cells import VoronoiCells
-from oee_tabular.continuous.discretization import Discretization, task_metadata
-from oee_tabular.continuous.grid import Cells, Grid
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.grid import Cells, Grid, Places, VoronoiCells
+from oee_tabular.continuous.task import ContinuousTask, task_metadata
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import KIND
 
-Found = TypeVar("Found", bound=Discretization)
+Found = TypeVar("Found", bound=Places)
 
 
-def save(found: Discretization, path: str | os.PathLike[str]) -> None:
+def save(found: Places, mdp: FiniteMDP, metadata: dict[str, Any], path: str | os.PathLike[str]) -> None:
     """One npz of plain arrays, whole or not at all."""
-    mdp = found.mdp
     arrays: dict[str, Any] = {
-        "metadata": np.array(json.dumps(found.metadata | {"version": version("oee-tabular")})),
+        "metadata": np.array(json.dumps(metadata | {"version": version("oee-tabular")})),
         "points": found.points,
         "point_cell": found.point_cell,
     }
     _files.save_npz(path, KIND, mdp.arrays() | arrays | found.cells.arrays())
 
 
-def load(kind: type[Found], path: str | os.PathLike[str], task: ContinuousTask) -> Found:
+def load(kind: Callable[..., Found], path: str | os.PathLike[str], task: ContinuousTask) -> Found:
     """What ``save`` wrote; ValueError where ``task`` is another one."""
     arrays = _files.load_npz(path, KIND)
     if "metadata" not in arrays:

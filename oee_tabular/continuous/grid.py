@@ -1,13 +1,15 @@
-"""Where numbered states lie among the features: cells, the vertices of a grid; and the points that stand for noise."""
+"""Where numbered states lie among the features: vertices of a grid, cells of centres; and the points that stand for noise."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, Self
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
@@ -158,6 +160,57 @@ class Grid:
         if not np.all((low < high) & np.isfinite(high - low)):
             raise ValueError("grid_low must be finite and below grid_high")
         return cls(low, high, tuple(shape.tolist()), tuple(periodic.tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class VoronoiCells:
+    """The cells of ``centres`` (n, k) under the distance |x - y| / scale, with the largest distance that was seen."""
+
+    centres: Array
+    scale: Array
+    radius: float
+
+    @cached_property
+    def _tree(self) -> Any:
+        return cKDTree(self.centres / self.scale)
+
+    @property
+    def n_cells(self) -> int:
+        """The number of centres."""
+        return len(self.centres)
+
+    def nearest(self, features: Array) -> tuple[IntArray, Array]:
+        """The cell of each point, and its distance from the centre."""
+        distance, number = self._tree.query(features / self.scale)
+        return np.asarray(number, dtype=np.int64), np.asarray(distance)
+
+    def weights(self, features: Array) -> sparse.csr_array:
+        """(n, n_cells) 1 in the point's cell."""
+        number = self.nearest(features)[0]
+        n = len(number)
+        return sparse.csr_array((np.ones(n), number, np.arange(n + 1)), shape=(n, self.n_cells))
+
+    def outside(self, features: Array) -> BoolArray:
+        """(n,) which points are farther from every centre than any visited state was."""
+        return np.asarray(self.nearest(features)[1] > self.radius)
+
+    def extent(self) -> str:
+        """Number of cells and reach."""
+        return f"the {self.n_cells} cells of visited states (reach {self.radius:.3g})"
+
+    def arrays(self) -> dict[str, Any]:
+        """For a file."""
+        return {"cell_centres": self.centres, "cell_scale": self.scale, "cell_radius": np.array(self.radius)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, Any]) -> Self:
+        """From ``arrays()``; ValueError for what is no such cells."""
+        centres = _checks.float_array(arrays["cell_centres"], "cell_centres", ndim=2)
+        scale = _checks.float_array(arrays["cell_scale"], "cell_scale", ndim=1)
+        _checks.require_finite(centres, "cell_centres")
+        if centres.size == 0 or scale.shape != centres.shape[1:] or not np.all((scale > 0) & np.isfinite(scale)):
+            raise ValueError(f"cell_scale must be {centres.shape[1]} positive numbers, and cell_centres not be empty")
+        return cls(centres, scale, _checks.number_in(arrays["cell_radius"], "cell_radius", 0.0, np.inf))
 
 
 def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:

@@ -29,11 +29,11 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.closure import warn_if_coarse
-from oee_tabular.continuous.discretization import Discretization, task_metadata
+from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, begins, each_action, gauss_hermite
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import with_floor
-from oee_tabular.continuous.task import ContinuousTask, check_states
+from oee_tabular.continuous.task import ContinuousTask, check_states, task_metadata
 from oee_tabular.mdp import FiniteMDP
 
 
@@ -168,7 +168,7 @@ class GridInterpolation:
         if self.closure_episodes:
             closure = found.closure(n_episodes=self.closure_episodes)
             found = replace(found, diagnostics=diagnostics | {"closure": closure})
-            warn_if_coarse(found, self.tolerance)
+            warn_if_coarse(found, closure, diagnostics["step_in_cells"], self.tolerance)
         return found
 
     def _at_vertices(

@@ -171,3 +171,8 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
     _checks.require_nonnegative(table, "policy(states)")
     _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")
     return table
+
+
+def task_metadata(task: ContinuousTask) -> dict[str, Any]:
+    """What identifies a task in a file."""
+    return {"task": task.name, "parameters": task.parameters(), "features": list(task.feature_names)}

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.data import files
 
@@ -167,7 +167,7 @@ class Log:
         A Minari data set is a folder without suffix, or ``minari:namespace/name-v0``. What is written appears whole or not at
         all; numbers survive each format to the last bit.
         """
-        files.save(self, path)
+        files.save(self, self.FILES, path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -176,7 +176,11 @@ class Log:
         Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
         vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
         """
-        return files.load(cls, path)
+        columns = files.load(cls.FILES, path)
+        try:
+            return cls(**columns)
+        except ValueError as error:
+            raise ValueError(f"{_files.local(path)!r}: {error}") from None
 
 
 def integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:

@@ -8,16 +8,13 @@ import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
 from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
-
-if TYPE_CHECKING:
-    from oee_tabular.data.columns import Log
 
 TABLES = (".csv", ".parquet")
 COLUMNS = (
@@ -32,7 +29,6 @@ COLUMNS = (
     "behavior_probability",
 )
 Columns = dict[str, NDArray[Any]]
-Kind = TypeVar("Kind", bound="Log")
 
 
 class Format:
@@ -75,9 +71,9 @@ class Format:
         return ValueError(f"path must end in {self.endings}; it is {name!r}")
 
 
-def save(log: Log, path: str | os.PathLike[str]) -> None:
+def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     """Write ``log`` in the format that the path's ending names."""
-    name, form = _files.local(path), log.FILES
+    name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if name.startswith("minari:") or suffix == "":
         form.save_data_set(log, name)
@@ -95,9 +91,9 @@ def save(log: Log, path: str | os.PathLike[str]) -> None:
         raise form.refuse(name)
 
 
-def load(kind: type[Kind], path: str | os.PathLike[str]) -> Kind:
-    """Read a log in the format that the path's ending names."""
-    name, form = _files.local(path), kind.FILES
+def load(form: Format, path: str | os.PathLike[str]) -> Columns:
+    """The columns of a log in the format that the path's ending names; unknown ones are left out with a warning."""
+    name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
@@ -115,10 +111,7 @@ def load(kind: type[Kind], path: str | os.PathLike[str]) -> Kind:
         raise form.refuse(name)
     form.require(columns, labels, name)
     warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=3)
-    try:
-        return kind(**{column: columns[column] for column in COLUMNS if column in columns})
-    except ValueError as error:
-        raise ValueError(f"{name!r}: {error}") from None
+    return {column: columns[column] for column in COLUMNS if column in columns}
 
 
 def _refuse_missing(frame: Any, columns: Columns, name: str) -> None:

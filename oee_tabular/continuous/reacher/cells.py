@@ -23,14 +23,15 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.cells import VisitedCells, VoronoiCells, visited_states
-from oee_tabular.continuous.discretization import Discretization, task_metadata
+from oee_tabular.continuous.cells import VisitedCells, visited_states
+from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record, resimulate
-from oee_tabular.continuous.grid import Places, begins
+from oee_tabular.continuous.grid import Places, VoronoiCells, begins
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher.dynamics import Reacher, at_stop
 from oee_tabular.continuous.reacher.expert import reacher_policy
 from oee_tabular.continuous.support import supported
+from oee_tabular.continuous.task import task_metadata
 from oee_tabular.mdp import FiniteMDP
 
 LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)  # m, of the averaged simulator
