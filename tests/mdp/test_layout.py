@@ -89,7 +89,7 @@ def test_what_is_made_of_the_same_states_keeps_it(form, tmp_path):
             .fit(Problem(GRID, LOG), oee.uniform_policy(GRID), np.random.default_rng(0))
             .target_model(GRID)
         ),
-        lambda: GRID.with_transitions(frequencies(LOG.counts(9, 4), 4)),
+        lambda: GRID.with_rewards(GRID.rewards).with_transitions(frequencies(LOG.counts(9, 4), 4)),
         lambda: with_next_rewards_averaged(GRID),
     ],
 )
