@@ -13,6 +13,7 @@ from oee_tabular.cli.inputs import (
     POLICY_HELP,
     SIMULATOR_HELP,
     TIE_HELP,
+    described,
     embedded,
     from_files,
     policies_of,
@@ -22,14 +23,13 @@ from oee_tabular.cli.inputs import (
     task_of,
     write_array,
 )
-from oee_tabular.cli_continuous import (
+from oee_tabular.continuous.command import (
     CALIBRATION_HELP,
     EPISODES_HELP,
     FLOOR_HELP,
     GRID_HELP,
     OUTSIDE_HELP,
     STRICT_HELP,
-    described,
     from_states,
     is_continuous,
     recorded_states,

@@ -8,58 +8,118 @@ import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
 from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
-from oee_tabular.data.transitions import COLUMNS, Transitions
 
-KIND = "transitions"
-_REQUIRED = ("state", "action", "next_state")
-_SUFFIXES = (".npz", ".csv", ".parquet")
-Log = TypeVar("Log", bound=Transitions)
+TABLES = (".csv", ".parquet")
+COLUMNS = (
+    "state",
+    "action",
+    "next_state",
+    "reward",
+    "terminated",
+    "truncated",
+    "episode",
+    "timestep",
+    "behavior_probability",
+)
+Columns = dict[str, NDArray[Any]]
 
 
-def save(log: Transitions, path: str | os.PathLike[str]) -> None:
+class Format:
+    """Logs of numbered states as files; a log of other states overrides what differs."""
+
+    kind = "transitions"  # of an npz
+    required = ("state", "action", "next_state")
+    endings = ".npz, .csv, .parquet, or be a Minari folder or id"
+
+    def known(self, label: str) -> bool:
+        """Whether a table's column is one of a log's."""
+        return label in COLUMNS
+
+    def flat(self, columns: Columns) -> Columns:
+        """The columns of a table, each (n,)."""
+        return columns
+
+    def gathered(self, flat: Columns, name: str) -> Columns:
+        """The columns of a log, of those of the table ``name``."""
+        return flat
+
+    def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
+        """ValueError where a file with these labels is no log of this kind."""
+        require_columns(name, self.required, labels)
+
+    def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
+        """ValueError where a Minari episode is none of such a log."""
+        if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
+            raise ValueError(
+                f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
+                f"{observations.dtype} and {actions.shape} of {actions.dtype}"
+            )
+
+    def save_data_set(self, log: Any, name: str) -> None:
+        """Write a Minari data set."""
+        _save_minari(log, name)
+
+    def refuse(self, name: str) -> ValueError:
+        """The error for an ending that is not known."""
+        return ValueError(f"path must end in {self.endings}; it is {name!r}")
+
+
+def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     """Write ``log`` in the format that the path's ending names."""
     name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if name.startswith("minari:") or suffix == "":
-        _save_minari(log, name)
+        form.save_data_set(log, name)
     elif suffix == ".npz":
-        _files.save_npz(name, KIND, log.columns())
-    elif suffix == ".csv":
+        _files.save_npz(name, form.kind, log.columns())
+    elif suffix in TABLES:
         import pandas as pd
 
+        frame = pd.DataFrame(form.flat(log.columns()))
+        if suffix == ".parquet":
+            require_module("pyarrow", "parquet")
         with _files.whole_file(name) as handle:
-            pd.DataFrame(log.columns()).to_csv(handle, index=False)
-    elif suffix == ".parquet":
-        import pandas as pd
-
-        require_module("pyarrow", "parquet")
-        with _files.whole_file(name) as handle:
-            pd.DataFrame(log.columns()).to_parquet(handle, index=False)
+            (frame.to_csv if suffix == ".csv" else frame.to_parquet)(handle, index=False)
     else:
-        raise ValueError(_unknown(name))
+        raise form.refuse(name)
 
 
-def load(kind: type[Log], path: str | os.PathLike[str]) -> Log:
-    """Read a log in the format that the path's ending names."""
+def load(form: Format, path: str | os.PathLike[str]) -> Columns:
+    """The columns of a log in the format that the path's ending names; unknown ones are left out with a warning."""
     name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
-        arrays = _files.load_npz(name, KIND)
-        arrays.pop(_files.KIND)
-        return _log(kind, arrays, list(arrays), name)
-    if suffix in (".csv", ".parquet"):
-        frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, COLUMNS.__contains__)
-        return _log(kind, _columns(frame, name), frame.attrs["labels"], name)
-    if is_minari(name):
-        return _load_minari(kind, name)
-    raise ValueError(_unknown(name))
+        columns = _files.load_npz(name, form.kind)
+        columns.pop(_files.KIND)
+        labels = list(columns)
+    elif suffix in TABLES:
+        frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, form.known)
+        flat = {str(label): frame[label].to_numpy() for label in frame.columns if form.known(str(label))}
+        _refuse_missing(frame, flat, name)
+        columns, labels = form.gathered(flat, name), frame.attrs["labels"]
+    elif is_minari(name):
+        columns = minari_columns(name, form.check_episode)
+        labels = list(columns)
+    else:
+        raise form.refuse(name)
+    form.require(columns, labels, name)
+    warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=3)
+    return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def _refuse_missing(frame: Any, columns: Columns, name: str) -> None:
+    """Each of a log's own columns has a value in every row; vectors are checked where they are put together."""
+    for label in columns:
+        missing = np.flatnonzero(frame[label].isna().to_numpy()) if label in COLUMNS else np.zeros(0)
+        if missing.size:
+            raise ValueError(f"column {label!r} of {name!r} must have a value in every row; row {missing[0]} has none")
 
 
 def is_minari(name: str) -> bool:
@@ -70,32 +130,7 @@ def is_minari(name: str) -> bool:
     return suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name)
 
 
-def _unknown(name: str) -> str:
-    return f"path must end in {', '.join(_SUFFIXES)}, or be a Minari folder or id; it is {name!r}"
-
-
-def _columns(frame: Any, name: str) -> dict[str, NDArray[Any]]:
-    """The columns that a log knows, each with a value in every row."""
-    columns: dict[str, NDArray[Any]] = {}
-    for label in frame.columns.intersection(list(COLUMNS)):
-        missing = np.flatnonzero(frame[label].isna().to_numpy())
-        if missing.size:
-            raise ValueError(f"column {label!r} of {name!r} must have a value in every row; row {missing[0]} has none")
-        columns[str(label)] = frame[label].to_numpy()
-    return columns
-
-
-def _log(kind: type[Log], columns: dict[str, NDArray[Any]], labels: Sequence[str], name: str) -> Log:
-    """A log of columns, of a file that has ``labels``."""
-    require_columns(name, _REQUIRED, labels)
-    warn_left_out(name, [label for label in labels if label not in COLUMNS], COLUMNS, level=4)
-    try:
-        return kind(**{column: columns[column] for column in COLUMNS if column in columns})
-    except ValueError as error:
-        raise ValueError(f"{name!r}: {error}") from None
-
-
-def _save_minari(log: Transitions, name: str) -> None:
+def _save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
     require_module("minari", "minari")
     starts = log.episode_starts
@@ -139,7 +174,7 @@ def _minari_place(identifier: str) -> Path:
     return Path(get_dataset_path(identifier))
 
 
-def _write_minari(log: Transitions, starts: NDArray[np.int64], identifier: str) -> None:
+def _write_minari(log: Any, starts: NDArray[np.int64], identifier: str) -> None:
     import minari
     from gymnasium import spaces
     from minari.data_collector import EpisodeBuffer
@@ -197,19 +232,6 @@ def minari_episodes(name: str) -> list[Any]:
         raise
     except Exception as error:  # whatever Minari makes of files that are not its own
         raise ValueError(f"{name!r} must be a Minari data set; {str(error) or type(error).__name__:.300}") from None
-
-
-def _load_minari(kind: type[Log], name: str) -> Log:
-    columns = minari_columns(name, _discrete)
-    return _log(kind, columns, list(columns), name)
-
-
-def _discrete(observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
-    if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
-        raise ValueError(
-            f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
-            f"{observations.dtype} and {actions.shape} of {actions.dtype}"
-        )
 
 
 def minari_columns(name: str, check: Callable[[NDArray[Any], NDArray[Any], str], None]) -> dict[str, NDArray[Any]]:

@@ -1,22 +1,23 @@
 """All experiments by id."""
 
-from oee_tabular.experiments.cartpole import CARTPOLE_CHOICE, CARTPOLE_DATA, FIGURE_2, RESOLUTION
+import importlib
+
 from oee_tabular.experiments.convergence import MISSPECIFIED, RATE
 from oee_tabular.experiments.efficiency import COLLECTION, EFFICIENCY
 from oee_tabular.experiments.figure_1a import FIGURE_1A, NETWORKS
 from oee_tabular.experiments.figure_1bcd import ESTIMANDS, FIGURE_1BCD
 from oee_tabular.experiments.horizons import DATA_POLICY, HORIZON_EXPERIMENT
-from oee_tabular.experiments.kinova import TABLE_1
 from oee_tabular.experiments.programs import LAMBDA, NORMALISATION, RENYI
-from oee_tabular.experiments.reacher import FIGURE_3
 from oee_tabular.experiments.registry import Registry
 from oee_tabular.experiments.sureness import COVERAGE, COVERAGE_LAKE
 from oee_tabular.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
+
+WING = importlib.import_module("oee_tabular.continuous")  # which imports the core, and is not imported by it
 
 EXPERIMENTS = Registry(
     [
         FIGURE_1A, FIGURE_1BCD, ESTIMANDS, HORIZON_EXPERIMENT, DATA_POLICY, RATE, RENYI, MISSPECIFIED, NORMALISATION, LAMBDA,
         FROZEN_LAKE, TAXI, CLIFF_WALKING, COVERAGE, COVERAGE_LAKE, EFFICIENCY, COLLECTION, NETWORKS,
-        FIGURE_2, RESOLUTION, CARTPOLE_DATA, CARTPOLE_CHOICE, FIGURE_3, TABLE_1,
+        WING.FIGURE_2, WING.RESOLUTION, WING.CARTPOLE_DATA, WING.CARTPOLE_CHOICE, WING.FIGURE_3, WING.TABLE_1,
     ]
 )  # fmt: skip

@@ -1,8 +1,26 @@
 """From a problem and policies to a table, warnings in plain language, a picture, a JSON file and a page for people."""
 
-from oee_tabular.report.continuous import Settings, evaluate_continuous
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular import _moved
 from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.results import Report, Result
 
+if TYPE_CHECKING:
+    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+
 __all__ = ["Report", "Result", "Settings", "check_output", "check_page", "evaluate", "evaluate_continuous"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(importlib.import_module("oee_tabular.continuous"), name)
+    return _moved.former(__name__, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *globals()})

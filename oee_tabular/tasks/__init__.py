@@ -1,33 +1,34 @@
-"""Tasks that become finite MDPs: the paper's gridworld, Gymnasium's toy text, and continuous tasks by discretisation."""
+"""Tasks that become finite MDPs: the paper's gridworld, Gymnasium's toy text, and those of ``oee_tabular.continuous``."""
 
-from oee_tabular.tasks.cartpole import CartPole, cartpole_policy
-from oee_tabular.tasks.cartpole_expert import train_expert
-from oee_tabular.tasks.continuous import ContinuousTask, Moves, StatePolicy
-from oee_tabular.tasks.continuous_sampling import MonteCarlo, monte_carlo_value, record, resimulate
-from oee_tabular.tasks.discretize import Discretization
-from oee_tabular.tasks.discretize_cells import VisitedCells, visited_states
-from oee_tabular.tasks.discretize_closure import Closure
-from oee_tabular.tasks.discretize_grid import GridInterpolation
-from oee_tabular.tasks.discretize_gymnasium import GymnasiumTask
-from oee_tabular.tasks.discretize_mixture import defensive_mixture
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular import _moved
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert, gridworld_policy
-from oee_tabular.tasks.kinova import (
-    KinovaArm,
-    KinovaHand,
-    fit_hand,
-    hand_log,
-    kinova_model,
-    kinova_policy,
-    load_kinova_log,
-    record_goals,
-)
-from oee_tabular.tasks.reacher import Reacher
-from oee_tabular.tasks.reacher_cells import ArmCells, arm_cells, reacher_log
-from oee_tabular.tasks.reacher_expert import reacher_policy
-from oee_tabular.tasks.reacher_linear import LinearReacher
 from oee_tabular.tasks.recording import record_episodes
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, toy_text
+
+if TYPE_CHECKING:  # the rest is the wing's, imported on use
+    from oee_tabular.continuous.cartpole.dynamics import CartPole
+    from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
+    from oee_tabular.continuous.cells import VisitedCells, visited_states
+    from oee_tabular.continuous.closure import Closure
+    from oee_tabular.continuous.discretization import Discretization
+    from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
+    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
+    from oee_tabular.continuous.interpolation import GridInterpolation
+    from oee_tabular.continuous.kinova.dynamics import KinovaArm
+    from oee_tabular.continuous.kinova.expert import kinova_policy
+    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
+    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
+    from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
+    from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
+    from oee_tabular.continuous.reacher.expert import reacher_policy
+    from oee_tabular.continuous.support import defensive_mixture
+    from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 __all__ = [
     "ArmCells",
@@ -70,3 +71,13 @@ __all__ = [
     "train_expert",
     "visited_states",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(importlib.import_module("oee_tabular.continuous"), name)
+    return _moved.former(__name__, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *globals()})

@@ -12,9 +12,9 @@ from scipy import integrate, stats
 import oee_tabular as oee
 from oee_tabular.bench.league import league_of
 from oee_tabular.bench.scores import summary
+from oee_tabular.continuous.interpolation import GridInterpolation
+from oee_tabular.continuous.task import ContinuousTask, Moves
 from oee_tabular.mdp.layout import displacements
-from oee_tabular.tasks.continuous import ContinuousTask, Moves
-from oee_tabular.tasks.discretize_grid import GridInterpolation
 
 
 @pytest.mark.parametrize("given", [False, True])

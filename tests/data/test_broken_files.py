@@ -181,7 +181,7 @@ def test_cells_of_a_discretization(tmp_path):
         "grid_shape": np.full(2, 4),
         "grid_periodic": np.zeros(2, bool),
     }
-    from oee_tabular.tasks.discretize import task_metadata
+    from oee_tabular.continuous.task import task_metadata
 
     metadata = task_metadata(CartPole())
     chain = oee.FiniteMDP(np.full((17, 2, 17), 1 / 17), np.zeros(17), np.full(17, 1 / 17), 0.9)

@@ -13,11 +13,11 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
+from oee_tabular.continuous.support import frequencies
 from oee_tabular.estimators import ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import reweight
 from oee_tabular.experiments.common import small_grids
 from oee_tabular.experiments.figure_1bcd import with_next_rewards_averaged
-from oee_tabular.experiments.kinova import frequencies
 from oee_tabular.mdp import displacements
 from oee_tabular.tasks import CartPole, GridInterpolation, defensive_mixture
 from oee_tabular.testing import case
@@ -89,7 +89,7 @@ def test_what_is_made_of_the_same_states_keeps_it(form, tmp_path):
             .fit(Problem(GRID, LOG), oee.uniform_policy(GRID), np.random.default_rng(0))
             .target_model(GRID)
         ),
-        lambda: frequencies(LOG.counts(9, 4), GRID),
+        lambda: GRID.with_rewards(GRID.rewards).with_transitions(frequencies(LOG.counts(9, 4), 4)),
         lambda: with_next_rewards_averaged(GRID),
     ],
 )

@@ -1,0 +1,52 @@
+"""Tasks with continuous states: their logs, the finite MDPs that are made of them, and values by way of those.
+
+A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``,
+``report`` and ``experiments`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
+``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid (interpolation)
+or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
+evaluated (evaluation), and has a name on the command line (names). Each of ``cartpole``, ``reacher`` and ``kinova`` has its
+dynamics, its expert, its configuration and the paper's experiment.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_MODULES = {
+    "cartpole.dynamics": ("CartPole",),
+    "cartpole.expert": ("cartpole_policy", "train_expert"),
+    "cartpole.experiment": ("CARTPOLE_CHOICE", "CARTPOLE_DATA", "FIGURE_2", "RESOLUTION"),
+    "cells": ("VisitedCells", "visited_states"),
+    "closure": ("Closure",),
+    "support": ("defensive_mixture",),
+    "discretization": ("Discretization",),
+    "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
+    "evaluation": ("Settings", "evaluate_continuous"),
+    "gymnasium_task": ("GymnasiumTask",),
+    "interpolation": ("GridInterpolation",),
+    "kinova.dynamics": ("KinovaArm",),
+    "kinova.expert": ("kinova_policy",),
+    "kinova.experiment": ("TABLE_1",),
+    "kinova.hand": ("KinovaHand", "fit_hand", "kinova_model"),
+    "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
+    "log": ("ContinuousTransitions",),
+    "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
+    "reacher.dynamics": ("LinearReacher", "Reacher"),
+    "reacher.experiment": ("FIGURE_3",),
+    "reacher.expert": ("reacher_policy",),
+    "task": ("ContinuousTask", "Moves", "StatePolicy"),
+}
+_EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _EXPORTS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_EXPORTS[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(_EXPORTS)

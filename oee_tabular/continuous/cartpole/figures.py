@@ -1,0 +1,243 @@
+"""The figures of the CartPole experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular.continuous.cartpole.truth import DELTAS, SIMULATED
+from oee_tabular.experiments import paper
+from oee_tabular.experiments.panels import panels
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DRAWN_VALUES = ("simulator", "OEE, calibrated", "model-based", "IS, self-normalised")
+PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
+PAPER_COLOR = "0.35"
+DELTA = "delta (share of the uniform policy)"
+
+
+def styles(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """One style for each estimator, everywhere: raw ones dashed and hollow, calibrated ones solid, the oracle broad."""
+    from oee_tabular.plots.style import COLORS, MARKERS
+
+    names = list(table.estimator.unique())
+    bases = list(dict.fromkeys(name.removesuffix(", calibrated") for name in names))
+    found: dict[str, dict[str, Any]] = {}
+    for name in names:
+        k = bases.index(name.removesuffix(", calibrated"))
+        raw = f"{name}, calibrated" in names
+        found[name] = {"color": COLORS[k % len(COLORS)], "marker": MARKERS[k % len(MARKERS)], "ms": 5, "lw": 1.5,
+                       "ls": "--" if raw else "-", "mfc": "white" if raw else COLORS[k % len(COLORS)]}  # fmt: skip
+        if name.startswith("oracle"):
+            found[name] |= {"marker": "", "lw": 5, "alpha": 0.5, "zorder": 1, "color": COLORS[-1]}
+            found[name]["ls"] = (0, (1.0, 0.5)) if raw else "-"
+    return found
+
+
+def figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """Values; errors at each delta for both n; mean errors of both kinds of target."""
+    gravities, sizes = sorted(table.gravity.unique()), sorted(table.n.unique(), reverse=True)
+    own = table[table.target == "compiled"]
+    rows = [f"values, n = {sizes[0]}", *(f"errors, n = {n}" for n in sizes), "mean error over delta"]
+    titles = [f"gravity {g:g} m/s²{' (simulated)' if g == SIMULATED else ''}: {row}" for row in rows for g in gravities]
+    axes = panels(figure, titles, columns=len(gravities), size=(4.5, 3.3))
+    grid = np.array(axes).reshape(len(rows), len(gravities))
+    style = styles(table)
+    for column, gravity in enumerate(gravities):
+        part = own[own.gravity == gravity]
+        _values(grid[0, column], part[part.n == sizes[0]], gravity, style)
+        for row, n in enumerate(sizes, 1):
+            _errors(grid[row, column], part[part.n == n], style)
+        _means(grid[-1, column], table[table.gravity == gravity], summary, style)
+    for shared in grid:
+        for ax in shared[1:]:
+            ax.sharey(shared[0])
+    for ax in grid[-1, 1:]:
+        ax.tick_params(labelleft=False)
+    grid[0, 0].set_ylabel("value times (1 - discount)")
+    for ax in grid[1:-1, 0]:
+        ax.set_ylabel("mean |error| of the value\ntimes (1 - discount)")
+    _legend(figure, (*grid[1], *grid[0], *grid[-1]), ncols=2 if len(gravities) == 1 else 6)
+
+
+def _legend(figure: Figure, axes: Iterable[Axes], *, ncols: int) -> None:
+    """One below all panels."""
+    every: dict[str, Any] = {}
+    for ax in axes:
+        handles, labels = ax.get_legend_handles_labels()
+        every |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in every}
+    figure.legend(list(every.values()), list(every), loc="outside lower center", ncols=ncols, fontsize="small")
+
+
+def _values(ax: Axes, part: pd.DataFrame, gravity: float, style: dict[str, Any]) -> None:
+    from oee_tabular.plots.style import ink
+
+    truth = [float(part[f"truth_{delta:g}"].iloc[0]) for delta in DELTAS]
+    ax.plot(DELTAS, truth, color=ink(), lw=3.5, alpha=0.25, label="true (Monte Carlo)", zorder=0)
+    for name in DRAWN_VALUES:
+        values = part[part.estimator == name][[f"value_{delta:g}" for delta in DELTAS]]
+        ax.plot(DELTAS, values.mean(), label=name, **style[name])
+    for series, (name, marker) in PAPERS.items():
+        points = paper.curve("cartpole", f"gravity={gravity}", series)
+        if len(points):
+            ax.plot(points.x, points["mean"], ls="none", marker=marker, ms=8, mfc="none", mew=1.3, color=PAPER_COLOR,
+                    label=f"the paper's {name}")  # fmt: skip
+    ax.set_xlabel(DELTA)
+    ax.grid(visible=True)
+
+
+def _errors(ax: Axes, part: pd.DataFrame, style: dict[str, Any]) -> None:
+    for name, own in part.groupby("estimator", sort=False):
+        columns = [(f"value_{delta:g}", f"truth_{delta:g}") for delta in DELTAS]
+        errors = np.array([np.abs(own[value] - own[truth]) for value, truth in columns])
+        ax.plot(DELTAS, errors.mean(axis=1), label=name, **style[str(name)])
+        if len(own) > 1:
+            low, high = np.quantile(errors, [0.1, 0.9], axis=1)
+            ax.fill_between(DELTAS, low, high, color=style[str(name)]["color"], alpha=0.1, lw=0)
+    ax.set(yscale="log", ylim=(5e-5, 0.5))
+    ax.set_xlabel(DELTA)
+    ax.grid(visible=True)
+
+
+def _means(ax: Axes, part: pd.DataFrame, summary: pd.DataFrame, style: dict[str, Any]) -> None:
+    """One line an estimator, in its colour: a mark for each n and kind of target, and the paper's."""
+    names = list(part.estimator.unique())
+    for (kind, n), own in part.groupby(["target", "n"]):
+        means = own.groupby("estimator").error.mean()
+        shift, marker, text = (-0.16, "o", "compiled") if kind == "compiled" else (0.16, "D", "Gymnasium stepped")
+        full = n == part.n.max()
+        for k, name in enumerate(names):
+            color = style[name]["color"]
+            ax.plot(
+                means[name], k + shift, ls="none", marker=marker, ms=5.5, color=color, mfc=color if full else "white"
+            )
+        ax.plot([], [], ls="none", marker=marker, ms=5.5, color="black", mfc="black" if full else "white",
+                label=f"last row: {text}, n = {n}")  # fmt: skip
+    if "paper" in summary:
+        known = summary[(summary.gravity == part.gravity.iloc[0]) & summary.paper.notna()]
+        where = [names.index(name) for name in known.estimator]
+        ax.plot(known.paper, where, ls="none", marker="*", ms=10, mfc="none", color=PAPER_COLOR,
+                label="last row: the paper's")  # fmt: skip
+    ax.set_xscale("log")
+    ax.set_xlim(5e-5, 1.0)
+    ax.set_yticks(np.arange(len(names)), names)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_xlabel("mean |error| times (1 - discount)")
+    ax.grid(visible=True)
+
+
+def resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """Error against cost without data; against n in two and in four dimensions."""
+    left, middle, right = panels(
+        figure, ["the target itself on the states, no data", "two dimensions, from n moves", "the whole state, from n moves"],
+        size=(5.2, 4.2),
+    )  # fmt: skip
+    _cost(left, table[table.n == 0])
+    level = table[table.estimator == "simulator"].error.mean()
+    for ax, whole in ((middle, False), (right, True)):
+        own = table[(table.n > 0) & (table.states.str.startswith("whole") == whole)]
+        _against_n(ax, own)
+    for ax in (left, middle, right):
+        ax.axhline(level, color="0.5", lw=1.2, ls=":", label="simulator")
+        ax.set_yscale("log")
+        ax.grid(visible=True)
+        ax.set_ylabel("mean |error| times (1 - discount)")
+        ax.legend(fontsize="x-small", ncols=2, loc="upper center")
+    low = min(ax.get_ylim()[0] for ax in (left, middle, right))
+    high = max(ax.get_ylim()[1] for ax in (left, middle, right))
+    for ax in (left, middle, right):
+        ax.set_ylim(low, 8 * high)
+
+
+def _cost(ax: Axes, table: pd.DataFrame) -> None:
+    from oee_tabular.plots.style import COLORS
+
+    families = {
+        "grid of angle, velocity": ~table.states.str.startswith("whole"),
+        "grid of the whole state": table.states.str.endswith("grid"),
+        "cells of visited states": table.states.str.endswith("cells"),
+    }
+    for k, (name, mask) in enumerate(families.items()):
+        for estimator, line in (("target on these states", "--"), ("the same, calibrated", "-")):
+            part = table[mask & (table.estimator == estimator)]
+            if len(part):
+                means = part.groupby("states", sort=False)[["entries", "error"]].mean().sort_values("entries")
+                ax.plot(means.entries, means.error, ls=line, marker="osD"[k], ms=5, color=COLORS[k],
+                        mfc="white" if line == "--" else COLORS[k],
+                        label=f"{name}{', calibrated' if line == '-' else ''}")  # fmt: skip
+                if line == "--":
+                    for states, point in means.iterrows():
+                        text = str(states).removeprefix("whole state, ").removesuffix(" grid")
+                        ax.annotate(
+                            text, (point.entries, point.error), xytext=(4, 5), textcoords="offset points", fontsize=7
+                        )
+    ax.set_xscale("log")
+    ax.set_xlabel("stored transition probabilities (cost of a step)")
+
+
+def _against_n(ax: Axes, table: pd.DataFrame) -> None:
+    from oee_tabular.plots.style import COLORS, MARKERS
+
+    for k, (states, own) in enumerate(table.groupby("states", sort=False)):
+        for estimator, line in (("OEE", "--"), ("OEE, calibrated", "-")):
+            part = own[own.estimator == estimator]
+            each = part.pivot_table("error", "n", "repetition")
+            color = COLORS[k]
+            ax.plot(each.index, each.mean(axis=1), ls=line, marker=MARKERS[k], ms=5, color=color,
+                    mfc="white" if line == "--" else color,
+                    label=f"{str(states).removeprefix('whole state, ')}{', calibrated' if line == '-' else ''}")  # fmt: skip
+            ax.fill_between(each.index, each.min(axis=1), each.max(axis=1), color=color, alpha=0.15, lw=0)
+    ax.set_xscale("log")
+    sizes = sorted(table.n.unique())
+    ax.set_xticks(sizes, [str(n) for n in sizes], fontsize="small")
+    ax.minorticks_off()
+    ax.set_xlabel("moves of the target in the log, n")
+
+
+def data(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """A panel for each n and gravity."""
+    sizes, gravities = sorted(table.n.unique()), sorted(table.gravity.unique())
+    names = [f"gravity {g:g} m/s², n = {n}" for n in sizes for g in gravities]
+    axes = panels(figure, names, columns=len(gravities), size=(4.6, 3.6))
+    style = styles(table)
+    for ax, (n, gravity) in zip(axes, [(n, g) for n in sizes for g in gravities], strict=True):
+        part = table[(table.n == n) & (table.gravity == gravity)]
+        for name, own in part.groupby("estimator", sort=False):
+            groups = own.groupby("behavior").error
+            ax.plot(groups.mean(), label=name, **style[str(name)])
+            ax.fill_between(
+                groups.mean().index, groups.min(), groups.max(), color=style[str(name)]["color"], alpha=0.1, lw=0
+            )
+        ax.set(
+            yscale="log", xlabel="delta of the policy that recorded the log", ylabel="mean |error| times (1 - discount)"
+        )
+        ax.set_xticks(sorted(table.behavior.unique()))
+        ax.grid(visible=True)
+        ax.sharey(axes[0])
+    _legend(figure, axes[:1], ncols=2 if len(gravities) == 1 else 5)
+
+
+def choice(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """A curve for each grid."""
+    from oee_tabular.plots.style import series
+
+    sizes = sorted(table.n.unique())
+    axes = panels(figure, [f"n = {n}" for n in sizes], size=(4.8, 3.8))
+    for ax, n in zip(axes, sizes, strict=True):
+        part = table[(table.n == n) & (table.estimator == "OEE, calibrated")]
+        for k, (vertices, own) in enumerate(part.groupby("vertices")):
+            ax.plot(own.groupby("strength").error.mean(), label=f"{vertices} x {vertices}", **series(k))
+        ax.set(
+            xscale="log",
+            yscale="log",
+            xlabel="strength of the prior (moves a row)",
+            ylabel="mean |error| times (1 - discount)",
+        )
+        ax.grid(visible=True)
+        ax.legend(fontsize="small")

@@ -1,0 +1,151 @@
+"""The command for continuous tasks: their options, policies and logs from specifications and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oee_tabular.mdp.policies import policy_array
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.log import ContinuousTransitions
+    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.task import StatePolicy
+    from oee_tabular.report import Report
+
+GRID_HELP = "Vertices along each feature of a continuous task, 60x60; none: the task's own (cartpole: 32x32)."
+OUTSIDE_HELP = "What to do with a continuous log's states outside the grid: error (default), drop or nearest."
+STRICT_HELP = "An error, not a warning, for actions of a continuous log that are not in the task's set."
+CALIBRATION_HELP = "Of a continuous task's values: ratio, difference or none; none given: the task's own."
+FLOOR_HELP = "Share of other steps in a continuous simulator (defensive); none: the task's own."
+EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; none: the task's own (cartpole: 50000)."
+
+
+def is_continuous(spec: str | None) -> bool:
+    """Whether ``spec`` names a continuous task."""
+    from oee_tabular.continuous.names import CONTINUOUS
+
+    return spec is not None and spec.partition(":")[0] in CONTINUOUS
+
+
+def settings_of(
+    grid: str | None,
+    outside: str | None,
+    strict: bool,
+    calibration: str | None,
+    floor: float | None,
+    episodes: int | None,
+) -> dict[str, Any]:
+    """The options that were given, by the names of ``Settings``."""
+    shape: tuple[int, ...] | None = None
+    if grid is not None:
+        try:
+            shape = tuple(int(part) for part in grid.lower().split("x"))
+        except ValueError:
+            raise ValueError(f"--grid must be like 32x32; got {grid!r}") from None
+    given = {"grid": shape, "outside": outside, "strict": strict or None, "calibration": calibration, "floor": floor,
+             "episodes": episodes}  # fmt: skip
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def refuse_settings(settings: dict[str, Any]) -> None:
+    """An error where options of continuous tasks are given without one."""
+    if settings:
+        name = next(iter(settings))
+        option = "simulations" if name == "episodes" else name
+        raise ValueError(f"--{option} needs a continuous task (--simulator cartpole:gravity=10)")
+
+
+def from_states(
+    spec: str,
+    log: Path,
+    policy: list[str] | None,
+    behavior: str | None,
+    target: str | None,
+    options: dict[str, Any],
+    normalized: bool,
+    common: dict[str, Any],
+    settings: dict[str, Any],
+) -> Report:
+    """The report on a continuous simulator, a log of continuous states and policies."""
+    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.log import ContinuousTransitions
+    from oee_tabular.continuous.names import continuous_simulator
+
+    for name, plain in (("rewards", "simulator"), ("action_noise", 0.0)):
+        if options[name] != plain:
+            raise ValueError(
+                f"--{name.replace('_', '-')} must be left out for a continuous task; it is {options[name]}"
+            )
+    for name in ("features", "tie"):
+        if options[name] is not None:
+            raise ValueError(
+                f"--{name} must be left out for a continuous task, whose moves are not between numbered states; "
+                f"it is {str(options[name])!r}"
+            )
+    simulator = continuous_simulator(spec)
+    if target is not None and not is_continuous(target):
+        raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
+    return evaluate_continuous(
+        simulator,
+        ContinuousTransitions.load(log),
+        _policies(policy, simulator),
+        settings=Settings(**settings),
+        behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
+        target=None if target is None else continuous_simulator(target).task,
+        horizon=options["horizon"],
+        discount=0.99 if options["discount"] is None else options["discount"],
+        normalized=normalized,
+        facts={"simulator_name": spec, "log_name": str(log)},
+        **common,
+    )
+
+
+def recorded_states(
+    spec: str, policy: str, transitions: int | None, episodes: int | None, horizon: int | None, seed: int
+) -> ContinuousTransitions:
+    """A log of the continuous task that ``spec`` names."""
+    from oee_tabular.continuous.names import continuous_simulator
+
+    simulator = continuous_simulator(spec)
+    return simulator.record(
+        _named(policy, simulator, "policy"),
+        n_transitions=transitions,
+        n_episodes=episodes,
+        max_steps=horizon,
+        seed=seed,
+    )
+
+
+def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC; the expert where there are none."""
+    found: dict[str, Any] = {}
+    for text in specs or ["expert"]:
+        name, equals, spec = text.partition("=")
+        label, source = (name, spec) if equals else (text, text)
+        if label in found:
+            raise ValueError(f"--policy names must differ; {label!r} is given twice")
+        is_file = Path(source).suffix.lower() in (".npy", ".npz")
+        if is_file:
+            _refuse_arrays(source, simulator, "--policy")
+        found[label] = policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
+    return found
+
+
+def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
+    """A policy of states; an array's cells are those of the default grid."""
+    if Path(spec).suffix.lower() not in (".npy", ".npz"):
+        return simulator.policy(spec, name)
+    _refuse_arrays(spec, simulator, name)
+    from oee_tabular.continuous.evaluation import as_function, as_table
+
+    model = simulator.build()
+    return as_function(as_table(policy_array(spec, name), model, spec), model)
+
+
+def _refuse_arrays(spec: str, simulator: ContinuousSimulator, name: str) -> None:
+    if simulator.cells_of_log:
+        raise ValueError(
+            f"{name} must be uniform, expert or mix:WEIGHT for {simulator.task.name}, whose cells are made of the log; "
+            f"got {spec!r}"
+        )

@@ -1,0 +1,224 @@
+"""Any Gymnasium environment whose state can be read and set, as a continuous task; and logs by stepping one.
+
+The state must be the environment's own, not its observation: CartPole's observations are float32 copies of a float64 state,
+Pendulum's leave the angle to be found from its sine and cosine. Say how it is read and set, and which actions there are.
+
+Pendulum-v1, which this package does not ship, as a finite MDP:
+
+>>> import gymnasium, numpy as np
+>>> def write(env, state):
+...     env.unwrapped.state = np.array(state)
+>>> task = GymnasiumTask(
+...     lambda: gymnasium.make("Pendulum-v1"),
+...     state_names=("angle", "speed"),
+...     get_state=lambda env: env.unwrapped.state,
+...     set_state=write,
+...     actions=[[-2.0], [0.0], [2.0]],
+...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
+...     terminates=False,
+... )
+>>> from oee_tabular.tasks import GridInterpolation
+>>> model = GridInterpolation((21, 21), closure_episodes=0).build(task)
+>>> model.mdp.n_states, model.over
+(441, None)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
+
+
+class GymnasiumTask(ContinuousTask):
+    """A Gymnasium environment with a settable state as a ContinuousTask.
+
+    Parameters
+    ----------
+    make : function without arguments that makes the environment; what is stepped is ``env.unwrapped``, so that wrappers (time
+        limits, scalings) do nothing
+    state_names : names of the d coordinates that ``get_state`` returns
+    get_state, set_state : read the state of an environment as (d,) numbers; put the environment into such a state, as if no
+        episode had ended there
+    actions : (A,) or (A, k), what is passed to ``step``: integers where the environment's actions are Discrete
+    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an angle; for grids
+    terminates : whether episodes can end before a time limit
+    over : function of states (n, d) giving (n,) which are over, for vertices and logs (default: none; steps always ask the
+        environment)
+    reward_between : function of (states, action numbers, next states), optional
+    parameters : what distinguishes it, written into files
+
+    Notes
+    -----
+    Some 10^5 steps a second and less: each state is put into the environment by itself. An environment that draws random
+    numbers takes them from the generator of ``step``; ``moves`` has no disturbance to give it, and reseeds it with 0 each time.
+
+    Examples
+    --------
+    CartPole-v1 itself; its time limit is not part of the task (the module has Pendulum-v1):
+
+    >>> import gymnasium
+    >>> def write(env, state):
+    ...     env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
+    >>> ends = [2.4, 3.0, 0.21, 3.2]
+    >>> task = GymnasiumTask(
+    ...     lambda: gymnasium.make("CartPole-v1"), state_names=("x", "x_dot", "theta", "theta_dot"), actions=[0, 1],
+    ...     low=[-end for end in ends], high=ends, get_state=lambda env: env.unwrapped.state, set_state=write,
+    ... )
+    >>> task.moves(np.array([[0.0, 0.0, 0.2, 1.0]]), np.array([1]), np.zeros((1, 0))).terminated.tolist()
+    [True]
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], Any],
+        *,
+        state_names: tuple[str, ...],
+        get_state: Callable[[Any], Any],
+        set_state: Callable[[Any, Array], None],
+        actions: Any,
+        low: Any,
+        high: Any,
+        periodic: tuple[bool, ...] | None = None,
+        terminates: bool = True,
+        over: Callable[[Array], Any] | None = None,
+        reward_between: Callable[[Array, IntArray, Array], Array] | None = None,
+        parameters: dict[str, Any] | None = None,
+    ) -> None:
+        _checks.boolean(terminates, "terminates")
+        for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
+            if not callable(function):
+                raise ValueError(f"{name} must be a function; got {type(function).__name__}")
+        self._env = make()
+        self._env.reset(seed=0)
+        self._make, self._get, self._set, self._over = make, get_state, set_state, over
+        self._reward_between, self._parameters = reward_between, dict(parameters or {})
+        d = len(state_names)
+        state = np.asarray(get_state(self._env), dtype=np.float64)
+        if state.shape != (d,):
+            raise ValueError(f"get_state must return the {d} numbers of state_names; it returns shape {state.shape}")
+        spec = getattr(self._env, "spec", None)
+        self.name = "environment" if spec is None else str(spec.id)
+        self.state_names = self.feature_names = tuple(state_names)
+        self.commands = np.array(actions)
+        self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
+        self.n_disturbances = 0
+        ends = [_checks.float_array(value, name) for value, name in ((low, "low"), (high, "high"))]
+        for end, name in zip(ends, ("low", "high"), strict=True):
+            if end.shape != (d,):
+                raise ValueError(
+                    f"{name} must have shape ({d},), one for each of state_names; it has shape {end.shape}"
+                )
+        self.feature_low, self.feature_high = ends
+        self.periodic = (False,) * d if periodic is None else tuple(periodic)
+        self.terminates = terminates
+        for number in range(len(self.actions)):
+            if not self._env.action_space.contains(self._command(number)):
+                raise ValueError(
+                    f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
+                )
+        self._set(self._env, state)
+        kept = np.asarray(self._get(self._env), dtype=np.float64)
+        if not np.array_equal(kept, state):
+            raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
+
+    def parameters(self) -> dict[str, Any]:
+        """As given."""
+        return self._parameters
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step from each state through the environment's own ``step``."""
+        return self.step(states, actions, np.random.default_rng(0))
+
+    def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """One step from each state; the environment's random numbers are ``rng``'s."""
+        env = self._env
+        env.unwrapped.np_random = rng
+        following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
+        inner = env.unwrapped
+        for i, (state, action) in enumerate(zip(states, actions, strict=True)):
+            self._set(env, state)
+            _, reward[i], over[i], _, _ = inner.step(self._command(int(action)))
+            following[i] = self._get(env)
+        return Moves(following, reward, over)
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """By resetting the environment."""
+        env = self._env
+        env.reset(seed=int(rng.integers(2**31)))
+        found = np.empty((n, self.n_state))
+        for i in range(n):
+            env.reset()
+            found[i] = self._get(env)
+        return found
+
+    def initial_points(self) -> tuple[Array, Array]:
+        """5000 resets of one seed."""
+        states = self.initial_states(5000, np.random.default_rng(0))
+        return states, np.full(len(states), 1.0 / len(states))
+
+    def terminated(self, states: Array) -> Any:
+        """By the function ``over``."""
+        return super().terminated(states) if self._over is None else np.asarray(self._over(states), dtype=np.bool_)
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+        """By the function of that name."""
+        return None if self._reward_between is None else self._reward_between(states, actions, next_states)
+
+    def record(
+        self, policy: StatePolicy, *, n_transitions: int, max_steps: int, seed: Any = None
+    ) -> ContinuousTransitions:
+        """Reset and step the environment as any program would, never setting its state, and write down what it does.
+
+        ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes are truncated after ``max_steps``, the
+        last one where the log ends.
+        """
+        rows, steps = (
+            _checks.positive_integer(n_transitions, "n_transitions"),
+            _checks.positive_integer(max_steps, "max_steps"),
+        )
+        rng = _checks.generator(seed)
+        env = self._make()
+        env.reset(seed=int(rng.integers(2**31)))
+        inner = env.unwrapped
+        columns: list[list[Any]] = [[] for _ in range(8)]
+        episode, t = 0, 0
+        inner.reset()
+        for row in range(rows):
+            state = np.array(self._get(env), dtype=np.float64)
+            probabilities = check_probabilities(policy, state[None], self.n_actions)[0]
+            action = int(np.searchsorted(np.cumsum(probabilities), rng.random() * probabilities.sum(), side="right"))
+            _, reward, over, cut, _ = inner.step(self._command(action))
+            t += 1
+            stop = not over and (cut or t == steps or row == rows - 1)
+            following = np.array(self._get(env), dtype=np.float64)
+            values = (state, action, following, reward, over, stop, episode, probabilities[action])
+            for column, value in zip(columns, values, strict=True):
+                column.append(value)
+            if over or stop:
+                inner.reset()
+                episode, t = episode + 1, 0
+        env.close()
+        names = (
+            "state",
+            "action",
+            "next_state",
+            "reward",
+            "terminated",
+            "truncated",
+            "episode",
+            "behavior_probability",
+        )
+        return ContinuousTransitions(**dict(zip(names, map(np.array, columns), strict=True)))
+
+    def _command(self, number: int) -> Any:
+        command = self.commands[number]
+        if command.ndim:
+            return command.astype(self._env.action_space.dtype)
+        return int(command) if float(command).is_integer() else float(command)

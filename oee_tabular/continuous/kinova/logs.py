@@ -1,0 +1,157 @@
+"""Logged trajectories of an arm as a log of its hand's positions: the way that data of a real Gen3 would take.
+
+No such data was ever published; what this package evaluates is the simulated stand-in's. A log of a real arm comes as a table
+(CSV, parquet or npz: columns state_0, ..., next_state_0, ..., action or action_0, ..., episode; one command a row) or as a
+Minari data set with continuous observations. A state is the hand's position in m (3), the joints' angles in rad (7: forward
+kinematics give the position), or a whole state of the stand-in (27, of which the first three are the position).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, N_JOINTS, HandTask, KinovaArm, end_effector
+from oee_tabular.continuous.kinova.expert import kinova_policy
+from oee_tabular.continuous.log import ContinuousTransitions
+
+FARTHEST = 1.3  # m: beyond the reach of a Gen3
+MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+
+
+HORIZON = 25  # commands of a run
+
+
+def record_goals(
+    arm: HandTask, *, n_runs: int = 10, delta: float = 0.0, horizon: int = HORIZON, seed: Any = None
+) -> ContinuousTransitions:
+    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
+
+    Parameters
+    ----------
+    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
+    n_runs : to each goal
+    delta : share of random commands, in [0, 1]
+    horizon : commands of a run
+    seed : the same seed gives the same bits
+
+    Returns
+    -------
+    ContinuousTransitions
+        States are whole states of ``arm``; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
+        episode's goal. It is a simulated stand-in's log, not a robot's.
+
+    Examples
+    --------
+    >>> from oee_tabular.continuous.kinova.hand import ideal_hand
+    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
+    >>> len(log), log.n_state, int(log.truncated.sum())
+    (125, 3, 5)
+    """
+    runs = _checks.positive_integer(n_runs, "n_runs")
+    steps = _checks.positive_integer(horizon, "horizon")
+    rng = _checks.generator(seed)
+    logs = [
+        record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
+        for g in range(len(GOALS))
+    ]
+    return ContinuousTransitions.concatenate(logs)
+
+
+def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
+    """The same moves with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
+
+    Parameters
+    ----------
+    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the stand-in's own)
+    speed : m/s that a command of 1 stands for, where the log's actions are velocities; None: they are numbers of the 27
+        commands, or their directions
+
+    Raises
+    ------
+    ValueError
+        Another number of coordinates; positions beyond 1.3 m or angles beyond 8 pi (millimetres, degrees?); commands
+        without three coordinates.
+
+    Examples
+    --------
+    >>> from oee_tabular.continuous.kinova.dynamics import HOME
+    >>> joints = ContinuousTransitions([HOME], [[0.0, 0.0, 0.1]], [HOME])
+    >>> found = hand_log(joints, speed=0.1)
+    >>> found.state.round(3).tolist(), found.action.tolist()
+    ([[0.457, 0.001, 0.434]], [[0.0, 0.0, 1.0]])
+    """
+    _checks.instance(log, ContinuousTransitions, "log")
+    columns: dict[str, Any] = log.columns()
+    for name in ("state", "next_state"):
+        columns[name] = _positions(columns[name], name)
+    if speed is not None:
+        scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
+        if log.action.ndim != 2:
+            raise ValueError("speed must be None where log.action has numbers of commands; it is not None")
+        columns["action"] = log.action / scale
+    if columns["action"].ndim == 2 and columns["action"].shape[1] != COMMANDS.shape[1]:
+        raise ValueError(f"log.action must have 3 coordinates, along x, y, z; it has {columns['action'].shape[1]}")
+    return ContinuousTransitions(**columns)
+
+
+def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None) -> ContinuousTransitions:
+    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
+
+    Parameters
+    ----------
+    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
+    speed : m/s that a command of 1 stands for, see ``hand_log``
+
+    Raises
+    ------
+    ValueError
+        What ``hand_log`` refuses, with the file's name.
+    FileNotFoundError
+        Neither a file, nor a Minari folder, nor a Minari id here.
+    ImportError
+        A format's library is missing; it names the extra (``parquet``, ``minari``).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> log = ContinuousTransitions([[0.4, 0.0, 0.4]], [[1.0, 0.0, 0.0]], [[0.43, 0.0, 0.4]], episode=[0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log.save(folder + "/arm.csv")
+    ...     load_kinova_log(folder + "/arm.csv")
+    ContinuousTransitions(1 transitions of 3-dimensional states in 1 episodes: 0 terminated, 1 truncated;
+                          actions are 3-dimensional commands)
+    """
+    found = ContinuousTransitions.load(path)
+    try:
+        return hand_log(found, speed=speed)
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)!r}: {error}") from None
+
+
+def _positions(states: Array, name: str) -> Array:
+    width = states.shape[1]
+    if width == N_JOINTS:
+        _bounded(states, f"log.{name}", MOST_TURNS, "joint angles in rad")
+        return end_effector(states)
+    whole = len(KinovaArm.state_names)
+    if width not in (3, whole):
+        raise ValueError(
+            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {whole} (the stand-in's state); "
+            f"it has {width}"
+        )
+    positions = np.array(states[:, :3])
+    _bounded(positions, f"log.{name}", FARTHEST, "positions in m")
+    return positions
+
+
+def _bounded(array: Array, name: str, limit: float, what: str) -> None:
+    bad = np.argwhere(np.abs(array) > limit)
+    if bad.size:
+        first = tuple(bad[0])
+        raise ValueError(f"{_checks.place(name, first)} must be within +-{limit:.4g}: {what}; it is {array[first]:g}")

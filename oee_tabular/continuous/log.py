@@ -1,0 +1,145 @@
+"""A log of moves between states in R^d, before a task has encoded it into numbered states.
+
+The fields are those of ``Transitions``; in files a state is spread over the columns state_0, state_1, ..., next_state_0, ...
+An action is a number from the task's finite set (column ``action``), or what was commanded (columns action_0, action_1, ...),
+which is matched to the nearest action of the set.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.continuous.log_files import VECTORS
+from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.files import Format
+
+CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ContinuousTransitions(Log):
+    """Logged moves with continuous states, one a row; checked when made and immutable.
+
+    Parameters
+    ----------
+    state, next_state : (n, d) finite numbers
+    action : (n,) integers from 0, numbers of a task's actions; or (n, k) numbers, the commands themselves
+    reward : (n,) finite numbers, optional
+    terminated, truncated, episode, timestep, behavior_probability : (n,), optional
+        As in ``Transitions``; within an episode each next_state is the following row's state, up to a relative 1e-6.
+
+    Raises
+    ------
+    ValueError
+        Names the column, the row, the rule and the value found.
+
+    Notes
+    -----
+    ``Discretization.encode_log`` makes ``Transitions`` of it, ``Discretization.counts`` soft counts.
+
+    Examples
+    --------
+    >>> ContinuousTransitions([[0.0, 0.1], [0.2, 0.3]], [0, 1], [[0.2, 0.3], [0.4, 0.1]], episode=[0, 0])
+    ContinuousTransitions(2 transitions of 2-dimensional states in 1 episodes: 0 terminated, 1 truncated;
+                          actions 0..1)
+    """
+
+    FILES: ClassVar[Format] = VECTORS
+
+    state: Array
+    next_state: Array
+
+    @staticmethod
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+        states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
+        if following.shape[1] != states.shape[1]:
+            raise ValueError(
+                f"next_state must have the {states.shape[1]} coordinates of state; it has {following.shape[1]}"
+            )
+        return {"state": states, "action": _actions(action), "next_state": following}
+
+    @staticmethod
+    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+        """Differ by more than a float32 copy does."""
+        far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
+        return np.asarray(far.any(axis=1))
+
+    def __repr__(self) -> str:
+        text = f"{len(self)} transitions of {self.n_state}-dimensional states"
+        if self.episode is not None:
+            text += f" in {len(np.unique(self.episode))} episodes"
+        text += f": {int(self.terminated.sum())} terminated, {int(self.truncated.sum())} truncated"
+        if self.action.ndim == 1:
+            text += f"; actions 0..{self.action.max()}"
+        else:
+            text += f"; actions are {self.action.shape[1]}-dimensional commands"
+        if self.reward is not None:
+            text += f"; rewards {self.reward.min():g} to {self.reward.max():g}"
+        return f"ContinuousTransitions({text})"
+
+    @property
+    def n_state(self) -> int:
+        """The number d of coordinates of a state."""
+        return int(self.state.shape[1])
+
+    def action_numbers(self, actions: Any, *, strict: bool = False) -> IntArray:
+        """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
+
+        Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
+        are not and the largest distance, or an error does with ``strict``.
+        """
+        _checks.boolean(strict, "strict")
+        table = _checks.float_array(actions, "actions", ndim=(1, 2))
+        table = table.reshape(len(table), -1)
+        if self.action.ndim == 1:
+            bad = np.flatnonzero(self.action >= len(table))
+            if bad.size:
+                raise ValueError(
+                    f"log.action[{bad[0]}] must be in 0..{len(table) - 1}, the numbers of the task's actions; "
+                    f"it is {self.action[bad[0]]} ({bad.size} such rows in all)"
+                )
+            return np.asarray(self.action, dtype=np.int64)
+        if self.action.shape[1] != table.shape[1]:
+            raise ValueError(
+                f"log.action must have the {table.shape[1]} coordinates of the task's actions; it has {self.action.shape[1]}"
+            )
+        distance = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
+        nearest = distance.argmin(axis=1)
+        away = distance[np.arange(len(self)), nearest]
+        off = np.flatnonzero(away > 1e-6 * (1.0 + np.abs(table).max()))
+        if off.size:
+            worst = int(away.argmax())
+            found = (
+                f"{off.size} of {len(self)} rows do not; the farthest, row {worst}, is {self.action[worst].tolist()}, "
+                f"{away[worst]:.3g} from {table[nearest[worst]].tolist()}"
+            )
+            if strict:
+                raise ValueError(f"log.action must be one of the task's {len(table)} actions; {found}")
+            warnings.warn(f"log.action is moved to the nearest of the task's actions: {found}", stacklevel=3)
+        return np.asarray(nearest, dtype=np.int64)
+
+
+def _vectors(value: Any, name: str) -> Array:
+    array = _checks.float_array(value, name)
+    if array.ndim != 2 or array.shape[1] == 0:
+        raise ValueError(f"{name} must have shape (n, d); it has shape {array.shape}")
+    if len(array) == 0:
+        raise ValueError(f"{name} must have at least one row; the log is empty")
+    _checks.require_finite(array, name)
+    return array
+
+
+def _actions(value: Any) -> NDArray[Any]:
+    array = _checks.as_array(value, "action")
+    if array.ndim == 2:
+        return _vectors(array, "action")
+    if array.ndim != 1:
+        raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
+    return integers(array, "action")

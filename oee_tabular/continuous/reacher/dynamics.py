@@ -1,0 +1,284 @@
+"""Reacher: an arm of two links in a plane (the paper's Section VI.C), with the links' length as the parameter that is mistaken.
+
+The state is (q1, q2, w1, w2): the shoulder's angle, the elbow's angle against the upper link, and their speeds in rad/s.
+Masses, inertias and drag are those that Bullet computes for its Reacher (capsules of radius 0.01 m and 1000 kg/m^3; boxes with
+a margin for the inertias; the armature and the damping of the model file ignored), steps are semi-implicit Euler. The reward is
+the paper's,
+
+    r = 100 (d - d') - 0.01 (|a0 w0'| + |a1 w1'|) - 0.01 (|a0| + |a1|) - 0.1 [elbow at its stop],
+
+d the distance from the fingertip to the target; Bullet's electricity cost 0.1 |a w| has w in units of 10 rad/s. Its first
+part telescopes, so that reward is made by getting there. The nine actions are part of the environment, and so is the
+target's place: the paper's Reacher draws another one each episode, which would make the state six-dimensional.
+
+The fingertip is left out of the state: with it in, arms of different lengths move on different manifolds, and no ratio exists.
+The reward is then one of joint angles and of a length: ``reward_length`` is the length it is paid by, the arm's own by default.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._threads import ONE_THREAD
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import ContinuousTask, Moves, check_states
+
+RADIUS, DENSITY, MARGIN = 0.01, 1000.0, 0.04  # m, kg/m^3, Bullet's collision margin in m
+STOP = 3.0  # rad, of the elbow
+LENGTH = 0.1  # m, the simulator's links
+TARGET = (0.1, 0.1)
+LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
+INERTIAS = ("box", "capsule")
+
+
+def link_bodies(length: float, inertia: str = "box") -> Array:
+    """(3, 3) mass (kg), distance of the centre of mass from the joint (m), moment about it (kg m^2): upper link, lower, tip.
+
+    Parameters
+    ----------
+    length : of each link in m; the tip is a ball 0.01 m beyond the lower link's end
+    inertia : "box" | "capsule"
+        Bullet's box around a link, m/12 [(2 r + .08)^2 + (l + 2 r + .08)^2], or that of the capsule itself (MuJoCo's).
+
+    Raises
+    ------
+    ValueError
+        A length that is not positive; another inertia.
+
+    Examples
+    --------
+    >>> link_bodies(0.1)[:, 0].round(4).tolist()
+    [0.0356, 0.0356, 0.0042]
+    """
+    long = _checks.number_in(length, "length", 0.0, np.inf)
+    if long == 0.0:
+        raise ValueError(f"length must be positive; it is {length}")
+    _checks.one_of(inertia, "inertia", INERTIAS)
+    rod, ball = DENSITY * np.pi * RADIUS**2 * long, DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
+    mass = rod + ball
+    if inertia == "box":
+        across, along = 2 * (RADIUS + MARGIN), long + 2 * (RADIUS + MARGIN)
+        moment = mass / 12.0 * (across**2 + along**2)
+    else:
+        moment = rod * (long**2 / 12.0 + RADIUS**2 / 4.0)
+        moment += ball * (2.0 / 5.0 * RADIUS**2 + long**2 / 4.0 + 3.0 / 8.0 * long * RADIUS)
+    link = [mass, long / 2.0, moment]
+    return np.array([link, link, [ball, long + RADIUS, 2.0 / 5.0 * ball * RADIUS**2]])
+
+
+def fingertip(states: Array, length: float) -> Array:
+    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)), in m.
+
+    >>> fingertip(np.array([[0.0, np.pi / 2, 0.0, 0.0]]), 0.1).round(3).tolist()
+    [[0.1, 0.11]]
+    """
+    q1, q12 = states[:, 0], states[:, 0] + states[:, 1]
+    reach = length + RADIUS
+    return np.stack([length * np.cos(q1) + reach * np.cos(q12), length * np.sin(q1) + reach * np.sin(q12)], axis=1)
+
+
+@dataclass(frozen=True)
+class Reacher(ContinuousTask):
+    """The arm, with the paper's reward and nine actions: torques gear * (-2/3, 0 or 2/3) in each joint.
+
+    Parameters
+    ----------
+    length : of each link, m; the paper's simulator has 0.1, its targets 0.2 and 0.05
+    reward_length : the length by which the reward finds the fingertip; None: the arm's own
+    target : (x, y) in m
+    gear : torque of an action of 1, N m
+    damping : of each joint, N m s/rad
+    armature : inertia added to each joint, kg m^2
+    drag : Bullet's linear and angular damping, 0.04
+    timestep, substeps : s of an Euler step, and how many an action is held for
+    inertia : see ``link_bodies``
+
+    Raises
+    ------
+    ValueError
+        Numbers out of range.
+
+    Notes
+    -----
+    A step is deterministic and compiled, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
+    [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
+    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_reacher.py.
+
+    Examples
+    --------
+    >>> task = Reacher(0.1)
+    >>> task.moves(np.zeros((1, 4)), np.array([4]), np.zeros((1, 0))).next_state.tolist()
+    [[0.0, 0.0, 0.0, 0.0]]
+    >>> Reacher.tamed(0.05).substeps
+    4
+    """
+
+    state_names = ("q1", "q2", "w1", "w2")
+    actions = freeze(np.array(list(itertools.product(LEVELS, LEVELS))))
+    n_disturbances = 0
+    feature_names = ("cos_q1", "sin_q1", "q2", "w1", "w2")
+    periodic = (False,) * 5
+    terminates = False
+
+    length: float = LENGTH
+    reward_length: float | None = None
+    target: tuple[float, float] = TARGET
+    gear: float = 0.05
+    damping: float = 0.0
+    armature: float = 0.0
+    drag: float = 0.04
+    timestep: float = 0.0165
+    substeps: int = 1
+    inertia: str = "box"
+    name: str = field(default="Reacher", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_bodies", link_bodies(self.length, self.inertia))
+        if self.reward_length is not None:
+            _checks.number_in(self.reward_length, "reward_length", 0.0, np.inf, open_ends=True)
+        place = _checks.float_array(self.target, "target")
+        if place.shape != (2,) or not np.isfinite(place).all():
+            raise ValueError(f"target must be two finite numbers (x, y); it is {self.target}")
+        for name in ("gear", "damping", "armature", "drag"):
+            _checks.number_in(getattr(self, name), name, 0.0, np.inf)
+        _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
+        _checks.positive_integer(self.substeps, "substeps")
+        fastest = 4.0 if self.damping > 0 else 40.0
+        high = np.array([1.0, 1.0, STOP, fastest, fastest])
+        object.__setattr__(self, "feature_low", freeze(-high))
+        object.__setattr__(self, "feature_high", freeze(high))
+
+    @classmethod
+    def tamed(cls, length: float = LENGTH, **changes: Any) -> Self:
+        """The variant for tests: damping 0.01 N m s/rad, an action held for 0.066 s; a horizon of 25 is the paper's 1.65 s."""
+        return cls(length, **({"damping": 0.01, "substeps": 4} | changes))
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step, and its reward."""
+        actions = np.asarray(actions, dtype=np.int64)
+        following = self.advance(states, self.actions[actions])
+        return Moves(following, self.reward_between(states, actions, following), np.zeros(len(states), dtype=np.bool_))
+
+    def advance(self, states: Array, commands: Array) -> Array:
+        """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
+        from oee_tabular.continuous.reacher import _dynamics
+
+        length, armature, damping, drag = map(float, (self.length, self.armature, self.damping, self.drag))
+        arm = _dynamics.Arm(self._bodies, length, armature, damping, drag, STOP)  # type: ignore[attr-defined]
+        states = np.ascontiguousarray(states, dtype=np.float64)
+        torques = np.ascontiguousarray(self.gear * commands, dtype=np.float64)
+        return np.asarray(_dynamics.steps(states, torques, arm, float(self.timestep), int(self.substeps)))
+
+    def distance(self, states: Array) -> Array:
+        """(n,) from the fingertip (of ``reward_length``) to the target, m."""
+        length = self.length if self.reward_length is None else self.reward_length
+        return np.asarray(np.hypot(*(fingertip(states, length) - np.array(self.target)).T))
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        """(n,) the paper's reward of given moves."""
+        size = np.abs(self.actions[actions])
+        paid = 100.0 * (self.distance(states) - self.distance(next_states))
+        paid -= 0.01 * (size * (1.0 + np.abs(next_states[:, 2:]))).sum(axis=1)
+        return np.asarray(paid - 0.1 * at_stop(next_states))
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """At rest, at any angle of the shoulder; the elbow within a quarter turn."""
+        states = np.zeros((n, 4))
+        states[:, 0] = rng.uniform(-3.14, 3.14, n)
+        states[:, 1] = rng.uniform(-1.57, 1.57, n)
+        return states
+
+    def features(self, states: Array) -> Array:
+        """(cos q1, sin q1, q2, w1, w2)."""
+        return np.column_stack([np.cos(states[:, 0]), np.sin(states[:, 0]), states[:, 1:]])
+
+    def embed(self, features: Array) -> Array:
+        """A state with these features: q1 by the angle of (cos q1, sin q1)."""
+        return np.column_stack([np.arctan2(features[:, 1], features[:, 0]), features[:, 2:]])
+
+    def parameters(self) -> dict[str, Any]:
+        """Every parameter."""
+        return {
+            "length": self.length, "reward_length": self.reward_length, "target": list(self.target), "gear": self.gear,
+            "damping": self.damping, "armature": self.armature, "drag": self.drag, "timestep": self.timestep,
+            "substeps": self.substeps, "inertia": self.inertia,
+        }  # fmt: skip
+
+
+def at_stop(states: Array) -> Array:
+    """(n,) 1 where the elbow is within 1 % of its stop: where Bullet's Reacher pays its cost."""
+    return np.asarray(np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class LinearReacher(Reacher):
+    """A linear-Gaussian model of the arm: what a log says of it without a simulator and without cells.
+
+        s' = s + A s + B u + c + N(0, Sigma), by least squares; rewards and beginnings are the arm's
+
+    Made by ``LinearReacher.fit``; the other fields are the arm's.
+
+    Attributes
+    ----------
+    coefficients : (7, 4), of 1, the state's four and the command's two
+    root : (4, 4), Cholesky's of Sigma, the residuals' covariance
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import reacher_log
+    >>> model = LinearReacher.fit(reacher_log(Reacher.tamed(), 1000, max_steps=25, seed=0), Reacher.tamed())
+    >>> still = np.zeros((2, 4))
+    >>> back, forth = model.moves(still, np.array([0, 8]), still).next_state[:, 2]  # the shoulder's speed
+    >>> bool(back < 0 < forth)
+    True
+    """
+
+    n_disturbances = 4
+
+    coefficients: Array = field(default_factory=lambda: np.zeros((7, 4)), compare=False, repr=False)
+    root: Array = field(default_factory=lambda: np.zeros((4, 4)), compare=False, repr=False)
+
+    @classmethod
+    def fit(cls, log: ContinuousTransitions, task: Reacher | None = None) -> LinearReacher:
+        """The least-squares fit to ``log``, with the reward of ``task`` (default: the paper's arm); O(n).
+
+        Raises
+        ------
+        ValueError
+            A log with other dimensions than the arm's, or actions that are not its.
+
+        Examples
+        --------
+        >>> from oee_tabular.tasks import record
+        >>> from oee_tabular.continuous.reacher.expert import reacher_policy
+        >>> log = record(Reacher.tamed(), reacher_policy(1.0), n_transitions=2000, max_steps=25, seed=0)
+        >>> LinearReacher.fit(log, Reacher.tamed()).coefficients.shape
+        (7, 4)
+        """
+        base = Reacher() if task is None else task
+        states = check_states(base, log.state, "log.state")
+        design = _design(states, base.actions[log.action_numbers(base.actions)])
+        change = log.next_state - states
+        with ONE_THREAD:
+            coefficients: Array = np.asarray(np.linalg.lstsq(design, change)[0], dtype=np.float64)
+            rest = change - design @ coefficients
+            covariance = rest.T @ rest / len(rest) + 1e-12 * np.eye(4)
+            root: Array = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        options: dict[str, Any] = base.parameters() | {"target": base.target}
+        return cls(**options, coefficients=coefficients, root=root)
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step of the model."""
+        drift = _design(states, self.actions[np.asarray(actions, dtype=np.int64)]) @ self.coefficients
+        following = states + drift + disturbance @ self.root.T
+        return Moves(following, self.reward_between(states, actions, following), np.zeros(len(states), dtype=np.bool_))
+
+
+def _design(states: Array, commands: Array) -> Array:
+    return np.column_stack([np.ones(len(states)), states, commands])

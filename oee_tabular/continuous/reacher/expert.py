@@ -1,0 +1,87 @@
+"""Reacher's policies: a controller made for the simulator's arm, mixed with random actions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARGET
+from oee_tabular.continuous.task import StatePolicy
+
+
+def joint_angles(target: Any, length: float = LENGTH) -> tuple[float, float]:
+    """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >= 0).
+
+    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)).
+
+    Raises
+    ------
+    ValueError
+        A target out of the arm's reach.
+
+    Examples
+    --------
+    >>> q1, q2 = joint_angles((0.1, 0.11))
+    >>> round(abs(q1), 12), round(q2 / np.pi, 12)
+    (0.0, 0.5)
+    """
+    x, y = _checks.float_array(target, "target")
+    far = length + RADIUS
+    bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
+    if not -1.0 <= bend <= 1.0:
+        raise ValueError(
+            f"target must be {RADIUS:g} to {length + far:g} m from the shoulder of an arm with links of {length:g} m; "
+            f"it is {np.hypot(x, y):g} m away"
+        )
+    q2 = float(np.arccos(bend))
+    return float(np.arctan2(y, x) - np.arctan2(far * np.sin(q2), length + far * np.cos(q2))), q2
+
+
+@dataclass(frozen=True)
+class ReacherPolicy:
+    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 9).
+
+    The expert is a proportional-derivative controller of the joint angles that put the *simulator's* fingertip on the target,
+    u = stiffness * (q* - q) - brake * w, each joint taking the nearest of its three levels. It believes in the simulator's
+    links whatever the arm. delta is the share of random actions: the opposite sense to the gridworld, as in the paper.
+    """
+
+    delta: float = 0.0
+    target: tuple[float, float] = TARGET
+    length: float = LENGTH
+    stiffness: float = 4.0
+    brake: float = 0.5
+
+    def __post_init__(self) -> None:
+        _checks.number_in(self.delta, "delta", 0.0, 1.0)
+        object.__setattr__(self, "_aim", joint_angles(self.target, self.length))
+
+    def __call__(self, states: Array) -> Array:
+        """(n, 9) probabilities of the actions, in the order of ``Reacher.actions``."""
+        aim = self._aim  # type: ignore[attr-defined]
+        turn = aim[0] - states[:, 0]
+        errors = np.column_stack([np.arctan2(np.sin(turn), np.cos(turn)), aim[1] - states[:, 1]])
+        wanted = self.stiffness * errors - self.brake * states[:, 2:]
+        level = np.digitize(wanted, [LEVELS[0] / 2, LEVELS[2] / 2])
+        table = np.full((len(states), 9), self.delta / 9.0)
+        table[np.arange(len(states)), 3 * level[:, 0] + level[:, 1]] += 1.0 - self.delta
+        return table
+
+
+def reacher_policy(delta: float) -> StatePolicy:
+    """The paper's kind of policies: delta * uniform + (1 - delta) * our expert (the paper's is lost).
+
+    Parameters
+    ----------
+    delta : share of random actions, in [0, 1]
+
+    Examples
+    --------
+    >>> reacher_policy(0.9)(np.zeros((1, 4))).max().round(12).item()
+    0.2
+    """
+    return ReacherPolicy(delta)

@@ -1,0 +1,178 @@
+"""What a task with continuous states must offer so that it can become a FiniteMDP.
+
+A task is a set of numbered actions, a place where episodes begin, and one step:
+
+    s' = f(s, a, xi),   xi ~ N(0, I),     with its reward and whether the episode is over.
+
+All randomness of a step comes from the disturbance xi, whose length the task declares. So the same xi can be used twice
+(pairing a simulator with its target), replaced by Gauss-Hermite points (an exact average over Gaussian noise), or set to 0.
+Everything is vectorised over states: (n, d) in, (n, d) out.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+
+StatePolicy: TypeAlias = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """One step from each of n states.
+
+    Attributes
+    ----------
+    next_state : (n, d)
+    reward : (n,)
+    terminated : (n,) whether the episode is over in ``next_state``
+
+    Examples
+    --------
+    >>> Moves(np.array([[0.5]]), np.ones(1), np.array([False])).next_state.tolist()
+    [[0.5]]
+    """
+
+    next_state: Array
+    reward: Array
+    terminated: BoolArray
+
+
+class ContinuousTask(ABC):
+    """A decision process with states in R^d and finitely many actions.
+
+    A subclass sets the attributes, and writes ``moves`` and ``initial_states``; the other methods have defaults.
+
+    Attributes
+    ----------
+    name : str
+    state_names : names of the d coordinates of a state
+    actions : (A,) or (A, k); action number a means ``actions[a]``, and the set is part of the environment
+    n_disturbances : length of xi; 0 where a step is deterministic
+    feature_names : names of the coordinates that are discretised (those of ``features``)
+    feature_low, feature_high : (k,) the usual range of each feature, the default extent of a grid
+    periodic : (k,) whether a feature is an angle, whose range closes on itself
+    terminates : whether episodes can end before a time limit
+
+    Notes
+    -----
+    A reward is 0 after termination. A time limit is not part of a task: it is the horizon of an evaluation.
+
+    Examples
+    --------
+    A point on the line that is pushed to either side and paid for being near 0:
+
+    >>> from oee_tabular.tasks import GridInterpolation
+    >>> class Point(ContinuousTask):
+    ...     name, state_names, feature_names = "Point", ("s",), ("s",)
+    ...     actions, n_disturbances, periodic, terminates = np.array([-0.25, 0.25]), 1, (False,), False
+    ...     feature_low, feature_high = np.array([-1.0]), np.array([1.0])
+    ...     def moves(self, states, actions, disturbance):
+    ...         following = np.clip(states + self.actions[actions][:, None] + 0.01 * disturbance, -1.0, 1.0)
+    ...         return Moves(following, -np.abs(states[:, 0]), np.zeros(len(states), dtype=bool))
+    ...     def initial_states(self, n, rng):
+    ...         return rng.uniform(-0.1, 0.1, (n, 1))
+    >>> GridInterpolation((9,), closure_episodes=0).build(Point()).mdp
+    FiniteMDP(9 states, 2 actions, 18 transitions, rewards r(s, a), discount 0.99)
+    """
+
+    name: str
+    state_names: tuple[str, ...]
+    actions: Array
+    n_disturbances: int
+    feature_names: tuple[str, ...]
+    feature_low: Array
+    feature_high: Array
+    periodic: tuple[bool, ...]
+    terminates: bool
+
+    @abstractmethod
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step from states (n, d) under action numbers (n,) with xi = disturbance (n, n_disturbances)."""
+
+    @abstractmethod
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """N states (n, d) at which episodes begin."""
+
+    def terminated(self, states: Array) -> BoolArray:
+        """(n,) which states are over themselves; default: none."""
+        return np.zeros(len(states), dtype=np.bool_)
+
+    def end_shows(self, states: Array) -> BoolArray:
+        """(n,) of states that are over, whether their features tell so; default: all do.
+
+        Where features leave out what ended an episode, the discretised process goes on: such an end is a truncation to it.
+        """
+        return np.ones(len(states), dtype=np.bool_)
+
+    def features(self, states: Array) -> Array:
+        """(n, k) the coordinates that are discretised; default: the state itself."""
+        return states
+
+    def embed(self, features: Array) -> Array:
+        """(n, d) a state with these features, for a grid to step from; default: the features themselves."""
+        return features
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+        """(n,) r(s, a, s') of given moves, where the reward depends on where a step leads; None where it is not known."""
+        return None
+
+    def initial_points(self) -> tuple[Array, Array]:
+        """States (m, d) and weights (m,) of the initial distribution; default: 50 000 equally likely draws of one seed."""
+        states = self.initial_states(50_000, np.random.default_rng(0))
+        return states, np.full(len(states), 1.0 / len(states))
+
+    def parameters(self) -> dict[str, Any]:
+        """What distinguishes this task from others of its name; written beside everything that is made from it."""
+        return {}
+
+    @property
+    def n_state(self) -> int:
+        """The number d of coordinates of a state."""
+        return len(self.state_names)
+
+    @property
+    def n_actions(self) -> int:
+        """The number A of actions."""
+        return len(self.actions)
+
+    def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """One random step from each state."""
+        return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
+
+
+def check_states(task: ContinuousTask, states: Any, name: str = "states") -> Array:
+    """``states`` as (n, d) finite numbers of the task's d; ValueError with the place and the value found."""
+    array = _checks.float_array(states, name)
+    if array.ndim != 2 or array.shape[1] != task.n_state:
+        raise ValueError(
+            f"{name} must have shape (n, {task.n_state}), the {', '.join(task.state_names)} of {task.name}; "
+            f"it has shape {array.shape}"
+        )
+    _checks.require_finite(array, name)
+    return array
+
+
+def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
+    """What a policy function says for ``states``: (n, A), rows that sum to 1."""
+    _checks.function(policy, "policy")
+    table = _checks.float_array(policy(states), "policy(states)")
+    if table.shape != (len(states), n_actions):
+        raise ValueError(
+            f"policy(states) must have shape {(len(states), n_actions)} for {len(states)} states; it has shape {table.shape}"
+        )
+    _checks.require_nonnegative(table, "policy(states)")
+    _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")
+    return table
+
+
+def task_metadata(task: ContinuousTask) -> dict[str, Any]:
+    """What identifies a task in a file."""
+    return {"task": task.name, "parameters": task.parameters(), "features": list(task.feature_names)}

@@ -1,0 +1,223 @@
+import time
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT
+from oee_tabular.continuous.cartpole.expert import EXPERT
+from oee_tabular.tasks import (
+    CartPole,
+    GridInterpolation,
+    GymnasiumTask,
+    cartpole_policy,
+    monte_carlo_value,
+    record,
+    resimulate,
+    train_expert,
+)
+
+NAMES = ("x", "x_dot", "theta", "theta_dot")
+
+
+def gymnasium_cartpole(gravity=9.8):
+    def make():
+        env = gymnasium.make("CartPole-v1")
+        env.unwrapped.gravity = gravity
+        return env
+
+    def write(env, state):
+        env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
+
+    ends = np.array([2.4, 3.0, 0.21, 3.2])
+    return GymnasiumTask(make, state_names=NAMES, get_state=lambda env: env.unwrapped.state, set_state=write,
+                         actions=[0, 1], low=-ends, high=ends, parameters={"gravity": gravity})  # fmt: skip
+
+
+@pytest.mark.parametrize("gravity", [7.5, 9.8, 15.0])
+def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
+    rng = np.random.default_rng(0)
+    states = rng.uniform([-2.45, -3, -0.22, -4], [2.45, 3, 0.22, 4], (3000, 4))
+    actions = rng.integers(0, 2, 3000)
+    theirs = gymnasium_cartpole(gravity).step(states, actions, rng)
+    ours = CartPole(gravity, noise=0.0).step(states, actions, rng)
+    assert_array_equal(ours.next_state, theirs.next_state)
+    assert_array_equal(ours.terminated, theirs.terminated)
+    assert_array_equal(ours.reward, theirs.reward)
+
+
+def test_whole_episodes_are_gymnasium_s():
+    log = gymnasium_cartpole(12.5).record(cartpole_policy(0.3), n_transitions=500, max_steps=100, seed=1)
+    ours = resimulate(CartPole(12.5, noise=0.0), log)
+    assert_array_equal(ours.next_state, log.next_state)
+    assert_array_equal(ours.terminated, log.terminated)
+    assert log.n_state == 4
+    assert (np.abs(log.state[log.timestep == 0]) <= 0.05).all()
+
+
+@given(st.floats(0, 30), st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_laws_of_a_step(gravity, seed):
+    """Mirror symmetry; the angle does not see the cart; gravity enters linearly; noise is added at the end."""
+    rng = np.random.default_rng(seed)
+    states = rng.uniform(-0.2, 0.2, (20, 4))
+    actions = rng.integers(0, 2, 20)
+    xi = rng.standard_normal((20, 4))
+    task = CartPole(gravity, noise=0.01)
+    moved = task.moves(states, actions, xi)
+    assert_allclose(task.moves(-states, 1 - actions, -xi).next_state, -moved.next_state, rtol=0, atol=1e-15)
+    elsewhere = states + np.array([1.0, 0.3, 0.0, 0.0])
+    assert_array_equal(task.moves(elsewhere, actions, xi).next_state[:, 2:], moved.next_state[:, 2:])
+    still = CartPole(gravity, noise=0.0).moves(states, actions, xi).next_state
+    assert_allclose(moved.next_state - still, 0.01 * xi, rtol=0, atol=1e-14)
+    none, twice = (CartPole(g, 0.0).moves(states, actions, xi).next_state for g in (0.0, 2 * gravity))
+    assert_allclose(none + twice, 2 * still, rtol=0, atol=1e-12)
+
+
+def test_the_reward_pays_for_the_failing_step_too():
+    """A pole that never falls is worth 1 - 0.99^100 = 0.633967658726771 (the paper's ceiling)."""
+    falling = np.array([[0.0, 0.0, ANGLE_LIMIT - 1e-3, 1.0], [0.0, 0.0, 0.0, 0.0]])
+    moved = CartPole().moves(falling, np.array([1, 1]), np.zeros((2, 4)))
+    assert_array_equal(moved.terminated, [True, False])
+    assert_array_equal(moved.reward, [1.0, 1.0])
+    model = GridInterpolation((20, 20), closure_episodes=0).build(CartPole())
+    assert_array_equal(model.mdp.rewards[:-1], 1.0)
+    assert_array_equal(model.mdp.rewards[-1], 0.0)
+    stands = model.mdp.with_transitions(sparse.kron(sparse.eye_array(model.mdp.n_states), np.ones((2, 1)), "csr"))
+    ceiling = oee.policy_value(stands, oee.uniform_policy(stands), horizon=100, normalized=True)
+    assert_allclose(ceiling, 0.633967658726771, rtol=1e-12)
+
+
+def test_the_angle_alone_is_an_exact_reduction():
+    """Episodes of the whole environment, cart and all, against those whose cart is put back each step."""
+
+    class Still(CartPole):
+        def moves(self, states, actions, disturbance):
+            moved = super().moves(states, actions, disturbance)
+            moved.next_state[:, :2] = 0.0
+            return moved
+
+    for delta in (0.0, 0.6):
+        whole = monte_carlo_value(CartPole(15.0), cartpole_policy(delta), 4000, 100, seed=5)
+        angle = monte_carlo_value(Still(15.0), cartpole_policy(delta), 4000, 100, seed=5)
+        assert_allclose(angle.value, whole.value, rtol=1e-3)
+
+
+@pytest.mark.parametrize("delta", [0.0, 0.3, 0.6, 1.0])
+def test_the_grid_agrees_with_monte_carlo(delta):
+    model = GridInterpolation((100, 100), closure_episodes=0).build(CartPole(12.5))
+    policy = cartpole_policy(delta)
+    value = oee.policy_value(model.mdp, model.policy(policy), horizon=100)
+    mc = monte_carlo_value(CartPole(12.5), policy, 10_000, 100, seed=3)
+    assert abs(value - mc.value) < 0.01 * mc.value + 3 * mc.standard_error
+
+
+def test_a_hundred_by_a_hundred_takes_less_than_a_second():
+    GridInterpolation((10, 10), closure_episodes=0).build(CartPole())  # compile
+    began = time.perf_counter()
+    model = GridInterpolation((100, 100), closure_episodes=0).build(CartPole())
+    oee.policy_value(model.mdp, model.policy(cartpole_policy(0.4)), horizon=100)
+    assert time.perf_counter() - began < 1.0
+
+
+def test_four_dimensions():
+    with pytest.warns(UserWarning, match="closure error"):
+        model = GridInterpolation((8, 8, 8, 8)).build(CartPole(form="full"))
+    assert model.mdp.n_states == 8**4 + 1
+    assert model.task.feature_names == NAMES
+    assert_allclose(model.mdp.initial.sum(), 1.0)
+
+
+def test_process_noise_by_quadrature():
+    """With noise as large as a step, Gauss-Hermite points bring the grid's value to Monte Carlo's; without, it is off."""
+    task = CartPole(10.0, noise=0.05)
+    policy = cartpole_policy(0.3)
+    mc = monte_carlo_value(task, policy, 20_000, 50, seed=2)
+    values = []
+    for points in (1, (1, 1, 5, 5)):
+        model = GridInterpolation((60, 60), noise_points=points, closure_episodes=0).build(task)
+        values.append(oee.policy_value(model.mdp, model.policy(policy), horizon=50))
+    assert abs(values[1] - mc.value) < 0.03 * mc.value < abs(values[0] - mc.value)
+
+
+def test_the_shipped_expert_is_the_trained_one():
+    assert train_expert() == EXPERT
+    assert train_expert(seed=1) == train_expert(seed=1) != EXPERT
+
+
+def test_policies():
+    states = record(CartPole(), cartpole_policy(0.5), n_transitions=200, max_steps=100, seed=0).state
+    expert, uniform = cartpole_policy(0.0)(states), cartpole_policy(1.0)(states)
+    assert_array_equal(uniform, 0.5)
+    assert_allclose(cartpole_policy(0.3)(states), 0.3 * uniform + 0.7 * expert)
+    firm = cartpole_policy(0.0, deterministic=True)(states)
+    assert_array_equal(firm[:, 1], expert[:, 1] > 0.5)
+    right = 1 / (1 + np.exp(-(EXPERT[0] * states[:, 2] + EXPERT[1] * states[:, 3] + EXPERT[2])))
+    assert_allclose(expert[:, 1], right)
+
+
+def test_records_say_what_happened():
+    log = record(CartPole(noise=0.0), cartpole_policy(0.3), n_episodes=40, max_steps=30, seed=0)
+    assert_array_equal(log.reward, 1.0)
+    starts = np.flatnonzero(log.timestep == 0)
+    assert len(starts) == 40
+    lengths = np.diff(np.append(starts, len(log)))
+    assert lengths.max() == 30
+    ends = np.append(starts[1:], len(log)) - 1
+    assert_array_equal(log.terminated[ends] ^ log.truncated[ends], True)
+    assert_array_equal(np.abs(log.next_state[:, 2]) > ANGLE_LIMIT, log.terminated)
+    again = resimulate(CartPole(noise=0.0), log)
+    assert_array_equal(again.next_state, log.next_state)
+    chosen = cartpole_policy(0.3)(log.state)[np.arange(len(log)), log.action]
+    assert_allclose(log.behavior_probability, chosen)
+    assert abs((log.action == 1).mean() - cartpole_policy(0.3)(log.state)[:, 1].mean()) < 0.05
+
+
+def test_the_same_seed_gives_the_same_bits():
+    one, two, other = (
+        record(CartPole(), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=s) for s in (1, 1, 2)
+    )
+    assert_array_equal(one.next_state, two.next_state)
+    assert not np.array_equal(one.next_state, other.next_state)
+    # a shorter log is the beginning of a longer one
+    short = record(CartPole(), cartpole_policy(0.3), n_transitions=1000, max_steps=100, seed=1)
+    assert_array_equal(short.state, one.state[:1000])
+    values = [monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4) for _ in range(2)]
+    assert values[0] == values[1]
+
+
+BAD = {
+    "gravity": (lambda: CartPole(gravity=-1.0), r"gravity must be in \[0, inf\); it is -1"),
+    "noise": (lambda: CartPole(noise=np.nan), r"noise must be in \[0, inf\); it is nan"),
+    "form": (lambda: CartPole(form="polar"), r"form must be one of 'angle', 'full'; got 'polar'"),
+    "delta": (lambda: cartpole_policy(1.5), r"delta must be in \[0, 1\]; it is 1.5"),
+    "elite": (lambda: train_expert(elite=65), r"elite must be at most the population, 64; it is 65"),
+    "population": (lambda: train_expert(population=0), r"population must be a positive integer; it is 0"),
+    "both lengths": (
+        lambda: record(CartPole(), cartpole_policy(0.3), n_transitions=5, n_episodes=5, max_steps=5),
+        r"one of n_transitions and n_episodes must be given",
+    ),
+    "a policy of another shape": (
+        lambda: record(CartPole(), lambda s: np.ones(len(s)), n_transitions=5, max_steps=5),
+        r"policy\(states\) must have shape \(256, 2\) for 256 states; it has shape \(256,\)",
+    ),
+    "a policy that misses 1": (
+        lambda: monte_carlo_value(CartPole(), lambda s: np.full((len(s), 2), 0.25), 5, 5),
+        r"policy\(states\)\[0\] must sum to 1 .*; it sums to 0.5 \(5 such rows in all\)",
+    ),
+    "no horizon": (
+        lambda: monte_carlo_value(CartPole(), cartpole_policy(0.3), 5, 0),
+        r"horizon must be a positive integer; it is 0",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "text"), BAD.values(), ids=BAD)
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()

@@ -1,0 +1,183 @@
+"""The simulated stand-in of the Gen3: kinematics, the arm, its finite model, logs of a real one."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.continuous.episodes import monte_carlo_value
+from oee_tabular.continuous.kinova.dynamics import CENTER, HOME, STEP, end_effector, resolved_rates
+from oee_tabular.data import ContinuousTransitions
+from oee_tabular.tasks import kinova
+
+
+def needs_mujoco():
+    return pytest.importorskip("mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'")
+
+
+def synthetic(scale=1.0):
+    return kinova.ideal_hand(scale)
+
+
+def test_the_kinematics_of_the_fact_table():
+    assert_allclose(end_effector(np.zeros((1, 7)))[0], [0.0, -0.02485, 1.18739], atol=1e-5)
+    assert_allclose(end_effector(HOME[None])[0], [0.4567, 0.00135, 0.4337], atol=5e-5)
+
+
+def test_resolved_rates_move_the_hand_as_asked():
+    joints = HOME + 0.1 * np.random.default_rng(0).standard_normal((5, 7))
+    velocity = np.array([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, -0.1, 0.1], [0, 0, 0]])
+    moved = (end_effector(joints + 1e-6 * resolved_rates(joints, velocity)) - end_effector(joints)) / 1e-6
+    assert_allclose(moved, velocity, atol=4e-3)  # what the damping takes
+
+
+def test_mujoco_agrees_with_the_kinematics():
+    mujoco = needs_mujoco()
+    from oee_tabular.continuous.kinova.dynamics import arm_xml
+
+    model = mujoco.MjModel.from_xml_string(arm_xml())
+    data = mujoco.MjData(model)
+    assert_allclose(model.body_mass.sum(), 8.188, atol=1e-3)
+    for joints in HOME + np.random.default_rng(1).standard_normal((5, 7)):
+        data.qpos[:] = joints
+        mujoco.mj_kinematics(model, data)
+        assert_allclose(data.site_xpos[0], end_effector(joints[None])[0], atol=1e-12)
+
+
+def test_a_command_moves_the_hand_by_a_step_and_the_target_by_more():
+    needs_mujoco()
+    rng = np.random.default_rng(0)
+    for scale in (1.0, 1.4):
+        arm = kinova.KinovaArm(velocity_scale=scale, encoder_noise=0.0)
+        state = arm.initial_states(27, rng)
+        moved = arm.moves(state, np.arange(27), np.zeros((27, 7))).next_state[:, :3] - state[:, :3]
+        assert_allclose(moved / STEP, scale * kinova.COMMANDS, atol=0.12)
+
+
+def test_latency_keeps_the_last_command():
+    needs_mujoco()
+    arm = kinova.KinovaArm(latency=0.2, encoder_noise=0.0)
+    state = arm.initial_states(1, np.random.default_rng(0))
+    moved = arm.moves(state, np.array([26]), np.zeros((1, 7)))
+    assert np.abs(moved.next_state[0, :3] - state[0, :3]).max() < 0.1 * STEP
+    again = arm.moves(moved.next_state, np.array([13]), np.zeros((1, 7)))
+    assert (again.next_state[0, :3] - moved.next_state[0, :3] > 0.8 * STEP).all()
+
+
+def test_the_finite_model_and_the_hand_have_one_value():
+    hand = synthetic()
+    model = kinova.kinova_model(hand)
+    assert model.task.parameters()["ideal"] is True
+    policy = kinova.box_policy(model, 0, 0.3)
+    assert_allclose(policy.sum(axis=1), 1.0)
+    from oee_tabular import policy_value
+
+    exact = policy_value(model.mdp, policy, horizon=25)
+    sampled = monte_carlo_value(hand, kinova.kinova_policy(0, 0.3), 2000, 25, seed=0)
+    assert abs(exact / sampled.value - 1) < 0.06
+
+
+def test_tied_counts_recover_the_target_s_displacement():
+
+    simulator = kinova.kinova_model(synthetic(), spacing=2 * STEP, defensive=0.1)
+    log = kinova.record_goals(synthetic(1.4), n_runs=4, delta=0.3, seed=0)
+    counts, uncovered = kinova.within_support(kinova.move_counts(simulator, log), simulator)
+    assert uncovered < 0.02
+    assert_allclose(counts.sum(), (1 - uncovered) * len(log))
+    zeta = oee.transition_ratio(counts, simulator.mdp, tie=kinova.displacement_tie(simulator), strength=0.1)
+    model = zeta.target_model(simulator.mdp)
+    places = simulator.cells.vertices()
+    middle = int(np.argmin(np.linalg.norm(places - CENTER, axis=1)))
+    visited = np.flatnonzero(np.asarray(counts.sum(axis=1)).reshape(-1, 27).sum(axis=0) > 20)
+    for a in visited:
+        mean = model.transitions[[middle * 27 + a]] @ places - places[middle]
+        assert_allclose(mean[0] / STEP, 1.4 * kinova.COMMANDS[a], atol=0.15)
+
+
+def test_a_log_of_a_real_arm(tmp_path):
+    pytest.importorskip("pyarrow", reason="needs the extra: pip install 'oee-tabular[parquet]'")
+    joints = np.stack([HOME, HOME + 0.01, HOME + 0.02])
+    log = ContinuousTransitions(joints[:2], [[0.1, 0, 0], [0, 0, -0.1]], joints[1:], episode=[0, 0])
+    for ending in ("csv", "parquet", "npz"):
+        log.save(tmp_path / f"arm.{ending}")
+        found = kinova.load_kinova_log(tmp_path / f"arm.{ending}", speed=0.1)
+        assert_allclose(found.state, end_effector(joints[:2]))
+        assert found.action_numbers(kinova.COMMANDS, strict=True).tolist() == [22, 12]
+
+
+def test_a_minari_log(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari", reason="needs the extra: pip install 'oee-tabular[minari]'")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    import warnings
+
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+
+    places = CENTER + STEP * np.arange(4)[:, None] * np.array([1.0, 0.0, 0.0])
+    buffer = EpisodeBuffer(
+        id=0, observations=places, actions=np.tile([1.0, 0.0, 0.0], (3, 1)), rewards=[0.0] * 3,
+        terminations=[False] * 3, truncations=[False, False, True],
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        minari.create_dataset_from_buffers(
+            "arm/log-v0", [buffer], observation_space=spaces.Box(-2, 2, (3,), np.float64),
+            action_space=spaces.Box(-1, 1, (3,), np.float64), data_format="arrow",
+        )  # fmt: skip
+    found = kinova.load_kinova_log(tmp_path / "arm" / "log-v0")
+    assert_allclose(found.next_state, places[1:], rtol=1e-6)
+    assert found.action_numbers(kinova.COMMANDS).tolist() == [22, 22, 22]
+
+
+def moves(width, size=0.1, action=(0.0, 0.0, 1.0)):
+    return ContinuousTransitions(np.full((2, width), size), [list(action)] * 2, np.full((2, width), size))
+
+
+BAD = [
+    (lambda: kinova.KinovaArm(goal=5), r"goal must be in 0\.\.4, a row of GOALS; it is 5"),
+    (lambda: kinova.KinovaArm(velocity_scale=-1.0), r"velocity_scale must be in \[0, 3\]; it is -1"),
+    (lambda: kinova.KinovaArm(latency=0.3), r"latency must be in \[0, 0.2\]; it is 0.3"),
+    (lambda: kinova.KinovaArm(payload=float("nan")), "payload must be in"),
+    (lambda: kinova.kinova_policy(0, 1.5), r"delta must be in \[0, 1\]; it is 1.5"),
+    (lambda: end_effector(np.zeros((2, 6))), r"joints must have shape \(n, 7\), angles in rad; it has shape \(2, 6\)"),
+    (lambda: kinova.hand_log(moves(5)), r"log.state must have 3 coordinates \(position\), 7 .* it has 5"),
+    (lambda: kinova.hand_log(moves(3, 456.0)), r"log.state\[0, 0\] must be within \+-1.3: positions in m; it is 456"),
+    (lambda: kinova.hand_log(moves(7, 90.0)), r"must be within \+-25.13: joint angles in rad; it is 90"),
+    (
+        lambda: kinova.hand_log(moves(3, action=(1.0, 0.0))),
+        "log.action must have 3 coordinates, along x, y, z; it has 2",
+    ),
+    (lambda: kinova.hand_log(moves(3), speed=0.0), "speed must be in"),
+    (lambda: kinova.kinova_model(synthetic(), spacing=1.0), "spacing must be in"),
+]
+
+
+@pytest.mark.parametrize(("call", "text"), BAD)
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+def test_states_outside_the_grid_are_named_or_left_out():
+    model = kinova.kinova_model(synthetic(), spacing=4 * STEP)
+    start = np.array([CENTER, [0.1, 0.0, 0.4]])
+    log = ContinuousTransitions(start, [13, 13], start)
+    with pytest.raises(ValueError, match=r"1 of 2 rows are not, the first, row 1, is at \[0.1, 0.0, 0.4\]"):
+        kinova.move_counts(model, log)
+    with pytest.warns(UserWarning, match="They are left out"):
+        assert_allclose(kinova.move_counts(model, log, outside="drop").sum(), 1.0)
+
+
+def test_without_mujoco_everything_imports_and_says_which_extra():
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "import oee_tabular.continuous.kinova.experiment\n"
+        "from oee_tabular.tasks import kinova\n"
+        "try:\n    kinova.record_goals(kinova.KinovaArm(), n_runs=1)\n"
+        "except ImportError as error:\n    print(error)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "mujoco is not installed: pip install 'oee-tabular[mujoco]'"

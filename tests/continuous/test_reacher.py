@@ -1,0 +1,337 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
+
+import oee_tabular as oee
+from oee_tabular.continuous.reacher import _dynamics as kernel
+from oee_tabular.continuous.reacher.dynamics import STOP, at_stop, fingertip, link_bodies
+from oee_tabular.continuous.reacher.expert import ReacherPolicy, joint_angles
+from oee_tabular.tasks import (
+    LinearReacher,
+    Reacher,
+    VisitedCells,
+    arm_cells,
+    monte_carlo_value,
+    reacher_log,
+    reacher_policy,
+    record,
+    visited_states,
+)
+
+LENGTHS = [0.05, 0.1, 0.2]
+seeds = st.integers(0, 2**32 - 1)
+
+
+def states_of(rng, n, speed=4.0):
+    return rng.uniform([-3.0, -2.5, -speed, -speed], [3.0, 2.5, speed, speed], (n, 4))
+
+
+def inertia(q2, length, kind="box"):
+    """M(q) from the Jacobians of the centres of mass, link by link: nothing of the kernel's algebra."""
+    total = np.zeros((2, 2))
+    for k, (mass, r, moment) in enumerate(link_bodies(length, kind)):
+        if k == 0:
+            jacobian, turn = np.array([[0.0, 0.0], [r, 0.0]]), np.array([1.0, 0.0])
+        else:  # in the frame of the upper link
+            end = length * np.array([0.0, 1.0]) + r * np.array([-np.sin(q2), np.cos(q2)])
+            jacobian, turn = np.column_stack([end, r * np.array([-np.sin(q2), np.cos(q2)])]), np.array([1.0, 1.0])
+        total += mass * jacobian.T @ jacobian + moment * np.outer(turn, turn)
+    return total
+
+
+def energy(state, length):
+    return 0.5 * state[2:] @ inertia(state[1], length) @ state[2:]
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_energy_and_momentum_of_a_free_arm(length):
+    """Without torque, damping and drag a free arm keeps its energy and its angular momentum, up to the step."""
+    lost = []
+    for h in (4e-4, 2e-4):
+        arm = Reacher(length, drag=0.0, timestep=h, substeps=round(0.4 / h))
+        state = np.array([[0.3, 1.0, 2.0, -1.5]])
+        after = arm.advance(state, np.zeros((1, 2)))
+        momentum = [inertia(s[1], length)[0] @ s[2:] for s in (state[0], after[0])]
+        lost.append((energy(after[0], length) / energy(state[0], length) - 1, momentum[1] / momentum[0] - 1))
+    assert np.abs(lost[1]).max() < 5e-3
+    assert_allclose(np.array(lost[0]) / np.array(lost[1]), 2.0, rtol=0.1)  # of first order
+
+
+def test_small_steps_converge_to_the_equations_of_motion():
+    """Against Lagrange's equations with derivatives of M taken numerically, by an adaptive Runge-Kutta method."""
+    length, torque = 0.1, np.array([0.02, -0.01])
+
+    def motion(t, s):
+        step = 1e-6
+        slope = (inertia(s[1] + step, length) - inertia(s[1] - step, length)) / (2 * step)
+        w = s[2:]
+        force = torque - 1e-3 * w - s[3] * slope @ w + np.array([0.0, 0.5 * w @ slope @ w])
+        return np.concatenate([w, np.linalg.solve(inertia(s[1], length), force)])
+
+    start = np.array([0.1, 0.8, 1.0, -2.0])
+    exact = solve_ivp(motion, (0, 0.1), start, rtol=1e-10, atol=1e-12).y[:, -1]
+    arm = Reacher(length, gear=1.0, damping=1e-3, drag=0.0, timestep=1e-5, substeps=10_000)
+    assert_allclose(arm.advance(start[None], torque[None])[0], exact, rtol=0, atol=2e-3)
+
+
+@given(seeds, st.sampled_from(LENGTHS), st.booleans())
+@settings(max_examples=20)
+def test_laws_of_a_step(seed, length, tamed):
+    """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the compiled kernel as it is written."""
+    rng = np.random.default_rng(seed)
+    arm = Reacher.tamed(length) if tamed else Reacher(length)
+    states, commands = states_of(rng, 20), rng.uniform(-1, 1, (20, 2))
+    after = arm.advance(states, commands)
+    assert_allclose(arm.advance(-states, -commands), -after, rtol=0, atol=1e-12)
+    turned = states + np.array([0.7, 0.0, 0.0, 0.0])
+    assert_allclose(arm.advance(turned, commands), after + np.array([0.7, 0.0, 0.0, 0.0]), rtol=0, atol=1e-12)
+    assert_allclose(fingertip(states + np.array([2 * np.pi, 0, 0, 0]), length), fingertip(states, length), atol=1e-12)
+    assert (np.abs(after[:, 1]) <= STOP).all()
+    made = kernel.Arm(link_bodies(length), length, 0.0, arm.damping, arm.drag, STOP)
+    plain = kernel.steps.py_func(states, 0.05 * commands, made, arm.timestep, arm.substeps)
+    assert_allclose(plain, after, rtol=1e-12, atol=1e-12)
+
+
+@given(seeds, st.sampled_from(LENGTHS))
+def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
+    """Bullet's law from the velocities of the centres of mass; the torques of that, without drag, make the same step."""
+    states, k = states_of(np.random.default_rng(seed), 20, speed=10.0), 0.04
+    torques = np.zeros((20, 2))
+    for row, (_, q2, w1, w2) in zip(torques, states, strict=True):
+        for b, (mass, r, moment) in enumerate(link_bodies(length, "box")):
+            if b == 0:
+                jacobian, turn = np.array([[0.0, 0.0], [r, 0.0]]), np.array([1.0, 0.0])
+            else:  # in the frame of the upper link
+                jacobian = np.array([[-r * np.sin(q2)] * 2, [length + r * np.cos(q2), r * np.cos(q2)]])
+                turn = np.ones(2)
+            velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
+            row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
+            row -= turn * k * moment * spin * (1 + abs(spin))
+    arm, drawn = (kernel.Arm(link_bodies(length, "box"), length, 0.0, 0.0, drag, 10.0) for drag in (0.0, k))
+    braked = kernel.steps(states, np.zeros((20, 2)), drawn, 1e-3, 1)
+    pushed = kernel.steps(states, torques, arm, 1e-3, 1)
+    free = kernel.steps(states, np.zeros((20, 2)), arm, 1e-3, 1)
+    assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
+    assert np.abs(braked - free)[:, 2:].max() > 1e-4
+
+
+@given(seeds, st.sampled_from(LENGTHS))
+@settings(max_examples=20)
+def test_drag_and_damping_take_energy(seed, length):
+    rng = np.random.default_rng(seed)
+    states = states_of(rng, 5)
+    free = Reacher(length, drag=0.0, timestep=1e-4)
+    for braked in (Reacher(length, timestep=1e-4), Reacher(length, drag=0.0, damping=1e-3, timestep=1e-4)):
+        for a, b in zip(free.advance(states, np.zeros((5, 2))), braked.advance(states, np.zeros((5, 2))), strict=True):
+            assert energy(b, length) < energy(a, length)
+
+
+def test_the_elbow_s_stop():
+    """The elbow stops, and its impulse leaves the shoulder's generalised momentum alone."""
+    arm = Reacher(0.1, drag=0.0, timestep=1e-4)
+    state = np.array([[0.0, STOP - 1e-6, 0.5, 3.0]])
+    after = arm.advance(state, np.zeros((1, 2)))[0]
+    assert after[1] == STOP
+    assert after[3] == 0.0
+    assert_allclose(inertia(STOP, 0.1)[0] @ after[2:], inertia(STOP, 0.1)[0] @ state[0, 2:], rtol=1e-3)
+    assert_array_equal(at_stop(np.array([[0, 2.98, 0, 0], [0, -3.0, 0, 0], [0, 2.9, 0, 0]])), [1, 1, 0])
+
+
+def test_kinematics_by_hand():
+    states = np.array([[0, 0, 0, 0], [np.pi / 2, 0, 0, 0], [0, np.pi, 0, 0], [0, np.pi / 2, 0, 0]], dtype=float)
+    assert_allclose(fingertip(states, 0.1), [[0.21, 0], [0, 0.21], [-0.01, 0], [0.1, 0.11]], atol=1e-15)
+    for target in ((0.1, 0.1), (-0.05, 0.12), (0.0, -0.2)):
+        q1, q2 = joint_angles(target)
+        assert_allclose(fingertip(np.array([[q1, q2, 0, 0]]), 0.1)[0], target, atol=1e-12)
+
+
+def test_the_reward_by_hand():
+    """100 (drop in distance) - .01 sum |a| (1 + |w'|) - .1 at the stop: action 8 has both levels at 2/3."""
+    task = Reacher(0.1, target=(0.31, 0.0))
+    states = np.array([[0.0, 0.0, 0.0, 0.0]])
+    following = np.array([[np.pi / 2, 2.99, 3.0, -6.0]])
+    away = np.hypot(*(fingertip(following, 0.1)[0] - [0.31, 0.0]))
+    wanted = 100 * (0.1 - away) - 0.01 * (2 / 3) * (1 + 3 + 1 + 6) - 0.1
+    assert_allclose(task.reward_between(states, np.array([8]), following), wanted)
+    assert_allclose(Reacher(0.2, 0.1).distance(states), Reacher(0.1).distance(states))
+    moved = task.moves(states, np.array([3]), np.zeros((1, 0)))
+    assert_allclose(moved.reward, task.reward_between(states, np.array([3]), moved.next_state))
+    assert not moved.terminated.any()
+
+
+def test_the_masses_are_bullet_s():
+    """.0356, .0670, .0199 kg at .1, .2, .05 m; the tip .00419 kg; the capsule's inertia by integration."""
+    assert_allclose([link_bodies(x)[0, 0] for x in (0.1, 0.2, 0.05)], [0.0356, 0.0670, 0.0199], atol=5e-5)
+    rng = np.random.default_rng(0)
+    inside = rng.uniform([-0.06, -0.01, -0.01], [0.06, 0.01, 0.01], (400_000, 3))
+    past = np.maximum(np.abs(inside[:, 0]) - 0.05, 0.0)
+    inside = inside[past**2 + inside[:, 1] ** 2 + inside[:, 2] ** 2 < 1e-4]
+    mass, _, moment = link_bodies(0.1, "capsule")[0]
+    assert_allclose(moment, mass * (inside[:, 0] ** 2 + inside[:, 1] ** 2).mean(), rtol=0.01)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize(("armature", "damping", "gear"), [(0.0, 1e-4, 0.05), (1.0, 1.0, 200.0)], ids=["free", "stock"])
+def test_the_arm_is_mujoco_s(length, armature, damping, gear):
+    """Gymnasium's Reacher with other links: armature 0, damping 1e-4, gear .05; and with its own 1, 1, 200."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install oee-tabular[mujoco]")
+    import gymnasium
+
+    text = (Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "reacher.xml").read_text()
+    for old, new in {
+        'fromto="0 0 0 0.1 0 0"': f'fromto="0 0 0 {length} 0 0"',
+        'name="body1" pos="0.1 0 0"': f'name="body1" pos="{length} 0 0"',
+        'name="fingertip" pos="0.11 0 0"': f'name="fingertip" pos="{length + 0.01} 0 0"',
+        'armature="1" damping="1"': f'armature="{armature}" damping="{damping}"',
+        'gear="200.0"': f'gear="{gear}"',
+        'integrator="RK4" timestep="0.01"': 'integrator="Euler" timestep="0.01"',
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    arm = Reacher(
+        length, gear=gear, armature=armature, damping=damping, drag=0.0, timestep=0.01, substeps=2, inertia="capsule"
+    )
+    rng = np.random.default_rng(0)
+    for state, command in zip(states_of(rng, 40), rng.uniform(-1, 1, (40, 2)), strict=True):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:2], data.qvel[:2], data.ctrl[:] = state[:2], state[2:], command
+        mujoco.mj_step(model, data, 2)
+        theirs = np.concatenate([data.qpos[:2], data.qvel[:2]])
+        assert_allclose(arm.advance(state[None], command[None])[0], theirs, rtol=1e-9, atol=1e-9)
+        assert_allclose(fingertip(theirs[None], length)[0], _tip(mujoco, model, data), atol=1e-12)
+
+
+def _tip(mujoco, model, data):
+    mujoco.mj_forward(model, data)
+    return data.body("fingertip").xpos[:2]
+
+
+def test_the_tamed_arm_is_tame():
+    """Speeds stay small even of short links, and the expert gets there."""
+    log = record(Reacher.tamed(0.05), reacher_policy(0.5), n_transitions=5000, max_steps=25, seed=0)
+    assert np.abs(log.state[:, 2:]).max() < 12
+    best, worst = (monte_carlo_value(Reacher.tamed(0.1), reacher_policy(d), 500, 25, seed=1).value for d in (0.0, 1.0))
+    assert best > worst + 5
+
+
+def test_policies():
+    states = states_of(np.random.default_rng(0), 50)
+    expert, random = reacher_policy(0.0)(states), reacher_policy(1.0)(states)
+    assert_array_equal(np.sort(expert, axis=1)[:, :-1], 0.0)
+    assert_allclose(random, 1 / 9)
+    assert_allclose(reacher_policy(0.3)(states), 0.3 * random + 0.7 * expert)
+    there = np.array([[*joint_angles((0.1, 0.1)), 0.0, 0.0]])
+    assert reacher_policy(0.0)(there)[0, 4] == 1.0  # no torque at rest on the target
+    assert_array_equal(reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])), reacher_policy(0.2)(states))
+
+
+@pytest.fixture(scope="module")
+def tamed_cells():
+    log = reacher_log(Reacher.tamed(0.05), 20_000, max_steps=25, seed=0)
+    return log, arm_cells(
+        log, task=Reacher.tamed(0.1, reward_length=0.05), n_cells=500, n_simulated=4000, n_stepped=10_000, horizon=25
+    )
+
+
+def test_cells_at_the_log_s_places(tamed_cells):
+    log, arm = tamed_cells
+    assert arm.counts.sum() == len(log) == 20_000
+    assert arm.uncovered(arm.mixture()) == 0.0
+    assert 0.0 < arm.uncovered(arm.transitions[0.1]) < 1.0
+    assert_allclose(arm.risk_minimising_weights(), [1, 0, 0, 0, 0], atol=0.02)
+    for matrix in arm.transitions.values():
+        assert_allclose(matrix.sum(axis=1), 1.0)
+    assert_allclose(arm.policy(reacher_policy(1.0)), 1 / 9)
+
+
+def test_the_reward_telescopes_on_cells(tamed_cells):
+    """At discount 1 a value is 100 (E D(s_0) - E D(s_T)) less the costs, whatever the moves."""
+    _, arm = tamed_cells
+    mdp = arm.mdp(arm.mixture())
+    away = arm.mean(arm.task.distance(arm.points))
+    rest = mdp.transition_rewards.tocoo()
+    rows, to = rest.coords
+    costs = rest.data - 100.0 * (away[rows // 9] - away[to])
+    assert costs.max() <= 0.0
+    assert_allclose(costs[rows % 9 == 4].max(), 0.0, atol=1e-9)  # no torque, no cost but the stop's
+    other = arm.paying(Reacher.tamed(0.2)).mdp(arm.mixture())
+    assert_array_equal(other.transitions.indices, mdp.transitions.indices)
+
+
+def test_the_estimate_comes_near_the_truth_and_the_simulator_does_not(tamed_cells):
+    log, arm = tamed_cells
+    policy = reacher_policy(0.3)
+    truth, wrong = (monte_carlo_value(Reacher.tamed(x), policy, 2000, 25, seed=2) for x in (0.05, 0.1))
+    simulator = arm.mdp(arm.mixture(list(arm.risk_minimising_weights())))
+    zeta = oee.transition_ratio(arm.counts, simulator, prior="simulator", strength=0.1)
+    found = oee.policy_value(zeta.target_model(simulator), arm.policy(policy), horizon=25)
+    assert abs(found - truth.value) < 0.1 * abs(wrong.value - truth.value)
+    linear = LinearReacher.fit(log, Reacher.tamed(0.05))
+    assert np.isfinite(monte_carlo_value(linear, policy, 200, 25, seed=0).value)
+
+
+def test_visited_cells_take_the_task():
+    task = Reacher.tamed()
+    visited = visited_states([task], [reacher_policy(0.5)], 3000, max_steps=25, seed=0)
+    model = VisitedCells(100).build(task, visited)
+    assert model.over is None
+    assert model.mdp.n_states == 100
+    assert_array_equal(task.features(task.embed(task.features(visited)))[:, 2:], visited[:, 1:])
+
+
+def some_log():
+    return record(Reacher(), reacher_policy(0.5), n_transitions=50, max_steps=10, seed=0)
+
+
+BAD = {
+    "no length": (lambda: Reacher(0.0), r"length must be positive; it is 0.0"),
+    "negative": (lambda: Reacher(-0.1), r"length must .*-0.1"),
+    "reward": (lambda: Reacher(0.1, 0.0), r"reward_length must be in \(0, inf\); it is 0"),
+    "a place in space": (lambda: Reacher(target=(1, 2, 3)), r"target must be two finite numbers \(x, y\); it is \(1, 2, 3\)"),
+    "nan place": (lambda: Reacher(target=(0.1, float("nan"))), r"target must be two finite numbers|target.* nan"),
+    "gear": (lambda: Reacher(gear=-1.0), r"gear must .*-1"),
+    "no time": (lambda: Reacher(timestep=0.0), r"timestep must be in \(0, inf\); it is 0"),
+    "half a step": (lambda: Reacher(substeps=0.5), r"substeps must be a positive integer; got 0.5"),
+    "inertia": (lambda: Reacher(inertia="rod"), r"inertia must be one of .*rod"),
+    "delta": (lambda: reacher_policy(1.5), r"delta must .*1.5"),
+    "out of reach": (lambda: ReacherPolicy(target=(1.0, 0.0)), r"target must be 0.01 to 0.21 m .*; it is 1 m away"),
+    "not a log": (lambda: arm_cells(np.zeros((3, 4))), r"log must be ContinuousTransitions; got ndarray"),
+    "no lengths": (lambda: arm_cells(some_log(), lengths=()), r"lengths must have one length or more; it is empty"),
+    "no cells": (lambda: arm_cells(some_log(), n_cells=0), r"n_cells must be a positive integer; it is 0"),
+    "no moves": (lambda: reacher_log(Reacher(), 0), r"n must be a positive integer; it is 0"),
+    "weights of another number": (
+        lambda: arm_cells(some_log(), n_cells=5, n_simulated=50, horizon=3).mixture([1.0]),
+        r"weights must have one number for each of 5 lengths; it has shape \(1,\)",
+    ),
+    "weights that miss 1": (
+        lambda: arm_cells(some_log(), n_cells=5, n_simulated=50, horizon=3).mixture([0.1] * 5),
+        r"weights must sum to 1 \(tolerance 1e-8\); they sum to 0.5",
+    ),
+    "no length allows it": (
+        lambda: arm_cells(reacher_log(Reacher(0.05), 500, max_steps=20, seed=0), lengths=(0.2,), n_cells=200, n_simulated=50,
+                          horizon=5).risk_minimising_weights(),
+        r"log must have moves that some length allows; \(\d+, \d, \d+\) is allowed by none \(\d+ such moves in all\)",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "text"), BAD.values(), ids=BAD)
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
+
+
+def test_nothing_is_compiled_at_import():
+    """Making a task, a policy or a log's error needs no kernel."""
+    import subprocess
+    import sys
+
+    code = "import oee_tabular.tasks as t, sys; t.Reacher(); t.reacher_policy(.1); assert 'numba' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,88 @@
+"""Figure 3's settings, its table and its figure, on a cell of small cost."""
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+
+from oee_tabular.continuous.reacher import experiment as reacher
+from oee_tabular.continuous.reacher.experiment import DELTAS, FIGURE_3
+from oee_tabular.experiments.output import summary_of
+from oee_tabular.experiments.registry import Stream
+from oee_tabular.tasks import Reacher, arm_cells, monte_carlo_value, reacher_log, reacher_policy
+
+
+@pytest.fixture(scope="module")
+def table():
+    patch = pytest.MonkeyPatch()
+    patch.setattr(reacher, "TRUTH_EPISODES", 256)
+    patch.setattr(reacher, "MODEL_EPISODES", 64)
+    small = partial(arm_cells, n_cells=200, n_simulated=1000, n_stepped=2000, horizon=20)
+    patch.setattr(reacher, "arm_cells", small)
+    patch.setattr(reacher, "reacher_log", partial(reacher_log, max_steps=20))
+    reacher.truth.cache_clear()
+    settings = {"length": 0.05, "n": 3000, "repetition": 0}
+    rows = reacher.cell(settings, Stream("fig3", 0, settings))
+    again = reacher.cell(settings, Stream("fig3", 0, settings))
+    patch.undo()
+    reacher.truth.cache_clear()
+    assert [row["value_0.5"] for row in rows] == [row["value_0.5"] for row in again]
+    return pd.DataFrame([settings | row for row in rows])
+
+
+def test_every_curve_is_there(table):
+    shown = {reacher.WEIGHTED, reacher.AVERAGED, reacher.PLAIN, reacher.MODEL, reacher.LINEAR, reacher.ORACLE,
+             reacher.SIMULATOR, reacher.OWN_REWARD, reacher.AVERAGE, reacher.UNKNOWN, reacher.UNKNOWN_AVERAGED}  # fmt: skip
+    assert shown <= set(table.series)
+    assert f"{reacher.WEIGHTED}, calibrated" in set(table.series)
+    assert table.series.is_unique
+    values, right = (table[[f"{what}_{d}" for d in DELTAS]].to_numpy() for what in ("value", "truth"))
+    assert np.isfinite(values).all()
+    assert_allclose(table.error, np.abs(values - right).mean(axis=1))
+    assert (table[table.series == reacher.AVERAGED].uncovered == 0.0).all()
+    left_out = table[table.series.isin([reacher.UNKNOWN, reacher.UNKNOWN_AVERAGED])]
+    assert (left_out.uncovered > 0.0).all()  # without the target's own length, and with its log's moves
+    assert left_out.weight_of_true_length.isna().all()
+    assert (table[table.series == reacher.WEIGHTED].weight_of_true_length > 0.9).all()
+    assert (table[table.series == reacher.SIMULATOR].uncovered > 0.3).all()
+
+
+def test_the_figure_and_the_summary(table):
+    summary = summary_of(FIGURE_3, table)
+    assert len(summary) == table.series.nunique()
+    figure = Figure()
+    FIGURE_3.draw(table, summary, figure)
+    assert [ax.get_title() for ax in figure.axes if ax.get_visible()] == [
+        "links of 0.05 m, n = 3000: ours",
+        "links of 0.05 m, n = 3000: the paper's",
+    ]
+
+
+def test_the_paper_s_errors():
+    """1.84, 4.88 and 15.7 for the long links, from its published points; none for the short ones."""
+    assert_allclose(
+        [reacher.published_error(0.2, name) for name in ("oee", "simulated", "mle")], [1.84, 4.88, 15.73], atol=0.01
+    )
+    assert np.isnan(reacher.published_error(0.05, "oee"))
+    summary = pd.DataFrame(
+        {"length": [0.2, 0.2, 0.2], "n": [150_000, 15_000, 150_000], "series": ["OEE", "OEE", "other"]}
+    )
+    assert_allclose(reacher.published(summary), [1.838, np.nan, np.nan], atol=1e-3)
+
+
+def test_the_smoke_subset_is_small():
+    smoke = FIGURE_3.settings(smoke=True)
+    assert [cell["n"] for cell in smoke.cells()] == [15_000, 15_000]
+    assert {cell["length"] for cell in smoke.cells()} == {0.2, 0.05}
+
+
+def test_even_beginnings_have_the_same_mean():
+    policy = reacher_policy(0.5)
+    even, plain = (monte_carlo_value(task, policy, 4000, 20, seed=0) for task in (reacher.Even(), Reacher()))
+    assert abs(even.value - plain.value) < 4 * np.hypot(even.standard_error, plain.standard_error)
+    starts = reacher.Even().initial_states(1000, np.random.default_rng(0))
+    assert (np.abs(starts) <= [3.14, 1.57, 0, 0]).all()
+    assert_allclose(starts.mean(axis=0), 0.0, atol=0.01)
