@@ -21,14 +21,14 @@ INTERVALS = "tests/inference/test_intervals.py"
 BUGS = {
     1: (
         "second moment with w for w^2",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "spread += prob[x] * w[x] * w[x] * next_var[j]",
         "spread += prob[x] * w[x] * next_var[j]",
         MOMENTS,
     ),
     2: (
         "trajectory product with one factor too many",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "plain = left == 0 and not by_move",
         "plain = False",
         MOMENTS,
@@ -58,7 +58,7 @@ BUGS = {
     ),
     6: (
         "doubly robust second moment without its cross term",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "                    y = 0.0 if end else gamma * (next_mean[j] - k[tk, j])\n"
         "                    if by_move:\n"
         "                        y += (pay[x] - shift[t]) * scale[t]\n"
@@ -85,7 +85,7 @@ BUGS = {
     ),
     9: (
         "forward measure discounted twice",
-        "kernels/horizon.py",
+        "exact/_finite.py",
         "backup(start, column, value, nothing, 1.0, here, there,",
         "backup(start, column, value, nothing, gamma, here, there,",
         VALUES,

@@ -177,7 +177,7 @@ def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> 
 
 def _rollout_values(rollouts: Sampler, values: list[Array]) -> Array:
     """D_0 of each rollout, backward in time."""
-    from oee_tabular.kernels.episodes import control_variates
+    from oee_tabular.estimators._episodes import control_variates
 
     model, zeta, lengths = rollouts.mdp, rollouts.ratio, rollouts.sums().lengths
     starts, path = rollouts.moves(lengths)

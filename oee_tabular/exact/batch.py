@@ -243,7 +243,7 @@ def _run(
     values: Array, errors: Array,
 ) -> None:  # fmt: skip
     """The compiled call; a single model stands for all."""
-    from oee_tabular.kernels.batches import small_values
+    from oee_tabular.exact._batches import small_values
 
     first_action = _starts(sizes * actions)
     if len(stack) == 1:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular.exact.direct import library
+from oee_tabular.exact.solvers.library import library
 from oee_tabular.exact.systems import System, choose, readable
 
 SMALLEST = 1e-288  # below it the low part of a pair has lost bits
@@ -52,7 +52,7 @@ def solve_certified(
     norm_of_inverse : a bound on |(I - discount K)^-1|_inf
     slack : bounds what the pair b misses
     """
-    from oee_tabular.kernels import twofold
+    from oee_tabular.exact import _twofold as twofold
 
     rows = _rows(system, low)
     solver, method, start = choose(system, b)
@@ -87,7 +87,7 @@ def solve_certified(
 
 def _rows(system: System, low: Array) -> tuple[Any, Any, Any, Any, float]:
     """The arrays that the residual reads, transposed where the system is."""
-    from oee_tabular.kernels.policy_rows import transposed
+    from oee_tabular.exact._policy_rows import transposed
 
     if not system.transpose:
         return system.indptr, system.indices, system.data, readable(low), system.discount

@@ -36,7 +36,7 @@ def locked(array: Any) -> Any:
 
 def policy_to_read(policy: Any, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    from oee_tabular.kernels import frontier as kernel
+    from oee_tabular.exact import _frontier as kernel
 
     shape = (model.n_states, model.n_actions)
     if (
@@ -52,7 +52,7 @@ def policy_to_read(policy: Any, model: Model, horizon: int) -> Array:
 
 def sweep(rows: tuple[Any, Any, Any], rewards: Array, discount: float, steps: int) -> Array:
     """(S,): V with ``steps`` rewards to go, of a stationary policy's kernel (``rows_of``) and rewards."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     n, band, height, width = len(rewards), 0, 1, len(rewards)
     size = 12 * len(rows[1]) / n + 28  # bytes of a row: its entries, indptr, reward and two values
@@ -75,7 +75,7 @@ def backward_in_time(model: Model, policy: Array, steps: int) -> Array:
 
 def light_cone(model: Model, policy: Array, steps: int) -> Cone:
     """The kernel's light cone of a stationary policy."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     # numpy's zeros cost nothing until they are touched, the kernel's own would be written
     place = np.zeros(model.n_states, np.uint32)
@@ -86,7 +86,7 @@ def light_cone(model: Model, policy: Array, steps: int) -> Cone:
 
 def values_by_horizon(model: Model, policy: Array, steps: int) -> Array:
     """(T + 1,): J of 0 .. T rewards, of a policy that has been checked."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     if policy.ndim == 2:
         _, ends, indptr, indices, data, rewards, begin = light_cone(model, policy, steps)
@@ -96,7 +96,7 @@ def values_by_horizon(model: Model, policy: Array, steps: int) -> Array:
 
 def value_to_horizon(model: Model, policy: Array, steps: int) -> float:
     """J of T rewards, of a policy that has been checked: the last of ``values_by_horizon``, bit for bit."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     if policy.ndim == 3:
         return float(_frontier(model, policy, None)[-1])
@@ -109,7 +109,7 @@ def value_to_horizon(model: Model, policy: Array, steps: int) -> float:
 
 def expected(model: Model, policy: Array, values: Array) -> float:
     """mu_0 . V over the states where episodes start (the others may be infinite), with the bits of ``value_to_horizon``."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     if policy.ndim == 3:
         return value_to_horizon(model, policy, len(policy))
@@ -119,7 +119,7 @@ def expected(model: Model, policy: Array, values: Array) -> float:
 
 def visits(model: Model, policy: Array, steps: int) -> Array:
     """(S, A): sum_{t<T} gamma^t Pr(s_t = s, a_t = a)."""
-    from oee_tabular.kernels import horizon
+    from oee_tabular.exact import _finite as horizon
 
     pairs = np.zeros((model.n_states, model.n_actions))
     if policy.ndim == 2:
@@ -132,7 +132,7 @@ def visits(model: Model, policy: Array, steps: int) -> Array:
 
 
 def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
-    from oee_tabular.kernels.frontier import frontier
+    from oee_tabular.exact._frontier import frontier
 
     n, keep = model.n_states, pairs is not None
     rewards, act, initial = locked(model.rewards), locked(policy), locked(model.initial)

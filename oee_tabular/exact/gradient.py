@@ -63,7 +63,7 @@ def transition_gradient(
         values = state_values(valued, pi)
         visits = occupancy(model, pi, of="state") / (1.0 - gamma)
         return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
-    from oee_tabular.kernels import horizon as kernel
+    from oee_tabular.exact import _finite as kernel
 
     forward = rows_of(sparse.csr_array(policy_kernel(model, pi).T))
     to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(len(rows))

@@ -42,7 +42,8 @@ def _values(model: Model, shift: int, policy: Array, certify: bool) -> Found:
         values, bound = _tiny(model, paid, policy)
         if np.isfinite(bound):
             return values, expected(model, policy, values), bound, "dense LU", None
-    from oee_tabular.kernels import policy_rows, twofold
+    from oee_tabular.exact import _policy_rows as policy_rows
+    from oee_tabular.exact import _twofold as twofold
 
     indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
     rewards, largest = policy_rows.average_rewards(policy, paid)
@@ -78,7 +79,7 @@ def _scaled(numbers: Array, shift: int) -> Array:
 
 def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:
     """V and a bound on its error from one compiled call, nan where there is no sum."""
-    from oee_tabular.kernels.small_systems import small_value
+    from oee_tabular.exact.solvers._elimination import small_value
 
     rows = model.transitions
     parts = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), policy
@@ -88,7 +89,7 @@ def _tiny(model: Model, paid: Array, policy: Array) -> tuple[Array, float]:
 
 def kernel_parts(model: Model, policy: Array, ordered: bool) -> tuple[Any, Any, Array]:
     """Row pointers, columns and values of sum_a policy[s, a] K(s' | s, a), with unsigned indices."""
-    from oee_tabular.kernels.policy_rows import average_rows
+    from oee_tabular.exact._policy_rows import average_rows
 
     rows = model.transitions
     columns, values = np.empty(rows.nnz, dtype=np.uint32), np.empty(rows.nnz)  # only what is filled becomes memory

@@ -215,7 +215,7 @@ def _followed(walk: Walk, steps: int, lasting: bool, sources: bool) -> int:
 
 
 def _trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:
-    from oee_tabular.kernels import moments as kernel
+    from oee_tabular.exact import _moments as kernel
 
     n = walk.n_states
     out, local = np.empty((5, n)), np.empty((steps if sources else 1, 3, n))

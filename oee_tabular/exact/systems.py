@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular.exact.direct import Solver, library
+from oee_tabular.exact.solvers.library import Solver, library
 
 TINY = 32
 LARGEST_COMPONENT = 100  # and a tenth of the states
@@ -63,7 +63,7 @@ class System:
     @cached_property
     def sums(self) -> tuple[float, float]:
         """The smallest and the largest row sum of K, the latter with its rounding."""
-        from oee_tabular.kernels.policy_rows import range_of_sums
+        from oee_tabular.exact._policy_rows import range_of_sums
 
         low, high, entries = range_of_sums(self.indptr, self.data)
         return low, high * (1.0 + (int(entries) + self.formed) * np.finfo(float).eps)
@@ -71,7 +71,7 @@ class System:
     @cached_property
     def order(self) -> tuple[Any, Any]:
         """Breadth-first order and its inverse."""
-        from oee_tabular.kernels.krylov import breadth_first
+        from oee_tabular.exact.solvers._bicgstab import breadth_first
 
         found: tuple[Any, Any] = breadth_first(self.indptr, self.indices)
         return found
@@ -79,7 +79,7 @@ class System:
     @cached_property
     def components(self) -> tuple[Any, Any]:
         """States by strongly connected component, those last that lead to all others; where components begin, or nothing."""
-        from oee_tabular.kernels.components import components
+        from oee_tabular.exact.solvers._components import components
 
         most = min(LARGEST_COMPONENT, self.n_states // 10)
         found: tuple[Any, Any] = components(self.indptr, self.indices, self.data, most)
@@ -87,7 +87,7 @@ class System:
 
     def residual(self, b: Array, x: Array) -> Missed:
         """b - M x, its largest magnitude, a bound on the exact one (largest, transposed: sum), the largest rounding."""
-        from oee_tabular.kernels import policy_rows
+        from oee_tabular.exact import _policy_rows as policy_rows
 
         kernel = policy_rows.residual_transposed if self.transpose else policy_rows.residual
         found: Missed = kernel(self.indptr, self.indices, self.data, self.discount, b, x, float(self.formed))
@@ -177,7 +177,7 @@ def choose(system: System, b: Array) -> tuple[Solver, str, Array | None]:
     crowded = len(system.indices) > 8 * n  # a graph that mixes, most often: tried before states are put in an order
     if crowded and (mixing := _mixing(system, b)) is not None:
         return mixing
-    from oee_tabular.kernels.small_systems import band_of
+    from oee_tabular.exact.solvers._elimination import band_of
 
     below, above, below_placed, above_placed = band_of(system.indptr, system.indices, system.order[1])
     for low, high, placed in ((below, above, False), (below_placed, above_placed, True)):
@@ -201,7 +201,7 @@ def _mixing(system: System, b: Array) -> tuple[Solver, str, Array | None] | None
 
 def elimination(system: System, below: int, above: int, placed: bool) -> Solver:
     """LU without pivoting, dense where the band is."""
-    from oee_tabular.kernels.small_systems import factor, fill, substitute
+    from oee_tabular.exact.solvers._elimination import factor, fill, substitute
 
     n = system.n_states
     dense = below == above == n - 1
@@ -223,7 +223,7 @@ def elimination(system: System, below: int, above: int, placed: bool) -> Solver:
 
 def by_components(system: System) -> Solver:
     """Strongly connected components one after the other."""
-    from oee_tabular.kernels.components import solve
+    from oee_tabular.exact.solvers._components import solve
 
     parts, found = (system.indptr, system.indices, system.data, system.discount), system.components
 
@@ -236,7 +236,7 @@ def by_components(system: System) -> Solver:
 
 def sweeps(system: System, b: Array, relative: float, ratio: float) -> tuple[Array, bool]:
     """Value iteration, and whether it got there with each sweep dividing the spread by 1 / ratio."""
-    from oee_tabular.kernels.policy_rows import span_iteration
+    from oee_tabular.exact._policy_rows import span_iteration
 
     parts = system.indptr, system.indices, system.data, system.discount, system.sums[1]
     found: tuple[Array, bool] = span_iteration(*parts, b, ratio, max(relative, 8e-16), 200)
@@ -245,7 +245,7 @@ def sweeps(system: System, b: Array, relative: float, ratio: float) -> tuple[Arr
 
 def krylov(system: System) -> Solver:
     """Preconditioned BiCGSTAB, on what an independent set of states leaves where that has not many more entries."""
-    from oee_tabular.kernels import reduction
+    from oee_tabular.exact.solvers import _reduction as reduction
 
     # weight 1 keeps row sums, which counts near discount 1; a little below it the iteration is steadier in a drift
     weight = 1.0 - min(0.1, max(0.001, 0.15 * np.sqrt(1.0 - system.discount)))
@@ -269,8 +269,8 @@ def krylov(system: System) -> Solver:
 
 def iteration(system: System, order: Any, place: Any, weight: float) -> Solver:
     """BiCGSTAB with the states in the given order."""
-    from oee_tabular.kernels.krylov import bicgstab, modified_diagonal, split
-    from oee_tabular.kernels.policy_rows import transposed
+    from oee_tabular.exact._policy_rows import transposed
+    from oee_tabular.exact.solvers._bicgstab import bicgstab, modified_diagonal, split
 
     rows = readable(system.indptr), readable(system.indices), readable(system.data)
     modified = modified_diagonal(*rows, system.discount, weight, order, place)

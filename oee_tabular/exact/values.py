@@ -113,7 +113,7 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
     if policy.ndim == 3:
         return finite.backward_in_time(model, policy, steps)
-    from oee_tabular.kernels.policy_rows import average_rewards
+    from oee_tabular.exact._policy_rows import average_rewards
 
     indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
     rewards, _ = average_rewards(finite.locked(policy), readable(model.rewards))

@@ -106,7 +106,7 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
 
     The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
     """
-    from oee_tabular.kernels.frontier import absorbing
+    from oee_tabular.exact._frontier import absorbing
 
     matrix = mdp.transitions
     rows = rows_of(matrix)
@@ -187,7 +187,7 @@ def centred(
     keep: bool,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Mean and variance of X by state, and each step's share of the variance, from the entries as they stand."""
-    from oee_tabular.kernels import moments as kernel
+    from oee_tabular.exact import _moments as kernel
 
     n = walk.n_states
     base, at_start, ahead = (
@@ -204,7 +204,7 @@ def centred(
 
 def strips_of(walk: Walk) -> Strips:
     """What ``merged`` reads, for a policy that does not depend on time."""
-    from oee_tabular.kernels.merged import merge
+    from oee_tabular.exact._merged import merge
 
     act, u = walk.act[0], walk.u[0]
     found: Strips = merge(walk.indptr, walk.indices, walk.prob, walk.w, act, u, walk.by_move, walk.pay, walk.n_states)
@@ -216,7 +216,7 @@ def merged(
     keep: bool,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """What ``centred`` gives for a policy and pays that do not depend on time: one sweep over entries merged over actions."""
-    from oee_tabular.kernels import merged as kernel
+    from oee_tabular.exact import _merged as kernel
 
     n = walk.n_states
     offsets, columns, aligned, numbers, fixed, order, band = strips
@@ -242,7 +242,7 @@ def merged(
 
 def _blocks(size: int, strips: int, band: int) -> tuple[int, int, int]:
     """Band, height and width of blocks that stay in the cache, of strips whose entries have ``size`` bytes; one if they may."""
-    from oee_tabular.kernels.merged import LANES
+    from oee_tabular.exact._merged import LANES
 
     one = size / strips + 48 * LANES
     band, fitting = max(int(band), 1), CACHED / one
@@ -257,7 +257,7 @@ def _all_one(values: Array) -> bool:
 
 def forward_measure(walk: Walk, steps: int, *, power: int, returns: bool = False) -> Array:
     """(T + 1, 3, S): E[W^power G^i 1{s_t = s}]."""
-    from oee_tabular.kernels import moments as kernel
+    from oee_tabular.exact import _moments as kernel
 
     out = np.zeros((steps + 1, 3, walk.n_states))
     kernel.forward(steps, *walk.shape, walk.discount, power, walk.initial, returns, out)

@@ -64,7 +64,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     Transitions(47 transitions in 10 episodes of 4 to 7 steps: 10 terminated, 0 truncated;
                 states 0..8, actions 0..2; rewards -0.8 to 0; behaviour probabilities)
     """
-    from oee_tabular.kernels import rollout
+    from oee_tabular.simulate import _rollout as rollout
 
     n = _checks.positive_integer(n_episodes, "n_episodes")
     _checks.require_memory(9.0 * n, "n_episodes", n)  # a row each, at least
@@ -112,7 +112,7 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     >>> sample_transitions(coin, [[0.5], [0.5]], 1000, seed=0).counts(2, 1).toarray().tolist()
     [[222.0, 263.0], [262.0, 253.0]]
     """
-    from oee_tabular.kernels import rollout
+    from oee_tabular.simulate import _rollout as rollout
 
     _checks.instance(mdp, FiniteMDP, "mdp")
     size = _checks.positive_integer(n, "n")

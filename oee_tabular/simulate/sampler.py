@@ -19,7 +19,7 @@ from oee_tabular.mdp.horizons import steps_of
 from oee_tabular.simulate.logs import stream_key
 
 if TYPE_CHECKING:
-    from oee_tabular.kernels.alias import AliasTable
+    from oee_tabular.simulate._alias import AliasTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class Sampler:
         return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
 
     def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
-        from oee_tabular.kernels.lanes import returns
+        from oee_tabular.simulate._lanes import returns
 
         table = self.table
         chunk = max(16 * self.lanes, -(-self.n // 64))  # long enough to keep lanes busy, short enough for a few threads
@@ -118,7 +118,7 @@ def sampler(
 
 def alias_table(mdp: FiniteMDP, policy: Array, ratio: Array, *, records: bool | None = None) -> AliasTable:
     """Of every state's (a, s') under the policy, and of the first state."""
-    from oee_tabular.kernels import alias
+    from oee_tabular.simulate import _alias as alias
 
     matrix = mdp.transitions
     pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data

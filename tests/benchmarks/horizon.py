@@ -15,9 +15,9 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
+from oee_tabular.exact import _finite as kernels
 from oee_tabular.exact import finite, walks
 from oee_tabular.exact.values import policy_kernel, policy_rewards
-from oee_tabular.kernels import horizon as kernels
 
 STEPS = 200
 

@@ -56,7 +56,8 @@ def padded(mdp, policy):
 
 def ours(mdp, policy, n):
     """Name -> a function that gives (transitions, returns or None); tables made before, as the peers' are, but in one row."""
-    from oee_tabular.kernels import lanes, rollout
+    from oee_tabular.simulate import _lanes as lanes
+    from oee_tabular.simulate import _rollout as rollout
     from oee_tabular.simulate.sampler import alias_table
 
     indptr, indices = (x.astype(np.int64) for x in (mdp.transitions.indptr, mdp.transitions.indices))

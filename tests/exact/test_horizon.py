@@ -10,9 +10,10 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
+from oee_tabular.exact import _finite as horizon
+from oee_tabular.exact import _frontier as frontier
 from oee_tabular.exact import finite
 from oee_tabular.exact.values import evaluate_policy, policy_kernel, policy_rewards
-from oee_tabular.kernels import frontier, horizon
 
 horizons = st.integers(1, 9)
 

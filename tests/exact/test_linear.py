@@ -164,7 +164,7 @@ def test_no_direct_solver_is_asked_about_an_expander(monkeypatch):
 
 def test_a_layered_kernel_is_solved_in_one_step():
     """In breadth-first order it is upper triangular, whatever the order of its states, and the preconditioner exact."""
-    from oee_tabular.kernels import krylov
+    from oee_tabular.exact.solvers import _bicgstab as krylov
 
     kernel = STRUCTURES["layered"]
     shuffled = np.random.default_rng(3).permutation(480)
@@ -195,7 +195,7 @@ def levels(rng, n, size):
 
 
 def test_which_graphs_expand():
-    from oee_tabular.exact.direct import expands
+    from oee_tabular.exact.solvers.library import expands
 
     n = 900
     restart = sparse.csr_array((np.ones(n), (np.arange(n), np.zeros(n, dtype=int))), shape=(n, n))
@@ -332,7 +332,7 @@ def test_where_iteration_fails_on_an_expander(monkeypatch, certify):
 @given(rngs)
 def test_strongly_connected_components_are_found_and_ordered(rng):
     """Those of scipy, each after those that it leads to; one that is too large ends the search."""
-    from oee_tabular.kernels.components import components
+    from oee_tabular.exact.solvers._components import components
 
     n = int(rng.integers(1, 70))
     dense, count = levels(rng, n, int(rng.integers(1, 9)))
@@ -556,7 +556,8 @@ def test_without_a_discount_a_closed_class_diverges(name):
 @given(rngs)
 def test_residuals_and_what_bounds_them(rng):
     """Each kernel that computes a residual, against the formulas in its docstring."""
-    from oee_tabular.kernels import policy_rows, small_systems
+    from oee_tabular.exact import _policy_rows as policy_rows
+    from oee_tabular.exact.solvers import _elimination as small_systems
 
     n, discount, formed = int(rng.integers(2, 9)), float(rng.random()), 3.0
     dense = rng.random((n, n)) * (rng.random((n, n)) < 0.6)

@@ -13,9 +13,9 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.exact import walks, weight_growth, weight_moments
+from oee_tabular.exact._merged import LANES, PARTS
 from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
-from oee_tabular.kernels.merged import LANES, PARTS
 
 KINDS = ("per_decision", "trajectory")
 

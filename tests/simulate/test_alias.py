@@ -8,7 +8,8 @@ from helpers import rngs
 from hypothesis import given
 from numpy.testing import assert_array_equal
 
-from oee_tabular.kernels import alias, lanes
+from oee_tabular.simulate import _alias as alias
+from oee_tabular.simulate import _lanes as lanes
 
 
 def table_of(rows, records=None):

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.kernels import rollout
+from oee_tabular.simulate import _rollout as rollout
 from oee_tabular.simulate.logs import running_sums
 
 

@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse, stats
 
 import oee_tabular as oee
-from oee_tabular.kernels import alias, lanes, rollout
+from oee_tabular.simulate import _alias as alias
+from oee_tabular.simulate import _lanes as lanes
+from oee_tabular.simulate import _rollout as rollout
 from oee_tabular.simulate.logs import stream_key
 from oee_tabular.simulate.sampler import sampler
 

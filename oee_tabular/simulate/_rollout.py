@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from oee_tabular.kernels.shared import threads_share
+from oee_tabular._compiled import threads_share
 
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from oee_tabular.kernels.rollout import philox
-from oee_tabular.kernels.shared import threads_share
+from oee_tabular._compiled import threads_share
+from oee_tabular.simulate._rollout import philox
 
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs

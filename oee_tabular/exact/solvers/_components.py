@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from oee_tabular.kernels.small_systems import factor, substitute
+from oee_tabular.exact.solvers._elimination import factor, substitute
 
 _ONE = np.uint32(1)
 

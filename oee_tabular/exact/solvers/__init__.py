@@ -1,0 +1,1 @@
+"""Solvers of a policy's linear system."""
