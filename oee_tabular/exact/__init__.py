@@ -14,15 +14,14 @@ from oee_tabular.exact.moments import (
     doubly_robust_moments,
     policy_is_moments,
     return_moments,
-    weight_growth,
-    weight_moments,
     weighted_return_moments,
 )
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.planning import optimal_policy
+from oee_tabular.exact.recursions import Moments
 from oee_tabular.exact.reweighted import Model, ReweightedModel, reweight
 from oee_tabular.exact.values import action_values, evaluate_policy, policy_value, state_values
-from oee_tabular.exact.walks import Moments
+from oee_tabular.exact.walks import weight_growth, weight_moments
 
 __all__ = [
     "BatchValues",

@@ -1,23 +1,18 @@
-"""What a policy makes of the rows s*A + a: the kernel of its states, its rewards, and residuals of its linear system.
-
-Index arrays are unsigned 32-bit: signed ones cost twice the time in these loops.
-"""
-
-from __future__ import annotations
-
-from typing import Any
+"""What a policy makes of the rows s*A + a: the kernel of its states, its rewards, and residuals of its linear system."""
 
 import numpy as np
 from numba import njit
 
 
-def average_rows(indptr: Any, indices: Any, data: Any, policy: Any, columns: Any, values: Any, ordered: Any) -> Any:
-    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros, each row sorted if ``ordered``; the row pointers.
+@njit(cache=True)
+def average_rows(rows, policy, ordered):
+    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros, each row sorted if ``ordered``.
 
-    ``columns`` and ``values``, which it is written to, have room for all entries of K. Actions whose rows share one
-    pattern (a simulator with noise) are added in place; others through a dense row.
+    Actions whose rows share one pattern (a simulator with noise) are added in place; others through a dense row.
     """
+    indptr, indices, data = rows
     n_states, n_actions = policy.shape
+    columns, values = np.empty(len(data), dtype=np.uint32), np.empty(len(data))  # only what is filled becomes memory
     starts = np.empty(n_states + 1, dtype=np.uint32)
     starts[0] = 0
     sums = np.zeros(n_states)
@@ -90,13 +85,11 @@ def average_rows(indptr: Any, indices: Any, data: Any, policy: Any, columns: Any
                 kept += 1
         filled = kept
         starts[state + 1] = filled
-    return starts
+    return starts, columns[:filled], values[:filled]
 
 
-average_rows = njit(cache=True)(average_rows)
-
-
-def average_rewards(policy: Any, rewards: Any) -> Any:
+@njit(cache=True)
+def average_rewards(policy, rewards):
     """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its rounding is measured by."""
     n_states, n_actions = policy.shape
     total = np.empty(n_states)
@@ -112,11 +105,10 @@ def average_rewards(policy: Any, rewards: Any) -> Any:
     return total, largest
 
 
-average_rewards = njit(cache=True)(average_rewards)
-
-
-def range_of_sums(indptr: Any, data: Any) -> Any:
-    """The smallest and the largest sum of a row, and the most entries of one."""
+@njit(cache=True)
+def range_of_sums(kernel, formed):
+    """The smallest and the largest sum of a row, the latter with its rounding and that of ``formed`` terms an entry."""
+    indptr, data = kernel.indptr, kernel.data
     smallest, largest, entries = np.inf, 0.0, np.uint32(0)
     for i in range(len(indptr) - 1):
         total = 0.0
@@ -125,17 +117,16 @@ def range_of_sums(indptr: Any, data: Any) -> Any:
         smallest = min(smallest, total)
         largest = max(largest, total)
         entries = max(entries, indptr[i + 1] - indptr[i])
-    return smallest, largest, entries
+    return smallest, largest * (1.0 + (np.float64(entries) + formed) * np.finfo(np.float64).eps)
 
 
-range_of_sums = njit(cache=True)(range_of_sums)
-
-
-def residual(indptr: Any, indices: Any, data: Any, discount: Any, b: Any, x: Any, formed: Any) -> Any:
+@njit(cache=True)
+def residual(kernel, b, x, formed):
     """b - (I - discount K) x, its largest magnitude, the largest with its rounding, and the largest rounding.
 
     Each term of an entry meets at most (entries of the row + 4) roundings, and ``formed`` more in the kernel itself.
     """
+    indptr, indices, data, discount = kernel
     n = len(b)
     missed = np.empty(n)
     unit = 0.5 * np.finfo(np.float64).eps * (1.0 + 1e-9)
@@ -160,11 +151,10 @@ def residual(indptr: Any, indices: Any, data: Any, discount: Any, b: Any, x: Any
     return missed, largest, bound, rounding
 
 
-residual = njit(cache=True)(residual)
-
-
-def residual_transposed(indptr: Any, indices: Any, data: Any, discount: Any, b: Any, x: Any, formed: Any) -> Any:
+@njit(cache=True)
+def residual_transposed(kernel, b, x, formed):
     """The same for (I - discount K)^T, where the bound is of the sum of the magnitudes."""
+    indptr, indices, data, discount = kernel
     n = len(b)
     missed = np.zeros(n)
     size = np.zeros(n)
@@ -191,16 +181,14 @@ def residual_transposed(indptr: Any, indices: Any, data: Any, discount: Any, b: 
     return missed, largest, bound * (1.0 + 1e-9), rounding
 
 
-residual_transposed = njit(cache=True)(residual_transposed)
-
-
-def transposed(indptr: Any, indices: Any, data: Any) -> Any:
-    """The CSR of the transposed matrix."""
+@njit(cache=True)
+def transposed(indptr, indices, data, n_columns):
+    """The CSR of the transposed matrix; within a row in the order of the rows that they came from."""
     n = len(indptr) - 1
-    starts = np.zeros(n + 1, dtype=np.uint32)
+    starts = np.zeros(n_columns + 1, dtype=np.uint32)
     for k in range(len(indices)):
         starts[indices[k] + np.uint32(1)] += np.uint32(1)
-    for i in range(n):
+    for i in range(n_columns):
         starts[i + 1] += starts[i]
     columns = np.empty(len(indices), dtype=np.uint32)
     values = np.empty(len(indices))
@@ -213,50 +201,3 @@ def transposed(indptr: Any, indices: Any, data: Any) -> Any:
             values[at] = data[k]
             free[j] = at + np.uint32(1)
     return starts, columns, values
-
-
-transposed = njit(cache=True)(transposed)
-
-
-def span_iteration(
-    indptr: Any, indices: Any, data: Any, discount: Any, mass: Any, b: Any, ratio: Any, floor: Any, steps: Any
-) -> Any:
-    """Value iteration until the change is the same in all states, which is then summed; (x, whether it got there).
-
-    For rows with the sum ``mass``: x* is the last x plus discount mass / (1 - discount mass) times the change [1, 6.6.3].
-    It gives up where the spread of the change does not fall like ratio^sweeps, or after ``steps``.
-
-    Reference: [1] Puterman, Markov Decision Processes, 1994.
-    """
-    n = len(b)
-    x, new = b.copy(), np.empty(n)
-    allowed = np.inf
-    carried = discount * mass
-    for _ in range(steps):
-        low, high, largest = np.inf, -np.inf, 0.0
-        for i in range(n):
-            total = 0.0
-            for k in range(indptr[i], indptr[i + 1]):
-                total += data[k] * x[indices[k]]
-            value = b[i] + discount * total
-            new[i] = value
-            change = value - x[i]
-            low = min(low, change)
-            high = max(high, change)
-            largest = max(largest, abs(value))
-        x, new = new, x
-        spread = high - low
-        shift = carried / (1.0 - carried) * (0.5 * (low + high))
-        failing = not spread <= allowed
-        near = floor * max(largest, abs(shift))
-        if spread <= near or (failing and spread <= 64.0 * near):  # rounding keeps it from falling any more
-            for i in range(n):
-                x[i] += shift
-            return x, True
-        if failing:
-            return x, False
-        allowed = ratio * (4.0 * spread if allowed == np.inf else allowed)
-    return x, False
-
-
-span_iteration = njit(cache=True)(span_iteration)

@@ -9,10 +9,10 @@ from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
-from oee_tabular.exact.finite import locked, rows_of
 from oee_tabular.exact.occupancy import occupancy
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.values import policy_kernel, policy_rewards, state_values
+from oee_tabular.exact.system import Kernel, policy_kernel, policy_system, readable, rows_of
+from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps
 
@@ -63,13 +63,12 @@ def transition_gradient(
         values = state_values(valued, pi)
         visits = occupancy(model, pi, of="state") / (1.0 - gamma)
         return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
-    from oee_tabular.exact import _finite as kernel
+    from oee_tabular.exact import _finite
 
-    forward = rows_of(sparse.csr_array(policy_kernel(model, pi).T))
+    back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, pi).T)), 1.0)
     to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(len(rows))
     paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
-    kernel.gradient_flows(
-        *rows_of(policy_kernel(valued, pi)), locked(policy_rewards(valued, pi)), to_go, *forward, locked(model.initial), gamma,
-        *rows_of(valued.transitions)[:2], locked(pi), locked(paid), total,
-    )  # fmt: skip
+    kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
+    entries = rows_of(valued.transitions)
+    _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, readable(paid), total)
     return np.asarray(total * action_share)

@@ -13,7 +13,7 @@ from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.values import policy_kernel
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps
 

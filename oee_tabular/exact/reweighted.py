@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
@@ -98,9 +98,12 @@ class ReweightedModel:
     layout: Array | None = None
 
 
+MODELS = (FiniteMDP, ReweightedModel)
+
+
 def require_model(value: object, name: str = "mdp") -> None:
     """A ValueError for what is neither a FiniteMDP nor a ReweightedModel."""
-    _checks.instance(value, (FiniteMDP, ReweightedModel), name, "FiniteMDP")
+    _checks.instance(value, MODELS, name, "FiniteMDP")
 
 
 def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
@@ -138,7 +141,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     kernel = on_pattern(mdp.transitions, zeta * mdp.transitions.data)
     rewards = mdp.rewards
     if mdp.reward_data is not None:
-        rewards = row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape)
+        rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))
     return ReweightedModel(
         mdp.n_states,
         mdp.n_actions,

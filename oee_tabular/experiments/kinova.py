@@ -16,7 +16,7 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_sums
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.exact.values import policy_kernel
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.common import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream

@@ -159,8 +159,9 @@ def layered(n, size=4, actions=2, entries=3, reach=50):
 
 def tiny():
     """4 states: ours from the rows of the transitions, numpy from a dense P[s, a, s']."""
-    from oee_tabular.exact.solvers._elimination import small_value
     from oee_tabular.exact.systems import readable, unsigned
+
+    from oee_tabular.exact.solvers._elimination import small_value
 
     rng = np.random.default_rng(1)
     p, r, policy = rng.dirichlet(np.ones(4), (4, 3)), rng.normal(size=(4, 3)), rng.dirichlet(np.ones(3), 4)

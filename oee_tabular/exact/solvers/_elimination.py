@@ -1,221 +1,173 @@
-"""Direct solvers without pivoting for M = I - gamma K with a nonnegative K: dense and banded, one system or many.
+"""M = I - gamma K with a nonnegative K, by LU without pivoting: dense, or one strongly connected component after the other.
 
-An M-matrix needs no pivoting, and a pivot that is not positive says that it is none: the spectral radius of gamma K is
-not below 1. Entry (i, j) is stored at i * step + j + shift: step n and shift 0 for a dense matrix; for a band of bl below
-and bu above the diagonal, step bl + bu and shift bl.
+    L_ik = M_ik / M_kk,  M_ij <- M_ij - L_ik M_kj  (i, j > k);    M_kk > 0 always, else M is no M-matrix: rho(gamma K) >= 1.
+
+In a layered model (a season, a task with steps, a clock in the state) no state is met again, or only with few others: taken
+after those that they lead to, the components C are solved one by one, M_CC x_C = b_C + gamma K_CD x_D. Their search is
+path-based [1]: a component is known while it grows, so that one that is too large ends the search at once; on a grid that is
+after as many states as a component may have.
+
+Reference: [1] Gabow, Path-based depth-first search for strong and biconnected components, Information Processing Letters 74
+(2000).
 """
-
-from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numba import njit
 
+_ONE = np.uint32(1)
 
-def factor(a: Any, n: Any, step: Any, shift: Any, below: Any, above: Any) -> Any:
-    """LU in place, unit lower; whether all pivots are positive."""
+
+@njit(cache=True)
+def factor(a):
+    """LU of (n, n) in place, unit lower; whether all pivots are positive."""
+    n = len(a)
     for k in range(n):
-        pivot_row = k * step + shift
-        pivot = a[pivot_row + k]
-        if not pivot > 0.0:
+        if not a[k, k] > 0.0:
             return False
-        end = min(n, k + above + 1)
-        for i in range(k + 1, min(n, k + below + 1)):
-            row = i * step + shift
-            f = a[row + k]
-            if f != 0.0:
-                f /= pivot
-                a[row + k] = f
-                target = a[row + k + 1 : row + end]  # slices: a computed signed index is not vectorised
-                source = a[pivot_row + k + 1 : pivot_row + end]
+        source = a[k, k + 1 :]  # slices: a computed signed index is not vectorised
+        for i in range(k + 1, n):
+            if a[i, k] != 0.0:
+                a[i, k] /= a[k, k]
+                target = a[i, k + 1 :]
                 for j in range(len(target)):
-                    target[j] -= f * source[j]
+                    target[j] -= a[i, k] * source[j]
     return True
 
 
-factor = njit(cache=True)(factor)
-
-
-def substitute(a: Any, n: Any, step: Any, shift: Any, below: Any, above: Any, x: Any, transpose: Any) -> None:
+@njit(cache=True)
+def substitute(a, x, transpose):
     """Solve M x = b, or M^T x = b, in place."""
-    if transpose:
-        for i in range(n):
-            row = i * step + shift
-            value = x[i] / a[row + i]
-            x[i] = value
-            for j in range(i + 1, min(n, i + above + 1)):
-                x[j] -= a[row + j] * value
-        for i in range(n - 1, -1, -1):
-            row = i * step + shift
-            value = x[i]
-            for j in range(max(0, i - below), i):
-                x[j] -= a[row + j] * value
-        return
-    for i in range(n):
-        row = i * step + shift
-        total = x[i]
-        for j in range(max(0, i - below), i):
-            total -= a[row + j] * x[j]
-        x[i] = total
-    for i in range(n - 1, -1, -1):
-        row = i * step + shift
-        total = x[i]
-        for j in range(i + 1, min(n, i + above + 1)):
-            total -= a[row + j] * x[j]
-        x[i] = total / a[row + i]
+    n = len(a)
+    for turn in range(n):
+        i = turn
+        if transpose:
+            x[i] /= a[i, i]
+            x[i + 1 :] -= a[i, i + 1 :] * x[i]
+        else:
+            for j in range(i):
+                x[i] -= a[i, j] * x[j]
+    for turn in range(n):
+        i = n - 1 - turn
+        if transpose:
+            x[:i] -= a[i, :i] * x[i]
+        else:
+            for j in range(i + 1, n):
+                x[i] -= a[i, j] * x[j]
+            x[i] /= a[i, i]
 
 
-substitute = njit(cache=True)(substitute)
-
-
-def band_of(indptr: Any, indices: Any, place: Any) -> Any:
-    """How far entries lie below and above the diagonal: as they stand, and in the order that ``place`` gives."""
-    below: Any = 0
-    above: Any = 0
-    below_placed: Any = 0
-    above_placed: Any = 0
-    for i in range(len(indptr) - 1):
-        here = np.int64(place[i])
+@njit(cache=True)
+def factorised(kernel):
+    """The factors of the whole, dense; whether it is an M-matrix."""
+    indptr, indices, data, discount = kernel
+    a = np.eye(len(indptr) - 1)
+    for i in range(len(a)):
         for k in range(indptr[i], indptr[i + 1]):
-            j = np.int64(indices[k])
-            distance = j - i
-            above = max(above, distance)
-            below = max(below, -distance)
-            distance = np.int64(place[j]) - here
-            above_placed = max(above_placed, distance)
-            below_placed = max(below_placed, -distance)
-    return below, above, below_placed, above_placed
+            a[i, indices[k]] -= discount * data[k]
+    return a, factor(a)
 
 
-band_of = njit(cache=True)(band_of)
+@njit(cache=True)
+def solve_dense(a, regular, transpose, b, relative):
+    """x by these factors."""
+    x = np.full(len(b), np.nan)
+    if regular:
+        x[:] = b
+        substitute(a, x, transpose)
+    return x
 
 
-def fill(indptr: Any, indices: Any, data: Any, discount: Any, place: Any, size: Any, step: Any, shift: Any) -> Any:
-    """I - discount K in the order that ``place`` gives."""
-    a = np.zeros(size)
-    for i in range(len(indptr) - 1):
-        row = np.int64(place[i]) * step + shift
-        a[row + np.int64(place[i])] += 1.0
-        for k in range(indptr[i], indptr[i + 1]):
-            a[row + np.int64(place[indices[k]])] -= discount * data[k]
-    return a
-
-
-fill = njit(cache=True)(fill)
-
-
-def assemble(indptr: Any, indices: Any, data: Any, policy: Any, rewards: Any, kernel: Any, pay: Any) -> Any:
-    """The dense kernel (flat) and the rewards of a policy; the largest sums of a row and of the magnitudes of its pay.
-
-    ``indptr`` holds the rows of one MDP; the other arrays of an MDP with S states and A actions are flat as well.
-    """
-    n = len(pay)
-    n_actions = (len(indptr) - 1) // n
-    kernel[:] = 0.0
-    mass, paid = 0.0, 0.0
-    for state in range(n):
-        value, size = 0.0, 0.0
-        for action in range(n_actions):
-            row = state * n_actions + action
-            weight = policy[row]
-            if weight == 0.0:
+@njit(cache=True)
+def components(kernel, most):
+    """States by component, each after those it leads to, and where components begin; empty if one has more than ``most``."""
+    indptr, indices, data, _ = kernel
+    n = len(indptr) - 1
+    unseen, done = np.uint32(0xFFFFFFFF), np.uint32(0xFFFFFFFE)
+    height = np.full(n, unseen)  # in ``open_states``, while a state is there
+    ahead = np.empty(n, dtype=np.uint32)  # the next entry of a state to be looked at
+    path, open_states, begins = np.empty((3, n), dtype=np.uint32)
+    order, starts = np.empty(n, dtype=np.uint32), np.empty(n + 1, dtype=np.uint32)
+    depth, n_open, n_begins, n_ordered, found = 0, 0, 0, 0, 0
+    for root in range(n):
+        if height[root] != unseen:
+            continue
+        path[0], depth = root, 1
+        open_states[0], height[root], ahead[root], n_open = root, 0, indptr[root], 1
+        begins[0], n_begins = 0, 1
+        while depth > 0:
+            state = path[depth - 1]
+            k, end = ahead[state], indptr[state + _ONE]
+            while k < end:
+                j = indices[k]
+                if data[k] != 0.0 and height[j] != done:
+                    if height[j] == unseen:
+                        break
+                    while begins[n_begins - 1] > height[j]:  # all from there on lead to each other
+                        n_begins -= 1
+                    if n_open - begins[n_begins - 1] > most:
+                        return order[:0], starts[:0]
+                k += _ONE
+            if k < end:
+                j = indices[k]
+                ahead[state] = k + _ONE
+                path[depth], depth = j, depth + 1
+                height[j], ahead[j], open_states[n_open] = n_open, indptr[j], j
+                begins[n_begins], n_begins, n_open = n_open, n_begins + 1, n_open + 1
                 continue
-            term = weight * rewards[row]
-            value += term
-            size += abs(term)
-            for k in range(indptr[row], indptr[row + 1]):
-                kernel[np.int64(indices[k]) + state * n] += weight * data[k]
-        pay[state] = value
-        paid = max(paid, size)
-        total = 0.0
-        for j in range(state * n, state * n + n):
-            total += kernel[j]
-        mass = max(mass, total)
-    return mass, paid
+            depth -= 1
+            if begins[n_begins - 1] == height[state]:
+                n_begins -= 1
+                low = np.int64(begins[n_begins])
+                starts[found], found = n_ordered, found + 1
+                for i in range(low, n_open):
+                    order[n_ordered] = open_states[i]
+                    height[open_states[i]] = done
+                    n_ordered += 1
+                n_open = low
+    starts[found] = n
+    return order, starts[: found + 1]
 
 
-assemble = njit(cache=True)(assemble)
-
-
-def missing(kernel: Any, discount: Any, pay: Any, x: Any, out: Any, formed: Any) -> Any:
-    """pay - (I - discount kernel) x, its largest magnitude, and the largest with its rounding (policy_rows.residual)."""
-    n = len(x)
-    unit = 0.5 * np.finfo(np.float64).eps * (1.0 + 1e-9)
-    largest, bound = 0.0, 0.0
-    for i in range(n):
-        total, size = 0.0, 0.0
-        for j in range(n):
-            term = kernel[i * n + j] * x[j]
-            total += term
-            size += abs(term)
-        value = pay[i] + (discount * total - x[i])
-        out[i] = value
-        here = unit * (n + 4.0 + formed) * (discount * size + abs(x[i]) + abs(pay[i]))
-        value = abs(value)
-        if not value <= largest:
-            largest = value
-        if not value + here <= bound:
-            bound = value + here
-    return largest, bound
-
-
-missing = njit(cache=True)(missing)
-
-
-def solve_small(
-    kernel: Any, pay: Any, mass: Any, paid: Any, discount: Any, n_actions: Any, matrix: Any, spare: Any, x: Any
-) -> Any:
-    """x = (I - discount kernel)^-1 pay with a bound on its error; nan where the infinite sum does not exist."""
-    n = len(x)
-    for i in range(n):
-        for j in range(n):
-            matrix[i * n + j] = -discount * kernel[i * n + j]
-        matrix[i * n + i] += 1.0
-    if not factor(matrix, n, n, 0, n - 1, n - 1):
-        return np.nan
-    unit = 0.5 * np.finfo(np.float64).eps
-    mass *= 1.0 + 2.0 * (n + n_actions) * unit
-    if discount * mass <= 1.0 - 1e-9:
-        norm = 1.0 / (1.0 - discount * mass)
-    else:  # |M^-1| <= max h / (1 - |1 - M h|) for an h > 0
-        x[:] = 1.0
-        substitute(matrix, n, n, 0, n - 1, n - 1, x, False)
-        tallest = 0.0
-        for i in range(n):
-            if not (x[i] > 0.0 and np.isfinite(x[i])):
-                return np.nan
-            tallest = max(tallest, x[i])
-        ones = np.ones(n)
-        _, away = missing(kernel, discount, ones, x, spare, n_actions)
-        if not away < 0.5:
-            return np.nan
-        norm = tallest / (1.0 - away)
-    x[:] = pay
-    substitute(matrix, n, n, 0, n - 1, n - 1, x, False)
-    _, bound = missing(kernel, discount, pay, x, spare, n_actions)
-    substitute(matrix, n, n, 0, n - 1, n - 1, spare, False)
-    for i in range(n):
-        spare[i] += x[i]
-    other = np.empty(n)
-    _, refined = missing(kernel, discount, pay, spare, other, n_actions)
-    if refined < bound:
-        x[:] = spare
-        bound = refined
-    return norm * (1.0 + 1e-9) * (bound + 2.0 * (n_actions + 1.0) * unit * paid)
-
-
-solve_small = njit(cache=True)(solve_small)
-
-
-def small_value(indptr: Any, indices: Any, data: Any, policy: Any, rewards: Any, discount: Any) -> Any:
-    """The values of one policy, and the bound on their error."""
-    n, n_actions = policy.shape
-    kernel, matrix = np.empty(n * n), np.empty(n * n)
-    pay, spare, x = np.empty(n), np.empty(n), np.empty(n)
-    mass, paid = assemble(indptr, indices, data, policy.reshape(-1), rewards.reshape(-1), kernel, pay)
-    bound = solve_small(kernel, pay, mass, paid, discount, n_actions, matrix, spare, x)
-    return x, bound
-
-
-small_value = njit(cache=True)(small_value)
+@njit(cache=True)
+def solve_components(kernel, order, starts, transpose, b, relative):
+    """x, or that of the transposed system; nan from the first component on that is no M-matrix."""
+    indptr, indices, data, discount = kernel
+    n, count = len(b), len(starts) - 1
+    x, left = np.full(n, np.nan), b.copy()
+    most = 0
+    for c in range(count):
+        most = max(most, np.int64(starts[c + 1]) - np.int64(starts[c]))
+    number = np.zeros(n, dtype=np.uint32)  # within its component, beginning with 1; 0 outside of the one at hand
+    room, right = np.empty(most * most), np.empty(most)
+    for turn in range(count):
+        c = count - 1 - turn if transpose else turn
+        low = np.int64(starts[c])
+        size = np.int64(starts[c + 1]) - low
+        for i in range(size):
+            number[order[low + i]] = i + 1
+        matrix = room[: size * size].reshape(size, size)
+        matrix[:] = 0.0
+        for i in range(size):
+            state = order[low + i]
+            matrix[i, i] = 1.0
+            total = left[state]
+            for k in range(indptr[state], indptr[state + _ONE]):
+                j = indices[k]
+                if number[j] > 0:
+                    matrix[i, np.int64(number[j]) - 1] -= discount * data[k]
+                elif not transpose and data[k] != 0.0:
+                    total += discount * data[k] * x[j]
+            right[i] = total
+        if not factor(matrix):
+            return x
+        substitute(matrix, right[:size], transpose)
+        for i in range(size):
+            state = order[low + i]
+            x[state] = right[i]
+            if transpose:
+                for k in range(indptr[state], indptr[state + _ONE]):
+                    if number[indices[k]] == 0:
+                        left[indices[k]] += discount * data[k] * right[i]
+        for i in range(size):
+            number[order[low + i]] = 0
+    return x

@@ -1,43 +1,62 @@
-"""Direct solvers with pivoting, from LAPACK and SuperLU: the last resort, where the graph of a system lets them finish."""
+"""LU with pivoting, from LAPACK and SuperLU: the last resort, where the graph of a system lets them finish.
+
+A direct solver is the last resort because it fills in on expanders: of these no more than 3000 states are given to one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 from scipy.sparse import linalg as sparse_linalg
 
-from oee_tabular._checks import Array
-
-if TYPE_CHECKING:
-    from oee_tabular.exact.systems import System
+from oee_tabular.exact.system import Solve, System
 
 DENSE_LIMIT = 400
 DENSE_EXPANDERS = 3000  # 72 MB and a second
-Solver = Callable[[Array, float], Array]  # of the right side, and of how far its residual is to fall
 
 
-def library(system: System) -> tuple[Solver, str] | None:
-    """A direct solver with pivoting, whose answer is nan for a singular system; None where it would never finish."""
-    n = system.n_states
-    mixes = n > DENSE_LIMIT and expands(system.kernel())
-    if mixes and n > DENSE_EXPANDERS:
-        return None
-    matrix = system.matrix()
-    if n <= DENSE_LIMIT or mixes:
+@dataclass(frozen=True)
+class LAPACK:
+    """Dense: up to 400 states, and for expanders up to 3000."""
+
+    name: str = "dense LU"
+    direct: bool = True
+
+    def suits(self, system: System) -> bool:
+        """By the number of states, and by the graph where it is asked."""
+        n = len(system.kernel.indptr) - 1
+        return n <= DENSE_LIMIT or (n <= DENSE_EXPANDERS and expands(system.csr()))
+
+    def prepare(self, system: System) -> Solve:
+        """Nan for a singular system."""
         getrf, getrs = linalg.get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
-        dense, place, singular = getrf(matrix.toarray())
+        dense, place, singular = getrf(system.matrix().toarray())
         if singular:
-            return lambda b, relative: np.full(n, np.nan), "dense LU"
-        return lambda b, relative: np.asarray(getrs(dense, place, b)[0]), "dense LU"
-    try:
-        factors = sparse_linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    except RuntimeError:  # singular
-        return lambda b, relative: np.full(n, np.nan), "sparse LU"
-    return lambda b, relative: np.asarray(factors.solve(b)), "sparse LU"
+            return lambda b, relative: np.full(len(b), np.nan)
+        return lambda b, relative: np.asarray(getrs(dense, place, b)[0])
+
+
+@dataclass(frozen=True)
+class SuperLU:
+    """Sparse, with the minimum degree order of A^T + A: where the graph does not expand."""
+
+    name: str = "sparse LU"
+    direct: bool = True
+
+    def suits(self, system: System) -> bool:
+        """Graphs whose factors do not fill up."""
+        return len(system.kernel.indptr) - 1 > DENSE_LIMIT and not expands(system.csr())
+
+    def prepare(self, system: System) -> Solve:
+        """Nan for a singular system."""
+        try:
+            factors = sparse_linalg.splu(system.matrix(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        except RuntimeError:  # singular
+            return lambda b, relative: np.full(len(b), np.nan)
+        return lambda b, relative: np.asarray(factors.solve(b))
 
 
 def expands(kernel: sparse.csr_array) -> bool:
