@@ -6,26 +6,19 @@ Rows are read four entries at a time, with unsigned indices: signed ones, which 
 Every sum keeps the order of its row, so that a value has the same bits in whichever sweep it is worked out.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact._policy_rows import transposed
 from oee_tabular.exact.system import Kernel
 
 CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
 
 
-class Cone(NamedTuple):
-    """States; those reached in at most k moves are the first ends[k]; P_pi, rewards and initial under the new numbers."""
-
-    states: IntArray
-    ends: IntArray
-    kernel: Kernel
-    rewards: Array
-    initial: Array
+# states; those reached in at most k moves are the first ends[k]; P_pi, rewards and initial under the new numbers
+Cone = namedtuple("Cone", "states ends kernel rewards initial")
 
 
 @njit(cache=True)
@@ -283,16 +276,6 @@ def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, fou
 @njit(cache=True)
 def stochastic(policy, tolerance):
     """Whether no entry of (N, A) is negative (or nan) and every row sums to 1."""
-    if policy.shape[1] == 4:  # a stride that is known: several rows are read at once, in a third of the time
-        flat, bad = policy.reshape(-1), 0
-        for s in range(policy.shape[0]):
-            first, second, third, fourth = flat[4 * s], flat[4 * s + 1], flat[4 * s + 2], flat[4 * s + 3]
-            bad += 0 if abs(first + second + third + fourth - 1.0) <= tolerance else 1
-            bad += 0 if first >= 0.0 else 1
-            bad += 0 if second >= 0.0 else 1
-            bad += 0 if third >= 0.0 else 1
-            bad += 0 if fourth >= 0.0 else 1
-        return bad == 0
     for s in range(policy.shape[0]):
         total = 0.0
         for a in range(policy.shape[1]):

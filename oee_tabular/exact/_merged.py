@@ -13,30 +13,19 @@ strip: so its arithmetic is done by vector instructions, with every sum in the o
 their columns: in grids a strip's lead mostly to states that stand side by side too, and are read as such.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
-
-from oee_tabular._checks import Array, IntArray
 
 LANES = 32  # states of a strip
 SMALL = 1e-280
 PARTS = 5  # numbers of an entry: q, bm, em, c, rho
 
 
-class Strips(NamedTuple):
-    """Merged entries: where each strip's begin; where an entry leads, and whether its lanes lead side by side; its numbers.
-
-    ``fixed``: masses and residuals of the states; ``order``: the states by place, S in the places that stay empty.
-    """
-
-    offsets: IntArray
-    columns: IntArray
-    aligned: IntArray
-    numbers: Array
-    fixed: Array
-    order: IntArray
+# where each strip's entries begin; where an entry leads, and whether its lanes lead side by side; its numbers; masses and
+# residuals of the states; the states by place, S in the places that stay empty
+Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
 
 @njit(cache=True)

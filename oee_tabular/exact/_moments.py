@@ -10,22 +10,13 @@ trajectory      L = u w L', L R = u w L' (r + gamma R'): means of L and L R, var
 policy and pays that do not depend on time ``_merged`` has the same, faster; this is what it is tested against.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array
-
-
-class Extras(NamedTuple):
-    """What X has beside the walk's pays: see ``per_decision``."""
-
-    shift: Array
-    scale: Array
-    c: Array
-    h: Array
-    k: Array
+# what X has beside the walk's pays: see ``per_decision``
+Extras = namedtuple("Extras", "shift scale c h k")
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,106 +1,52 @@
-"""What a policy makes of the rows s*A + a: the kernel of its states, its rewards, and residuals of its linear system."""
+"""What a policy makes of the rows s*A + a: the kernel of its states, and residuals of its linear system."""
 
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True)
-def average_rows(rows, policy, ordered):
-    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros, each row sorted if ``ordered``.
-
-    Actions whose rows share one pattern (a simulator with noise) are added in place; others through a dense row.
-    """
+def average_rows(rows, policy):
+    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them."""
     indptr, indices, data = rows
     n_states, n_actions = policy.shape
     columns, values = np.empty(len(data), dtype=np.uint32), np.empty(len(data))  # only what is filled becomes memory
     starts = np.empty(n_states + 1, dtype=np.uint32)
     starts[0] = 0
-    sums = np.zeros(n_states)
-    mark = np.zeros(n_states, dtype=np.uint32)
-    filled = 0
+    sums, mark = np.zeros(n_states), np.zeros(n_states, dtype=np.uint32)
+    kept = 0
     for state in range(n_states):
-        begin = filled
-        used = 0
-        origin = np.uint32(0)
-        shared = True
+        begin = filled = kept
         for action in range(n_actions):
             weight = policy[state, action]
             if weight == 0.0:
                 continue
-            low, high = indptr[state * n_actions + action], indptr[state * n_actions + action + 1]
-            if used == 0:
-                origin = low
-                for k in range(low, high):
-                    columns[filled] = indices[k]
-                    values[filled] = weight * data[k]
+            for k in range(indptr[state * n_actions + action], indptr[state * n_actions + action + 1]):
+                j = indices[k]
+                if mark[j] != np.uint32(state + 1):
+                    mark[j] = state + 1
+                    sums[j] = 0.0
+                    columns[filled] = j
                     filled += 1
-            else:
-                length = high - low
-                shared = length == np.uint32(filled - begin)
-                if shared:
-                    for k in range(length):
-                        if indices[low + k] != indices[origin + k]:
-                            shared = False
-                            break
-                if not shared:
-                    break
-                at = np.uint32(begin) - low
-                for k in range(low, high):
-                    values[at + k] += weight * data[k]
-            used += 1
-        if not shared:
-            filled = begin
-            for action in range(n_actions):
-                weight = policy[state, action]
-                if weight == 0.0:
-                    continue
-                for k in range(indptr[state * n_actions + action], indptr[state * n_actions + action + 1]):
-                    j = indices[k]
-                    if mark[j] != np.uint32(state + 1):
-                        mark[j] = state + 1
-                        sums[j] = 0.0
-                        columns[filled] = j
-                        filled += 1
-                    sums[j] += weight * data[k]
-            if not ordered:
-                pass
-            elif filled - begin > 32:
-                columns[begin:filled].sort()
-            else:
-                for k in range(begin + 1, filled):
-                    j = columns[k]
-                    i = k - 1
-                    while i >= begin and columns[i] > j:
-                        columns[i + 1] = columns[i]
-                        i -= 1
-                    columns[i + 1] = j
-            for k in range(begin, filled):
-                values[k] = sums[columns[k]]
-        kept = begin
+                sums[j] += weight * data[k]
         for k in range(begin, filled):
-            if values[k] != 0.0:
-                if kept != k:
-                    columns[kept] = columns[k]
-                    values[kept] = values[k]
+            value = sums[columns[k]]
+            if value != 0.0:
+                columns[kept], values[kept] = columns[k], value
                 kept += 1
-        filled = kept
-        starts[state + 1] = filled
-    return starts, columns[:filled], values[:filled]
+        starts[state + 1] = kept
+    return starts, columns[:kept], values[:kept]
 
 
 @njit(cache=True)
 def average_rewards(policy, rewards):
     """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its rounding is measured by."""
-    n_states, n_actions = policy.shape
-    total = np.empty(n_states)
-    largest = 0.0
-    for state in range(n_states):
-        value, size = 0.0, 0.0
-        for action in range(n_actions):
+    total, largest = np.zeros(len(policy)), 0.0
+    for state in range(len(policy)):
+        size = 0.0
+        for action in range(policy.shape[1]):
             term = policy[state, action] * rewards[state, action]
-            value += term
+            total[state] += term
             size += abs(term)
-        total[state] = value
         largest = max(largest, size)
     return total, largest
 

@@ -58,7 +58,7 @@ def expected_rest(rows, pay, rewards):
 
 @njit(cache=True)
 def average_rest(rows, policy, rewards, rest_of, kernel):
-    """What ``policy_rows.average_rows`` and ``average_rewards`` rounded away: low parts of the kernel, rewards and theirs.
+    """What averaging over a policy's actions rounded away: low parts of the kernel, the rewards and theirs.
 
     ``rest_of`` (S, A): low parts of ``rewards``.
     """

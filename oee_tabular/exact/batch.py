@@ -116,9 +116,10 @@ def stack_models(models: Sequence[Model]) -> ModelStack:
 
 def _dense(models: tuple[Model, ...], at: list[int], s: int, a: int) -> Group:
     matrices = [models[i].transitions for i in at]
-    rows = np.repeat(np.arange(len(at) * s * a), np.concatenate([np.diff(matrix.indptr) for matrix in matrices]))
-    chance = np.zeros((len(at) * s * a, s))
-    chance[rows, np.concatenate([m.indices for m in matrices])] = np.concatenate([m.data for m in matrices])
+    pointers, indices, data = (np.concatenate([getattr(m, x) for m in matrices]) for x in ("indptr", "indices", "data"))
+    lengths = np.diff(pointers.reshape(len(at), -1), axis=1).reshape(-1)
+    chance = np.zeros((len(lengths), s))
+    chance[np.repeat(np.arange(len(lengths)), lengths), indices] = data
     rewards, initial, discount = (
         np.array([getattr(models[i], x) for i in at]) for x in ("rewards", "initial", "discount")
     )
@@ -170,22 +171,25 @@ def evaluate_batch(
         raise ValueError(f"policies must be as many as models ({len(stack)}); there are {count}")
     if steps is not None and steps > SHORT:
         steps = max(steps_of(steps, model) for model in stack.models)
-    values, value, errors = [np.full(1, np.nan)] * count, np.zeros(count), np.full(count, np.nan)
+    values: list[Array] = [np.full(1, np.nan)] * count
+    value, errors = np.zeros(count), np.full(count, np.nan)
     for group in stack.groups:
         at = np.arange(count) if single else group.at
-        pi = _stacked([policies[i] for i in at], group.rewards.shape[1:])
+        pi = _stacked(policies if len(at) == count else [policies[i] for i in at], group.rewards.shape[1:])
         if pi is not None:
             with np.errstate(over="ignore", invalid="ignore"):
                 found, errors[at] = _solved(pi, group, steps)
             value[at] = np.einsum("ns,ns->n", found, np.broadcast_to(group.initial, found.shape))
+            errors[at] = np.where(np.isfinite(found).all(axis=1), errors[at], np.nan)
+            if len(at) == count and not np.isnan(errors).any():
+                return BatchValues(found, value, errors)
             for i, one in zip(at, found, strict=True):
                 values[i] = one
-    for i in range(count):
-        if np.isnan(errors[i]) or not np.isfinite(values[i]).all():
-            model = stack.models[0 if single else i]
-            policy = check_policy(policies[i], model, name=f"policies[{i}]", horizon=steps)
-            alone = evaluate_policy(model, policy, horizon=steps)
-            values[i], value[i], errors[i] = alone.values, alone.value, alone.error_bound
+    for i in np.flatnonzero(np.isnan(errors)):
+        model = stack.models[0 if single else i]
+        policy = check_policy(policies[i], model, name=f"policies[{i}]", horizon=steps)
+        alone = evaluate_policy(model, policy, horizon=steps)
+        values[i], value[i], errors[i] = alone.values, alone.value, alone.error_bound
     same = len({model.n_states for model in stack.models}) == 1
     table = np.array(values).reshape(count, stack.models[0].n_states) if same else tuple(values)
     return BatchValues(table, value, errors)

@@ -289,12 +289,3 @@ def _weighted_sum(values: Array, share: Array) -> float:
     if missing.any():
         return float("inf")
     return float(np.sum(np.divide(values, share, out=np.zeros_like(values), where=share > 0)))
-
-
-__all__ = [
-    "efficiency_bound",
-    "leading_bias",
-    "ratio_of_ratios_variance",
-    "require_action_support",
-    "trajectory_efficiency_bound",
-]

@@ -13,7 +13,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, readable, rows_of
+from oee_tabular.exact.system import readable, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import followed
 
@@ -37,13 +37,6 @@ def policy_to_read(policy: Any, model: Model, horizon: int) -> Array:
     ):
         return policy
     return check_policy(policy, model, horizon=horizon)
-
-
-def sweep(kernel: Kernel, rewards: Array, steps: int) -> Array:
-    """(S,): V with ``steps`` rewards to go, of a stationary policy's kernel and rewards."""
-    from oee_tabular.exact import _finite
-
-    return np.asarray(_finite.sweep(kernel, rewards, steps))
 
 
 def backward_in_time(model: Model, policy: Array, steps: int) -> Array:
@@ -87,7 +80,8 @@ def value_to_horizon(model: Model, policy: Array, steps: int) -> float:
         return float(_frontier(model, policy, None)[-1])
     cone = light_cone(model, policy, steps)
     if steps > 1 and cone.ends[0] == cone.ends[-1]:  # no ring to leave out
-        return float(_finite.dot(cone.initial, sweep(cone.kernel, cone.rewards, steps), len(cone.initial)))
+        value = _finite.sweep(cone.kernel, cone.rewards, steps)
+        return float(_finite.dot(cone.initial, value, len(cone.initial)))
     return float(_finite.cone_values(cone)[-1])
 
 

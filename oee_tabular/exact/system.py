@@ -115,12 +115,12 @@ class System:
         return sparse.csc_array(matrix.T if self.transpose else matrix)
 
 
-def policy_system(model: Model, policy: Array, *, ordered: bool = False) -> System:
-    """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a); the entries of a row in their order if ``ordered``."""
+def policy_system(model: Model, policy: Array) -> System:
+    """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a)."""
     from oee_tabular.exact import _policy_rows
 
     rows = rows_of(model.transitions)
-    indptr, indices, data = _policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64), ordered)
+    indptr, indices, data = _policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64))
     for part in (indptr, indices, data):
         part.flags.writeable = False
     kernel = Kernel(indptr, indices, data, model.discount)
@@ -130,9 +130,11 @@ def policy_system(model: Model, policy: Array, *, ordered: bool = False) -> Syst
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
     """(S, S): sum_a policy[s, a] K(s' | s, a)."""
-    indptr, columns, values, _ = policy_system(model, policy, ordered=True).kernel
-    signed = (part.view(np.int32) for part in (columns, indptr))
-    return sparse.csr_array((values, *signed), shape=(model.n_states, model.n_states))
+    indptr, columns, values, _ = policy_system(model, policy).kernel
+    parts = values.copy(), columns.astype(np.int32), indptr.astype(np.int32)
+    kernel = sparse.csr_array(parts, shape=(model.n_states, model.n_states))
+    kernel.sort_indices()
+    return kernel
 
 
 def recurrent_states(system: System, rewards: Array) -> BoolArray:

@@ -49,7 +49,9 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """(S,): sum_a policy[s, a] r(s, a)."""
-    return np.asarray(np.einsum("sa,sa->s", policy, model.rewards))
+    from oee_tabular.exact import _policy_rows
+
+    return np.asarray(_policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
 
 
 def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> PolicyValues:
@@ -165,10 +167,9 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
     if policy.ndim == 3:
         return finite.backward_in_time(model, policy, steps)
-    from oee_tabular.exact import _policy_rows
+    from oee_tabular.exact import _finite
 
-    rewards, _ = _policy_rows.average_rewards(policy, model.rewards)
-    return finite.sweep(policy_system(model, policy).kernel, rewards, steps)
+    return np.asarray(_finite.sweep(policy_system(model, policy).kernel, policy_rewards(model, policy), steps))
 
 
 def _backup(model: Model, value: Array) -> Array:

@@ -10,35 +10,21 @@ Reference: [1] A. J. Walker, An efficient method for generating discrete random 
 TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
-
-from oee_tabular._checks import Array, IntArray
 
 _PLACE = np.uint64(8)  # bits that hold k
 _NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
 
 
-class Outcomes(NamedTuple):
-    """What is drawn in a state: a row by the policy, an entry by P; the first state by ``initial``."""
-
-    indptr: Any
-    indices: Any
-    prob: Array
-    policy: Array
-    initial: Array
+# what is drawn in a state: a row by the policy, an entry by P; the first state by ``initial``
+Outcomes = namedtuple("Outcomes", "indptr indices prob policy initial")
 
 
-class Slots(NamedTuple):
-    """Of each slot: its word, the code of s', reward, factor (or none) and the entry of P that it stands for."""
-
-    word: Any
-    following: Any
-    reward: Array
-    factor: Array
-    entry: IntArray
+# of each slot: its word, the code of s', reward, factor (or none) and the entry of P that it stands for
+Slots = namedtuple("Slots", "word following reward factor entry")
 
 
 @njit(cache=True)

@@ -4,12 +4,11 @@ Each step has a word of 32 random bits (Philox, four steps a call), which the al
 Thresholds there have 64 bits: where the first 32 do not decide, in one step of 2^28 or so, 32 more are drawn.
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._compiled import threads_share
 from oee_tabular.simulate._rollout import philox
 
@@ -20,37 +19,16 @@ _NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4
 _PLACE, _SIZE = np.uint64(8), np.uint64(255)
 
 
-class Plan(NamedTuple):
-    """What all episodes have in common: ``most``, ``start`` and ``over`` are the alias table's (``AliasTable``)."""
-
-    key: np.uint64
-    horizon: np.uint64
-    n_lanes: int
-    most: np.uint64
-    start: np.uint64
-    over: np.uint64
-    discounts: Array
-    weighted: bool
-    by_move: bool
+# what all episodes have in common: ``most``, ``start`` and ``over`` are the alias table's (``AliasTable``)
+Plan = namedtuple("Plan", "key horizon n_lanes most start over discounts weighted by_move")
 
 
-class Outcome(NamedTuple):
-    """What is filled in, by trajectory; and by ``places`` the ``path``, an entry of P for each step, unless it is empty."""
-
-    sums: Array
-    lengths: Any
-    last: Any
-    places: Any
-    path: IntArray
+# what is filled in, by trajectory; and by ``places`` the ``path``, an entry of P for each step, unless it is empty
+Outcome = namedtuple("Outcome", "sums lengths last places path")
 
 
-class Lanes(NamedTuple):
-    """Of each lane: its trajectory, step, the code of its state; and G, X, the weight and the largest one that a reward has."""
-
-    trajectory: IntArray
-    t: IntArray
-    now: IntArray
-    held: Array
+# of each lane: its trajectory, step, the code of its state; and G, X, the weight and the largest one that a reward has
+Lanes = namedtuple("Lanes", "trajectory t now held")
 
 
 @njit(cache=True)

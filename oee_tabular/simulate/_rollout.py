@@ -44,6 +44,16 @@ def uniforms(key, trajectory, step):
 
 
 @njit(cache=True)
+def running_sums(data, indptr):
+    """Sums of ``data`` from the beginning of each row up to each entry, each row by itself."""
+    total = data.copy()
+    for row in range(len(indptr) - 1):
+        for k in range(indptr[row] + 1, indptr[row + 1]):
+            total[k] += total[k - 1]
+    return total
+
+
+@njit(cache=True)
 def pick(cumulative, low, high, u):
     """The first position in [low, high) whose running sum exceeds u times the total (so zero entries are never picked)."""
     target = u * cumulative[high - 1]

@@ -13,21 +13,6 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import steps_of
 
 
-def running_sums(data: Array, indptr: Any) -> Array:
-    """Sums of ``data`` from the beginning of each row up to each entry, each row by itself."""
-    total = np.empty(len(data))
-    lengths = np.diff(indptr)
-    rank = np.arange(len(data)) - np.repeat(indptr[:-1], lengths)
-    order = np.argsort(rank, kind="stable")  # all first entries, then all second ones, ...
-    sizes = np.bincount(rank, minlength=1)
-    low = 0
-    for width in sizes:
-        here = order[low : low + width]
-        total[here] = data[here] if low == 0 else total[here - 1] + data[here]
-        low += width
-    return total
-
-
 def stream_key(seed: Any) -> np.uint64:
     """A 64-bit key from anything that ``numpy.random.default_rng`` takes."""
     return np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
@@ -76,7 +61,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     key = stream_key(seed)
     indptr = mdp.transitions.indptr.astype(np.int64)
     indices = mdp.transitions.indices.astype(np.int64)
-    cumulative = running_sums(mdp.transitions.data, indptr)
+    cumulative = rollout.running_sums(mdp.transitions.data, indptr)
     initial, table = np.cumsum(mdp.initial), np.cumsum(pi, axis=1)
     over = mdp.absorbing()
     lengths = rollout.episode_lengths(key, n, steps, initial, table, indptr, indices, cumulative, over)
@@ -123,7 +108,7 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
         weights = np.concatenate([weights, np.zeros((mdp.n_states - own, mdp.n_actions))])
     weights = _checks.distribution(weights, "distribution", (mdp.n_states, mdp.n_actions))
     indptr = mdp.transitions.indptr.astype(np.int64)
-    cumulative = running_sums(mdp.transitions.data, indptr)
+    cumulative = rollout.running_sums(mdp.transitions.data, indptr)
     rows, entries = rollout.transitions(stream_key(seed), size, np.cumsum(weights.reshape(-1)), indptr, cumulative)
     return _as_log(mdp, rows, entries)
 

@@ -24,8 +24,10 @@ from common import interleaved, row, rows_of
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.exact.values import policy_kernel, policy_rewards
-from oee_tabular.simulate.logs import running_sums, stream_key
+from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.values import policy_rewards
+from oee_tabular.simulate._rollout import running_sums
+from oee_tabular.simulate.logs import stream_key
 
 TASK, HORIZON = "rollouts", 200
 
@@ -79,8 +81,8 @@ def ours(mdp, policy, n):
 
         def run():
             lanes.returns(
-                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), 64, made.arrays, made.most, made.code[-1],
-                made.over, powers, weighted, by_move, record, places, path, sums, *outcomes,
+                n, max(1024, n // 64), lanes.Plan(stream_key(0), np.uint64(HORIZON), 64, made.most, made.code[-1], made.over,
+                powers, weighted, by_move), made.slots, lanes.Outcome(sums, *outcomes, places, path),
             )  # fmt: skip
             return int(outcomes[0].sum()), sums[0]
 

@@ -103,7 +103,9 @@ def test_a_sweep_is_that_many_products(rng, steps):
     value, matrix = np.zeros(model.n_states), policy_kernel(model, policy)
     for _ in range(steps):
         value = rewards + model.discount * (matrix @ value)
-    assert_allclose(finite.sweep(kernel, rewards, steps), value, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(value).max()))
+    assert_allclose(
+        _finite.sweep(kernel, rewards, steps), value, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(value).max())
+    )
 
 
 @pytest.mark.parametrize("steps", [1, 2, 37])

@@ -11,29 +11,19 @@ Reference: [1] Eisenstat, Efficient implementation of a class of preconditioned 
 Stat. Comput. 2 (1981).
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact._policy_rows import transposed
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500
 
 
-class Factors(NamedTuple):
-    """Row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it."""
-
-    lower: IntArray
-    upper: IntArray
-    columns: IntArray
-    values: Array
-    diagonal: Array
-    modified: Array
-    order: IntArray
-    place: IntArray
+# row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it
+Factors = namedtuple("Factors", "lower upper columns values diagonal modified order place")
 
 
 @njit(cache=True)

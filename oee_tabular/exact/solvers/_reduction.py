@@ -7,23 +7,16 @@ as many entries as K, and the iteration takes a third of the steps.
 Reference: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 12.5 (independent set orderings; ILUM).
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact.solvers import _bicgstab as bicgstab
 from oee_tabular.exact.system import Kernel
 
-
-class Reduction(NamedTuple):
-    """1 for the states of E, else 0; the inverse diagonal of E; the states that are left, and each one's number there."""
-
-    mark: IntArray
-    inverse: Array
-    states: IntArray
-    number: IntArray
+# 1 for the states of E, else 0; the inverse diagonal of E; the states that are left, and each one's number there
+Reduction = namedtuple("Reduction", "mark inverse states number")
 
 
 @njit(cache=True)

@@ -31,7 +31,8 @@ class DenseLU:
 class ComponentLU:
     """Strongly connected components, each by dense LU after those that it leads to.
 
-    One pass over layered models, whatever the order of their states: 20 000 states in 3.0 ms, 5.5 by BiCGSTAB.
+    One pass over layered models, whatever the order of their states: 2.8 ms for 20 000 states in levels of 4 (measured with
+    tests/benchmarks/values.py), 45 by BiCGSTAB. Where every component is one state there is no gain.
     """
 
     name: str = "LU by components"

@@ -11,7 +11,7 @@ from oee_tabular.exact.system import Solve, System
 
 @dataclass(frozen=True)
 class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: random MDPs of 10 000 states take a sixth of BiCGSTAB's time.
+    """Some dozen sweeps over a graph that mixes: random MDPs of 2000 to 10 000 states are 9 to 15 times as fast as by BiCGSTAB.
 
     It gives up as soon as a sweep does not halve what the states' changes differ by.
     """
