@@ -51,7 +51,7 @@ BUGS = {
     ),
     5: (
         "asymptotic variance without gamma",
-        "exact/gradient.py",
+        "exact/occupancy.py",
         "action_share * (pay + gamma * values[columns])",
         "action_share * (pay + values[columns])",
         BOUNDS,

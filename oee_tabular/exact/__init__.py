@@ -8,7 +8,6 @@ from oee_tabular.exact.efficiency import (
     trajectory_efficiency_bound,
 )
 from oee_tabular.exact.finite import policy_values_by_horizon
-from oee_tabular.exact.gradient import transition_gradient
 from oee_tabular.exact.linear import LinearSolution, solve_policy_system
 from oee_tabular.exact.moments import (
     doubly_robust_moments,
@@ -16,7 +15,7 @@ from oee_tabular.exact.moments import (
     return_moments,
     weighted_return_moments,
 )
-from oee_tabular.exact.occupancy import occupancy
+from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.planning import optimal_policy
 from oee_tabular.exact.recursions import Moments
 from oee_tabular.exact.reweighted import Model, ReweightedModel, reweight

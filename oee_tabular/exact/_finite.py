@@ -16,7 +16,6 @@ from oee_tabular.exact.system import Kernel
 
 CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
 
-
 # states; those reached in at most k moves are the first ends[k]; P_pi, rewards and initial under the new numbers
 Cone = namedtuple("Cone", "states ends kernel rewards initial")
 

@@ -22,7 +22,6 @@ LANES = 32  # states of a strip
 SMALL = 1e-280
 PARTS = 5  # numbers of an entry: q, bm, em, c, rho
 
-
 # where each strip's entries begin; where an entry leads, and whether its lanes lead side by side; its numbers; masses and
 # residuals of the states; the states by place, S in the places that stay empty
 Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")

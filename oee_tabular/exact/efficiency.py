@@ -19,8 +19,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.gradient import transition_gradient
-from oee_tabular.exact.occupancy import occupancy
+from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of

@@ -18,10 +18,8 @@ from numba import njit
 _PLACE = np.uint64(8)  # bits that hold k
 _NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
 
-
 # what is drawn in a state: a row by the policy, an entry by P; the first state by ``initial``
 Outcomes = namedtuple("Outcomes", "indptr indices prob policy initial")
-
 
 # of each slot: its word, the code of s', reward, factor (or none) and the entry of P that it stands for
 Slots = namedtuple("Slots", "word following reward factor entry")

@@ -18,14 +18,11 @@ _FURTHER = np.uint64(2)  # added to it for the bits that decide where the first 
 _NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
 _PLACE, _SIZE = np.uint64(8), np.uint64(255)
 
-
 # what all episodes have in common: ``most``, ``start`` and ``over`` are the alias table's (``AliasTable``)
 Plan = namedtuple("Plan", "key horizon n_lanes most start over discounts weighted by_move")
 
-
 # what is filled in, by trajectory; and by ``places`` the ``path``, an entry of P for each step, unless it is empty
 Outcome = namedtuple("Outcome", "sums lengths last places path")
-
 
 # of each lane: its trajectory, step, the code of its state; and G, X, the weight and the largest one that a reward has
 Lanes = namedtuple("Lanes", "trajectory t now held")

@@ -15,7 +15,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact import _finite, finite, recursions
+from oee_tabular.exact import _finite, _moments, finite, recursions
 from oee_tabular.exact.system import policy_kernel, policy_system
 from oee_tabular.exact.values import policy_rewards
 from oee_tabular.exact.walks import walk_of
@@ -197,11 +197,11 @@ def moments(size):
     walk = walk_of(grid, policy, ratio=zeta)
     extras = recursions.extras_of(walk, STEPS)
     made_before = scipy_moments(grid, zeta, policy)
-    variance = recursions.centred(walk, STEPS, extras, False)[1]
+    variance = _moments.per_decision(walk, STEPS, extras, False)[1]
     calls = {
         "ours": lambda: oee.weighted_return_moments(grid, zeta, policy, horizon=STEPS).variance,
         "ours, zeta checked before": lambda: recursions.merged(walk, STEPS, extras, False)[1][0],
-        "ours, the centred form": lambda: recursions.centred(walk, STEPS, extras, False)[1][0],
+        "ours, the centred form": lambda: _moments.per_decision(walk, STEPS, extras, False)[1][0],
         "scipy": lambda: scipy_recursion(*made_before)[1][0],
         "scipy, with its matrices": lambda: scipy_recursion(*scipy_moments(grid, zeta, policy))[1][0],
     }

@@ -12,7 +12,8 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.exact._merged import LANES, PARTS, merge
-from oee_tabular.exact.recursions import centred, extras_of, merged
+from oee_tabular.exact._moments import per_decision as centred
+from oee_tabular.exact.recursions import extras_of, merged
 from oee_tabular.exact.walks import walk_of
 
 KINDS = ("per_decision", "trajectory")

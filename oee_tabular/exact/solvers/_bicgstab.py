@@ -21,7 +21,6 @@ from oee_tabular.exact._policy_rows import transposed
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500
 
-
 # row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it
 Factors = namedtuple("Factors", "lower upper columns values diagonal modified order place")
 

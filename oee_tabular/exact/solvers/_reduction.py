@@ -59,6 +59,17 @@ def independent(kernel, order):
 
 
 @njit(cache=True)
+def added(columns, values, where, begin, filled, i, value):
+    """The row from ``begin`` on with ``value`` added at column i, and where it ends then."""
+    at = where[i]
+    if begin <= at and at < filled and columns[at] == i:
+        values[at] += value
+        return filled
+    where[i], columns[filled], values[filled] = filled, i, value
+    return filled + np.uint64(1)
+
+
+@njit(cache=True)
 def eliminate(kernel, order, mark, inverse, room):
     """The rest K' in the given order of what is left, with discount 1; and the ``Reduction``."""
     indptr, indices, data, discount = kernel
@@ -86,29 +97,13 @@ def eliminate(kernel, order, mark, inverse, room):
             j = indices[k]
             value = discount * data[k]
             if mark[j] == 0:
-                i = number[j]
-                at = where[i]
-                if begin <= at and at < filled and columns[at] == i:
-                    values[at] += value
-                else:
-                    where[i] = filled
-                    columns[filled] = i
-                    values[filled] = value
-                    filled += np.uint64(1)
+                filled = added(columns, values, where, begin, filled, number[j], value)
                 continue
             value *= discount * inverse[j]
             for m in range(indptr[j], indptr[j + np.uint32(1)]):
                 if indices[m] == j:
                     continue
-                i = number[indices[m]]
-                at = where[i]
-                if begin <= at and at < filled and columns[at] == i:
-                    values[at] += value * data[m]
-                else:
-                    where[i] = filled
-                    columns[filled] = i
-                    values[filled] = value * data[m]
-                    filled += np.uint64(1)
+                filled = added(columns, values, where, begin, filled, number[indices[m]], value * data[m])
         starts[row + np.uint32(1)] = filled
     rest = Kernel(starts, columns[: starts[-1]], values[: starts[-1]], 1.0)
     return rest, Reduction(mark, inverse, states, number)
