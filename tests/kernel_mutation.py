@@ -1,10 +1,10 @@
 """Mutation testing of compiled kernels, which mutmut cannot wrap. Run by hand:
 
-    python tests/kernel_mutation.py MODULE[,MODULE ...] [SAMPLE [SEED]]
+    python tests/kernel_mutation.py MODULE[,MODULE ...] [SAMPLE [SEED]]        such as exact/_finite,exact/solvers/_bicgstab
 
-One operator, number or truth value of ``oee_tabular/kernels/MODULE.py`` is changed at a time, in a copy of the repository, and
-the tests of the package that calls the kernel are run, compiled as ever. Prints what each survivor changed, and the score with
-its 95% interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
+One operator, number or truth value of ``oee_tabular/MODULE.py`` is changed at a time, in a copy of the repository, and the
+tests of the package that it stands in are run, compiled as ever. Prints what each survivor changed, and the score with its 95%
+interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
 """
 
 import ast
@@ -19,12 +19,6 @@ from pathlib import Path
 from queue import Queue
 
 ROOT = Path(__file__).parents[1]
-TESTS = {
-    "simulate": ("alias", "lanes", "rollout"),
-    "ratio": ("duals", "joint", "loglinear", "matching", "plain", "projection", "ratio_box"),
-    "inference": ("ambiguity",),
-    "tasks": ("cartpole", "interpolation", "reacher"),
-}  # all others: exact
 WORKERS, TIMEOUT = 2, 300
 COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 COMPUTED = {
@@ -83,9 +77,13 @@ def dependents(module):
     while left:
         name = left.pop()
         found.add(name)
-        for path in (ROOT / "oee_tabular/kernels").glob("*.py"):
-            if path.stem not in found and f"from oee_tabular.kernels.{name} import" in path.read_text():
-                left.append(path.stem)
+        folder, stem = name.rsplit("/", 1)
+        forms = f"from oee_tabular/{name} import", f"from oee_tabular/{folder} import {stem}"
+        lines = [form.replace("/", ".") for form in forms]
+        for path in (ROOT / "oee_tabular").glob("**/_*.py"):
+            other = str(path.relative_to(ROOT / "oee_tabular").with_suffix(""))
+            if other not in found and any(line in path.read_text() for line in lines):
+                left.append(other)
     return found
 
 
@@ -113,11 +111,11 @@ def run(folder, tests):
 
 def main(modules, sample=0, seed=0):
     """Run, and print what became of the mutants."""
-    found = [(name, *one) for name in modules.split(",") for one in mutants(ROOT / f"oee_tabular/kernels/{name}.py")]
+    found = [(name, *one) for name in modules.split(",") for one in mutants(ROOT / f"oee_tabular/{name}.py")]
     total = len(found)
     if sample:
         found = random.Random(seed).sample(found, min(sample, total))
-    packages = {name: next((p for p, kernels in TESTS.items() if name in kernels), "exact") for name, *_ in found}
+    packages = {name: name.split("/")[0] for name, *_ in found}
     with tempfile.TemporaryDirectory() as name:
         folders = Queue()
         for number in range(WORKERS):
@@ -134,16 +132,16 @@ def main(modules, sample=0, seed=0):
         def killed(mutant):
             module, line, old, new, text = mutant
             folder = folders.get()
-            kernels = folder / "oee_tabular/kernels"
-            file, kept = kernels / f"{module}.py", Path(f"{folder}.kept")
-            shutil.copytree(kernels, kept)
-            file.write_text(text)
+            package, kept = folder / "oee_tabular", Path(f"{folder}.kept")
+            shutil.copytree(package, kept)
+            (package / f"{module}.py").write_text(text)
             for one in dependents(module):
-                for path in (kernels / "__pycache__").glob(f"{one}.*.nb*"):
+                at = package / one
+                for path in (at.parent / "__pycache__").glob(f"{at.name}.*.nb*"):
                     path.unlink()
             alive = run(folder, f"tests/{packages[module]}")
-            shutil.rmtree(kernels)
-            kept.rename(kernels)
+            shutil.rmtree(package)
+            kept.rename(package)
             folders.put(folder)
             if alive:
                 print(f"{module}.py:{line}: {old!r} -> {new!r}", flush=True)

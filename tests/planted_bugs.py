@@ -86,15 +86,15 @@ BUGS = {
     9: (
         "forward measure discounted twice",
         "exact/_finite.py",
-        "backup(start, column, value, nothing, 1.0, here, there,",
-        "backup(start, column, value, nothing, gamma, here, there,",
+        "back = Kernel(*transposed(indptr, indices, data, size), 1.0)",
+        "back = Kernel(*transposed(indptr, indices, data, size), gamma)",
         VALUES,
     ),
     10: (
         "finite-horizon value that forgets gamma",
-        "exact/finite.py",
-        "locked(rewards), discount, steps, band",
-        "locked(rewards), 1.0, steps, band",
+        "exact/_finite.py",
+        "out[s] = rewards[s] + gamma * total",
+        "out[s] = rewards[s] + total",
         VALUES,
     ),
     11: (

