@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 from hypothesis import strategies as st
+from scipy import sparse
 
 from oee_tabular import FiniteMDP
 from oee_tabular.mdp.rows import Rows
@@ -113,3 +114,39 @@ def rows_of(weights, indptr):
     indptr = np.asarray(indptr, dtype=np.int64)
     entries = np.arange(len(weights))
     return Rows(np.arange(len(indptr) - 1), entries, np.asarray(weights, dtype=float), indptr, entries, len(entries), 1)
+
+
+def environments(form, discount=0.7):
+    """A simulator and a target near it, three states and two actions, every move possible."""
+    rng = np.random.default_rng(form)
+    rows = rng.dirichlet(np.full(3, 4.0), (3, 2))
+    rewards = rng.normal(size=(3, 2, 3)[:form])
+    simulator = FiniteMDP(rows, rewards, [0.6, 0.4, 0.0], discount)
+    return simulator, simulator.with_transitions(0.8 * rows + 0.2 * rng.dirichlet(np.ones(3), (3, 2)))
+
+
+POLICY = np.array([[0.3, 0.7], [0.5, 0.5], [0.8, 0.2]])  # for these
+BEHAVIOR = np.array([[0.4, 0.6], [0.5, 0.5], [0.6, 0.4]])
+
+
+def ratio_of(rng, simulator):
+    """Any weights on the simulator's entries: rows of zeta * P of any sum, zeros among them."""
+    data = rng.integers(0, 4, simulator.transitions.nnz) / 2.0
+    matrix = simulator.transitions
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def histories(mdp, policy, horizon):
+    """(probability, states s_0..s_T, actions, rewards) of each path, all of positive probability."""
+    transitions, rewards = dense(mdp)
+    found = [(float(p), (s,), (), ()) for s, p in enumerate(mdp.initial) if p > 0]
+    for _ in range(horizon):
+        found = [
+            (p * policy[states[-1], a] * transitions[states[-1], a, j], (*states, j), (*actions, a),
+             (*paid, rewards[states[-1], a, j]))
+            for p, states, actions, paid in found
+            for a in range(mdp.n_actions)
+            for j in range(mdp.n_states)
+            if policy[states[-1], a] * transitions[states[-1], a, j] > 0
+        ]  # fmt: skip
+    return found

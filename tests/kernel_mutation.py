@@ -1,10 +1,10 @@
 """Mutation testing of compiled kernels, which mutmut cannot wrap. Run by hand:
 
-    python tests/kernel_mutation.py MODULE[,MODULE ...] [SAMPLE [SEED]]
+    python tests/kernel_mutation.py MODULE[,MODULE ...] [SAMPLE [SEED]]        such as exact/_finite,exact/solvers/_bicgstab
 
-One operator, number or truth value of ``oee_tabular/MODULE.py`` ("ratio/_dual") is changed at a time, in a copy of the
-repository, and the tests of the kernel's folder are run, compiled as ever. Prints what each survivor changed, and the score
-with its 95% interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
+One operator, number or truth value of ``oee_tabular/MODULE.py`` is changed at a time, in a copy of the repository, and the
+tests of the package that it stands in are run, compiled as ever. Prints what each survivor changed, and the score with its 95%
+interval (Wilson). Many survivors are no fault: buffers that are too large, tolerances, orders that only cost time.
 """
 
 import ast
@@ -19,11 +19,6 @@ from pathlib import Path
 from queue import Queue
 
 ROOT = Path(__file__).parents[1]
-TESTS = {
-    "simulate": ("alias", "lanes", "rollout"),
-    "inference": ("ambiguity",),
-    "tasks": ("cartpole", "interpolation", "reacher"),
-}  # of those that still stand in kernels/; all others there: exact
 WORKERS, TIMEOUT = 2, 300
 COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 COMPUTED = {
@@ -78,21 +73,18 @@ def mutants(path):
 
 def dependents(module):
     """The files that have this one's kernels compiled into theirs, in whose caches a change is not seen."""
-    house, found, left = ROOT / "oee_tabular", set(), [module]
+    found, left = set(), [module]
     while left:
         name = left.pop()
         found.add(name)
-        for path in house.rglob("*.py"):
-            other = path.relative_to(house).with_suffix("").as_posix()
-            if other not in found and f"from oee_tabular.{name.replace('/', '.')} import" in path.read_text():
+        folder, stem = name.rsplit("/", 1)
+        forms = f"from oee_tabular/{name} import", f"from oee_tabular/{folder} import {stem}"
+        lines = [form.replace("/", ".") for form in forms]
+        for path in (ROOT / "oee_tabular").glob("**/_*.py"):
+            other = str(path.relative_to(ROOT / "oee_tabular").with_suffix(""))
+            if other not in found and any(line in path.read_text() for line in lines):
                 left.append(other)
     return found
-
-
-def package_of(module):
-    """The tests that are run."""
-    folder, _, kernel = module.partition("/")
-    return next((p for p, kernels in TESTS.items() if kernel in kernels), "exact") if folder == "kernels" else folder
 
 
 def run(folder, tests):
@@ -123,7 +115,7 @@ def main(modules, sample=0, seed=0):
     total = len(found)
     if sample:
         found = random.Random(seed).sample(found, min(sample, total))
-    packages = {name: package_of(name) for name, *_ in found}
+    packages = {name: name.split("/")[0] for name, *_ in found}
     with tempfile.TemporaryDirectory() as name:
         folders = Queue()
         for number in range(WORKERS):
@@ -140,15 +132,16 @@ def main(modules, sample=0, seed=0):
         def killed(mutant):
             module, line, old, new, text = mutant
             folder = folders.get()
-            house, kept = folder / "oee_tabular", Path(f"{folder}.kept")
-            shutil.copytree(house, kept)
-            (house / f"{module}.py").write_text(text)
+            package, kept = folder / "oee_tabular", Path(f"{folder}.kept")
+            shutil.copytree(package, kept)
+            (package / f"{module}.py").write_text(text)
             for one in dependents(module):
-                for path in (house / one).parent.glob(f"__pycache__/{Path(one).name}.*.nb*"):
+                at = package / one
+                for path in (at.parent / "__pycache__").glob(f"{at.name}.*.nb*"):
                     path.unlink()
             alive = run(folder, f"tests/{packages[module]}")
-            shutil.rmtree(house)
-            kept.rename(house)
+            shutil.rmtree(package)
+            kept.rename(package)
             folders.put(folder)
             if alive:
                 print(f"{module}.py:{line}: {old!r} -> {new!r}", flush=True)

@@ -21,14 +21,14 @@ INTERVALS = "tests/inference/test_intervals.py"
 BUGS = {
     1: (
         "second moment with w for w^2",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "spread += prob[x] * w[x] * w[x] * next_var[j]",
         "spread += prob[x] * w[x] * next_var[j]",
         MOMENTS,
     ),
     2: (
         "trajectory product with one factor too many",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "plain = left == 0 and not by_move",
         "plain = False",
         MOMENTS,
@@ -51,14 +51,14 @@ BUGS = {
     ),
     5: (
         "asymptotic variance without gamma",
-        "exact/gradient.py",
+        "exact/occupancy.py",
         "action_share * (pay + gamma * values[columns])",
         "action_share * (pay + values[columns])",
         BOUNDS,
     ),
     6: (
         "doubly robust second moment without its cross term",
-        "kernels/moments.py",
+        "exact/_moments.py",
         "                    y = 0.0 if end else gamma * (next_mean[j] - k[tk, j])\n"
         "                    if by_move:\n"
         "                        y += (pay[x] - shift[t]) * scale[t]\n"
@@ -85,21 +85,21 @@ BUGS = {
     ),
     9: (
         "forward measure discounted twice",
-        "kernels/horizon.py",
-        "backup(start, column, value, nothing, 1.0, here, there,",
-        "backup(start, column, value, nothing, gamma, here, there,",
+        "exact/_finite.py",
+        "back = Kernel(*transposed(indptr, indices, data, size), 1.0)",
+        "back = Kernel(*transposed(indptr, indices, data, size), gamma)",
         VALUES,
     ),
     10: (
         "finite-horizon value that forgets gamma",
-        "exact/finite.py",
-        "locked(rewards), discount, steps, band",
-        "locked(rewards), 1.0, steps, band",
+        "exact/_finite.py",
+        "out[s] = rewards[s] + gamma * total",
+        "out[s] = rewards[s] + total",
         VALUES,
     ),
     11: (
         "KL direction swapped in the ball",
-        "kernels/ambiguity.py",
+        "inference/_robust.py",
         "            u = (p[i] - phat[i]) / phat[i]\n            total += phat[i] * (",
         "            u = (phat[i] - p[i]) / p[i]\n            total += p[i] * (",
         INTERVALS,

@@ -28,7 +28,6 @@ from oee_tabular.exact import (
     transition_gradient,
 )
 from oee_tabular.exact.efficiency import require_action_support
-from oee_tabular.exact.moments import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio
@@ -186,12 +185,12 @@ def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> 
     """What V is after each of T steps: nothing after the last; of the infinite sum the same before."""
     if horizon is None:
         return [state_values(model, policy)] * (steps - 1) + [np.zeros(model.n_states)]
-    return list(values_to_go(walk_of(model, policy), steps)[1:])
+    return list(walk_of(model, policy).values_to_go(steps)[1:])
 
 
 def _rollout_values(rollouts: Sampler, values: list[Array]) -> Array:
     """D_0 of each rollout, backward in time."""
-    from oee_tabular.kernels.episodes import control_variates
+    from oee_tabular.estimators._episodes import control_variates
 
     model, zeta, lengths = rollouts.mdp, rollouts.ratio, rollouts.sums().lengths
     starts, path = rollouts.moves(lengths)

@@ -14,7 +14,8 @@ from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import Model, action_values, state_values
-from oee_tabular.exact.walks import per_decision, walk_of
+from oee_tabular.exact.recursions import per_decision
+from oee_tabular.exact.walks import walk_of
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 

@@ -17,7 +17,7 @@ from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
-from oee_tabular.exact.walks import forward_measure, walk_of
+from oee_tabular.exact.walks import walk_of
 from oee_tabular.ratio.method import Population
 
 LARGEST_WEIGHT = 1e150  # its square is still a float
@@ -209,7 +209,7 @@ def _limit_without_the_finished(people: Population, behavior: Array) -> float:
     """sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}]: what dropping finished episodes estimates."""
     steps = rollout_horizon(people.target.discount, people.horizon)
     walk = walk_of(people.target, behavior, policy=people.policy)
-    reached = forward_measure(walk, steps, power=1)[:steps, 0]
+    reached = walk.reaches(steps, power=1)[:steps, 0]
     going = ~people.target.absorbing()
     taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)
     paid = reached @ (taken * people.target.rewards).sum(axis=1)

@@ -19,7 +19,7 @@ from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, 
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
-from oee_tabular.exact.values import policy_kernel
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.method import Population

@@ -103,7 +103,7 @@ def weight_status(value: float) -> str:
 
 def _weighted(rollouts: Sampler, drawn: Drawn) -> Weighted:
     """The same episodes, step by step."""
-    from oee_tabular.kernels import episodes
+    from oee_tabular.estimators import _episodes as episodes
 
     mdp = rollouts.mdp
     starts, path = rollouts.moves(drawn.lengths)
@@ -149,7 +149,7 @@ def _by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
 
 def _by_step(weighted: Weighted, *, keep_last: bool) -> tuple[float, float | None]:
     """sum_t sum_i w_it r_it / sum_i w_it, with the error of those ratios."""
-    from oee_tabular.kernels import episodes
+    from oee_tabular.estimators import _episodes as episodes
 
     rows, lengths = (weighted.starts, weighted.weight, weighted.reward), np.diff(weighted.starts)
     n, horizon = len(lengths), int(lengths.max())

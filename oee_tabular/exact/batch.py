@@ -1,21 +1,22 @@
-"""Many evaluations in one call: many small MDPs with a policy each, or many policies in one MDP."""
+"""Many evaluations in one call: many small MDPs with a policy each, or many policies in one MDP, as stacked dense arrays."""
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
+from oee_tabular._threads import one_thread
 from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
-from oee_tabular.exact.systems import TINY, readable, unsigned
 from oee_tabular.exact.values import evaluate_policy
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import SHORT, steps_of
+
+SMALL = 32  # states of an MDP that is made dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +53,24 @@ class BatchValues:
         )
 
 
+class Group(NamedTuple):
+    """Small MDPs of one shape: their places, transitions (N, S, A, S), rewards (N, S, A), initial (N, S), discounts (N,)."""
+
+    at: IntArray
+    chance: Array
+    rewards: Array
+    initial: Array
+    discount: Array
+
+
 @dataclass(frozen=True, eq=False)
 class ModelStack:
-    """MDPs end to end in one set of arrays, for ``evaluate_batch``; made by ``stack_models``.
+    """MDPs with the dense arrays of the small ones, for ``evaluate_batch``; made by ``stack_models``.
 
     Attributes
     ----------
     models : the MDPs
-    sizes, actions : (M,) numbers of states and actions
-    discounts : (M,)
-    pointers, indices, data : their transitions, one CSR after the other, row pointers beginning at 0 in each
-    rewards, initial : flat
+    groups : dense arrays, for each number of states (up to 32) and actions
 
     Examples
     --------
@@ -73,20 +81,13 @@ class ModelStack:
     """
 
     models: tuple[Model, ...]
-    sizes: IntArray
-    actions: IntArray
-    discounts: Array
-    pointers: Any
-    indices: Any
-    data: Array
-    rewards: Array
-    initial: Array
+    groups: tuple[Group, ...]
 
     def __len__(self) -> int:
         return len(self.models)
 
     def __repr__(self) -> str:
-        return f"ModelStack({len(self)} MDPs, {int(self.sizes.sum())} states)"
+        return f"ModelStack({len(self)} MDPs, {sum(model.n_states for model in self.models)} states)"
 
 
 def stack_models(models: Sequence[Model]) -> ModelStack:
@@ -106,34 +107,26 @@ def stack_models(models: Sequence[Model]) -> ModelStack:
     found = _checks.collection(models, "models", "a FiniteMDP or a sequence of them")
     if not found:
         raise ValueError("models must be at least one FiniteMDP; there is none")
-    if set(map(type, found)) != {FiniteMDP}:
-        for i, model in enumerate(found):
-            require_model(model, f"models[{i}]")
-    rows = _each(found, "transitions")
-    pointers, indices, data = (
-        getattr(rows[0], name) if len(rows) == 1 else np.concatenate(_each(rows, name))
-        for name in ("indptr", "indices", "data")
+    shapes: dict[tuple[int, int], list[int]] = {}
+    for i, model in enumerate(found):
+        require_model(model, f"models[{i}]")
+        shapes.setdefault((model.n_states, model.n_actions), []).append(i)
+    return ModelStack(found, tuple(_dense(found, at, *shape) for shape, at in shapes.items() if shape[0] <= SMALL))
+
+
+def _dense(models: tuple[Model, ...], at: list[int], s: int, a: int) -> Group:
+    matrices = [models[i].transitions for i in at]
+    pointers, indices, data = (np.concatenate([getattr(m, x) for m in matrices]) for x in ("indptr", "indices", "data"))
+    lengths = np.diff(pointers.reshape(len(at), -1), axis=1).reshape(-1)
+    chance = np.zeros((len(lengths), s))
+    chance[np.repeat(np.arange(len(lengths)), lengths), indices] = data
+    rewards, initial, discount = (
+        np.array([getattr(models[i], x) for i in at]) for x in ("rewards", "initial", "discount")
     )
-    actions = np.array(_each(found, "n_actions"), dtype=np.int64)
-    rewards = _each(found, "rewards")  # of equal widths they are flattened sooner once together
-    flat = np.concatenate(rewards).reshape(-1) if actions.min() == actions.max() else np.concatenate(rewards, axis=None)
-    return ModelStack(
-        found,
-        np.array(_each(found, "n_states"), dtype=np.int64),
-        actions,
-        np.array(_each(found, "discount"), dtype=np.float64),
-        unsigned(pointers),
-        unsigned(indices),
-        readable(data),
-        readable(flat),
-        readable(np.concatenate(_each(found, "initial"))),
-    )
+    return Group(np.array(at), chance.reshape(-1, s, a, s), rewards, initial, discount)
 
 
-def _each(things: Sequence[Any], name: str) -> list[Any]:
-    return list(map(operator.attrgetter(name), things))
-
-
+@one_thread
 def evaluate_batch(
     models: Model | ModelStack | Sequence[Model], policies: Any, *, horizon: int | None = None
 ) -> BatchValues:
@@ -153,8 +146,8 @@ def evaluate_batch(
 
     Notes
     -----
-    MDPs of up to 32 states are solved in one compiled call, O(nnz + S^3) each (or O(nnz + T S^2)), about a microsecond
-    for a few states. Larger ones, policies that change with time and discount 1 are evaluated one by one.
+    MDPs of up to 32 states are solved together, O(A S^2 + S^3) each (or O(A S^2 + T S^2)). Larger ones, policies that change
+    with time and kernels that need a certificate (discount 1, rows beyond 1 / discount) are evaluated one by one.
 
     Examples
     --------
@@ -169,106 +162,65 @@ def evaluate_batch(
     [[10.0, 20.0], [6.0]]
     """
     steps = _checks.optional_horizon(horizon)
-    if isinstance(models, FiniteMDP | ReweightedModel):
-        stack, single = stack_models([models]), True
-    else:
-        stack, single = models if isinstance(models, ModelStack) else stack_models(models), False  # type: ignore[arg-type]
+    single = isinstance(models, FiniteMDP | ReweightedModel)
+    stack = models if isinstance(models, ModelStack) else stack_models([models] if single else models)  # type: ignore[list-item, arg-type]
     if not isinstance(policies, np.ndarray) or policies.ndim == 0:
         policies = _checks.collection(policies, "policies", "a sequence of policies")
     count = len(policies)
     if not single and count != len(stack):
         raise ValueError(f"policies must be as many as models ({len(stack)}); there are {count}")
-    if count == 0:
-        return BatchValues(np.empty((0, int(stack.sizes[0]))), np.empty(0), np.empty(0))
-    repeat = count if single else 1
-    sizes, actions = np.tile(stack.sizes, repeat), np.tile(stack.actions, repeat)
-    flat = None
-    if stack.sizes.max() <= TINY and (steps is not None or stack.discounts.max() < 1.0):
-        flat = _flat(policies, sizes, actions)
-    if flat is not None and steps is not None and steps > SHORT:
+    if steps is not None and steps > SHORT:
         steps = max(steps_of(steps, model) for model in stack.models)
-    if flat is None:
-        return _one_by_one(stack.models * repeat, policies, steps)
-    starts = _starts(sizes)
-    values, errors = np.empty(starts[-1]), np.empty(count)
-    _run(stack, flat, sizes, actions, steps, starts, values, errors)
-    # rows beyond 1 / discount, or values beyond floats: the single evaluation has a certificate for those, or an error
-    if np.isnan(errors).any() or not np.isfinite(values).all():
-        return _one_by_one(stack.models * repeat, policies, steps)
-    if sizes.min() == sizes.max():
-        table = values.reshape(count, -1)
-        return BatchValues(table, np.einsum("ns,ns->n", table, np.broadcast_to(
-            stack.initial.reshape(-1, table.shape[1]), table.shape)), errors)  # fmt: skip
-    total = np.add.reduceat(values * stack.initial, starts[:-1])
-    return BatchValues(tuple(np.split(values, starts[1:-1])), total, errors)
+    values: list[Array] = [np.full(1, np.nan)] * count
+    value, errors = np.zeros(count), np.full(count, np.nan)
+    for group in stack.groups:
+        at = np.arange(count) if single else group.at
+        pi = _stacked(policies if len(at) == count else [policies[i] for i in at], group.rewards.shape[1:])
+        if pi is not None:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found, errors[at] = _solved(pi, group, steps)
+            value[at] = np.einsum("ns,ns->n", found, np.broadcast_to(group.initial, found.shape))
+            errors[at] = np.where(np.isfinite(found).all(axis=1), errors[at], np.nan)
+            if len(at) == count and not np.isnan(errors).any():
+                return BatchValues(found, value, errors)
+            for i, one in zip(at, found, strict=True):
+                values[i] = one
+    for i in np.flatnonzero(np.isnan(errors)):
+        model = stack.models[0 if single else i]
+        policy = check_policy(policies[i], model, name=f"policies[{i}]", horizon=steps)
+        alone = evaluate_policy(model, policy, horizon=steps)
+        values[i], value[i], errors[i] = alone.values, alone.value, alone.error_bound
+    same = len({model.n_states for model in stack.models}) == 1
+    table = np.array(values).reshape(count, stack.models[0].n_states) if same else tuple(values)
+    return BatchValues(table, value, errors)
 
 
-def _starts(lengths: Any) -> IntArray:
-    starts = np.zeros(len(lengths) + 1, dtype=np.int64)
-    np.cumsum(lengths, out=starts[1:])
-    return starts
+def _stacked(policies: list[Any], shape: tuple[int, ...]) -> Array | None:
+    """(N, S, A); None where policies must be looked at one by one (rows of single precision are scaled by their check)."""
+    try:
+        found = np.array(policies)
+    except ValueError:  # ragged
+        return None
+    if found.shape[1:] != shape or not (found.dtype == np.float64 or found.dtype.kind in "iub"):
+        return None
+    fine = found.min() >= 0.0 and bool((np.abs(found.sum(axis=2) - 1.0) <= _checks.SUM_TOLERANCE).all())
+    return found.astype(np.float64, copy=False) if fine else None
 
 
-def _flat(policies: Any, sizes: IntArray, actions: IntArray) -> Array | None:
-    """All policies (S, A) end to end, checked; None where they must be looked at one by one."""
-    uniform = sizes.min() == sizes.max() and actions.min() == actions.max()
-    if isinstance(policies, np.ndarray) and _plain(policies):
-        if not uniform or policies.shape[1:] != (sizes[0], actions[0]):
-            return None
-        flat = np.ascontiguousarray(policies, dtype=np.float64).reshape(-1)
-    else:
-        try:
-            arrays = [np.asarray(policy) for policy in policies]
-        except ValueError:  # ragged: the check of each says where
-            return None
-        shapes = list(zip(sizes.tolist(), actions.tolist(), strict=True))
-        if [array.shape for array in arrays] != shapes or not all(_plain(array) for array in arrays):
-            return None
-        flat = np.concatenate(arrays, axis=None).astype(np.float64, copy=False)
-    if uniform:
-        sums = flat.reshape(-1, actions[0]) @ np.ones(actions[0])
-    else:
-        sums = np.add.reduceat(flat, _starts(np.repeat(actions, sizes))[:-1])
-    fine = flat.min() >= 0.0 and bool((np.abs(sums - 1.0) <= _checks.SUM_TOLERANCE).all())
-    return flat if fine else None
-
-
-def _plain(array: Array) -> bool:
-    """Numbers that are taken as they stand: rows of single precision are scaled by the check of a policy."""
-    return array.dtype == np.float64 or array.dtype.kind in "iub"
-
-
-def _run(
-    stack: ModelStack, policies: Array, sizes: IntArray, actions: IntArray, steps: int | None, starts: IntArray,
-    values: Array, errors: Array,
-) -> None:  # fmt: skip
-    """The compiled call; a single model stands for all."""
-    from oee_tabular.kernels.batches import small_values
-
-    first_action = _starts(sizes * actions)
-    if len(stack) == 1:
-        first_pointer = first_entry = first_row = np.zeros(len(sizes), dtype=np.int64)
-    else:
-        first_row = first_action[:-1]
-        first_pointer = first_row + np.arange(len(sizes))
-        first_entry = _starts(stack.pointers[first_pointer + sizes * actions])[:-1]
-    discounts = np.broadcast_to(stack.discounts, sizes.shape).copy()
-    small_values(
-        stack.pointers, first_pointer, first_entry, stack.indices, stack.data, first_row, stack.rewards,
-        first_action, readable(policies), starts[:-1], sizes, discounts, 0 if steps is None else steps, values, errors,
-    )  # fmt: skip
-
-
-def _one_by_one(models: tuple[Model, ...], policies: Any, horizon: int | None) -> BatchValues:
-    checked = [
-        check_policy(policy, model, name=f"policies[{i}]", horizon=horizon)
-        for i, (model, policy) in enumerate(zip(models, policies, strict=True))
-    ]
-    found = [evaluate_policy(model, policy, horizon=horizon) for model, policy in zip(models, checked, strict=True)]
-    values = tuple(one.values for one in found)
-    same = len({len(one) for one in values}) == 1
-    return BatchValues(
-        np.stack(values) if same else values,
-        np.array([one.value for one in found]),
-        np.array([one.error_bound for one in found]),
-    )
+def _solved(pi: Array, group: Group, steps: int | None) -> tuple[Array, Array]:
+    """V (N, S) and bounds on its error, nan where row sums give none; a group of one MDP is for all policies."""
+    chance, rewards = np.broadcast_to(group.chance, (*pi.shape, pi.shape[1])), np.broadcast_to(group.rewards, pi.shape)
+    kernel = np.einsum("nsa,nsat->nst", pi, chance) * group.discount[:, None, None]
+    pay, paid = np.einsum("nsa,nsa->ns", pi, rewards), np.einsum("nsa,nsa->ns", pi, np.abs(rewards)).max(axis=1)
+    values = np.zeros_like(pay)
+    if steps is not None:
+        for _ in range(steps):
+            values = pay + np.einsum("nst,nt->ns", kernel, values)
+        return values, np.zeros(len(pi))
+    unit, roundings = 0.5 * np.finfo(float).eps, float(pi.shape[1] + pi.shape[2])
+    carried = kernel.sum(axis=2).max(axis=1) * (1.0 + 2.0 * (roundings + 1.0) * unit)
+    certain = carried <= 1.0 - 1e-9
+    values[certain] = np.linalg.solve(np.eye(pi.shape[1]) - kernel[certain], pay[certain][..., None])[..., 0]
+    missed = np.abs(pay + np.einsum("nst,nt->ns", kernel, values) - values).max(axis=1)
+    rounding = (roundings + 4.0) * unit * (2.0 * np.abs(values).max(axis=1) + 2.0 * paid)
+    return values, np.where(certain, (missed + rounding) / (1.0 - carried) * (1.0 + 1e-9), np.nan)

@@ -9,14 +9,14 @@ Reference: [1] Demmel et al., Error bounds from extra-precise iterative refineme
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array
-from oee_tabular.exact.direct import library
-from oee_tabular.exact.systems import System, choose, readable
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular.exact.system import Kernel, Solve, System, readable
 
 SMALLEST = 1e-288  # below it the low part of a pair has lost bits
 
@@ -40,6 +40,17 @@ class Certified:
     method: str
 
 
+class Pair(NamedTuple):
+    """x + low; what it misses, the size of that and a bound on it, and the largest rounding in it."""
+
+    x: Array
+    low: Array
+    missed: Array
+    size: float
+    bound: float
+    rounding: float
+
+
 def solve_certified(
     system: System, low: Array, b: Array, b_low: Array, norm_of_inverse: float, slack: float = 0.0
 ) -> Certified:
@@ -52,45 +63,74 @@ def solve_certified(
     norm_of_inverse : a bound on |(I - discount K)^-1|_inf
     slack : bounds what the pair b misses
     """
-    from oee_tabular.kernels import twofold
+    from oee_tabular.exact import _twofold as twofold
+    from oee_tabular.exact.solvers import SOLVERS
 
-    rows = _rows(system, low)
-    solver, method, start = choose(system, b)
+    kernel, rest = _as_it_is_read(system, low)
+
+    def measured(x: Array, x_low: Array) -> Pair:
+        parts = kernel, rest, b, b_low, x, x_low, float(system.formed), system.transpose
+        missed, size, bound, rounding = twofold.residual(*parts)
+        return Pair(x, x_low, missed, size, bound, rounding)
+
+    def proved(pair: Pair) -> BoolArray:
+        sure: BoolArray = twofold.settled(pair.x, pair.low, norm_of_inverse * (pair.bound + slack))
+        return sure if sure.all() else sure | twofold.nothing_ahead(kernel, b, b_low, pair.x, pair.low)
+
     # near 1 an iteration's own residual drifts from the true one: the first solution is then all that floats can give
-    first, step = (1e-11, 1e-11) if system.discount <= 0.999 else (0.0, 1e-12)
-    x = np.array(solver(b, first) if start is None else start)
-    x_low = np.zeros(len(b))
-    missed, size, bound, rounding = twofold.residual(*rows, b, b_low, x, x_low, float(system.formed), system.transpose)
-    sure = np.zeros(len(b), dtype=np.bool_)
-    fallen_back = False
+    first, step = (1e-11, 1e-11) if system.kernel.discount <= 0.999 else (0.0, 1e-12)
+    pair: Pair | None = None
+    method = ""
+    for solver in SOLVERS:
+        if not solver.suits(system):
+            continue
+        solve = solver.prepare(system)
+        if pair is None:
+            x = solve(b, first)
+            if x is None:
+                continue
+            pair = measured(x, np.zeros(len(b)))
+        method = solver.name
+        pair, stalled = _refined(pair, solve, step, measured, proved)
+        if solver.direct or not stalled:
+            break
+    assert pair is not None
+    sure = proved(pair) & ((pair.x == 0.0) | (np.abs(pair.x) > SMALLEST))
+    low_part = np.abs(pair.low).sum() if system.transpose else np.abs(pair.low).max(initial=0.0)
+    error = float(norm_of_inverse * (pair.bound + slack)) + float(low_part)
+    exact_zeros = bool(np.all(sure & (pair.x == 0.0)))
+    return Certified(pair.x, pair.low, 0.0 if exact_zeros else error, float(sure.mean()), method)
+
+
+def _refined(
+    pair: Pair, solve: Solve, step: float, measured: Callable[[Array, Array], Pair], proved: Callable[[Pair], BoolArray]
+) -> tuple[Pair, bool]:
+    """The pair after as many steps as it takes, 20 at most; and whether a step did not halve what is missed."""
+    from oee_tabular.exact import _twofold as twofold
+
     for _ in range(20):
-        error = norm_of_inverse * (bound + slack)
-        sure = twofold.settled(x, x_low, error)
-        if not sure.all():
-            sure |= twofold.nothing_ahead(rows[0], rows[1], b, b_low, x, x_low)
-        if sure.all() or not 0.25 * rounding < size < np.inf:
-            break
-        y, y_low = x.copy(), x_low.copy()
-        twofold.add(y, y_low, solver(missed, step))
-        again = twofold.residual(*rows, b, b_low, y, y_low, float(system.formed), system.transpose)
-        if again[1] < 0.5 * size:
-            x, x_low, (missed, size, bound, rounding) = y, y_low, again
-        elif fallen_back or "LU" in method or (last := library(system)) is None:
-            break
-        else:
-            (solver, method), fallen_back = last, True
-    sure &= (x == 0.0) | (np.abs(x) > SMALLEST)
-    low_part = np.abs(x_low).sum() if system.transpose else np.abs(x_low).max(initial=0.0)
-    error = float(norm_of_inverse * (bound + slack)) + float(low_part)
-    return Certified(x, x_low, 0.0 if bool(np.all(sure & (x == 0.0))) else error, float(sure.mean()), method)
+        if not 0.25 * pair.rounding < pair.size < np.inf or proved(pair).all():
+            return pair, False
+        x, low = pair.x.copy(), pair.low.copy()
+        further = solve(pair.missed, step)
+        if further is None:
+            return pair, True
+        twofold.add(x, low, further)
+        again = measured(x, low)
+        if not again.size < 0.5 * pair.size:
+            return pair, True
+        pair = again
+    return pair, False
 
 
-def _rows(system: System, low: Array) -> tuple[Any, Any, Any, Any, float]:
-    """The arrays that the residual reads, transposed where the system is."""
-    from oee_tabular.kernels.policy_rows import transposed
+def _as_it_is_read(system: System, low: Array) -> tuple[Kernel, Array]:
+    """The kernel and its low part, transposed where the system is."""
+    from oee_tabular.exact._policy_rows import transposed
 
     if not system.transpose:
-        return system.indptr, system.indices, system.data, readable(low), system.discount
-    indptr, indices, data = transposed(system.indptr, system.indices, system.data)
-    rest = transposed(system.indptr, system.indices, readable(low))[2]
-    return readable(indptr), readable(indices), readable(data), readable(rest), system.discount
+        return system.kernel, low
+    indptr, indices, data, discount = system.kernel
+    n = len(indptr) - 1
+    back, states, turned = (readable(part) for part in transposed(indptr, indices, data, n))
+    rest: Array = transposed(indptr, indices, readable(low), n)[2]
+    return Kernel(back, states, turned, discount), rest

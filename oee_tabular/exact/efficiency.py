@@ -19,11 +19,10 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import dot, one_thread
-from oee_tabular.exact.gradient import transition_gradient
-from oee_tabular.exact.moments import values_to_go
-from oee_tabular.exact.occupancy import occupancy
-from oee_tabular.exact.values import policy_kernel, state_values
-from oee_tabular.exact.walks import forward_measure, require_mdp, walk_of
+from oee_tabular.exact.occupancy import occupancy, transition_gradient
+from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.values import state_values
+from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import steps_of
 
@@ -141,7 +140,7 @@ def ratio_of_ratios_variance(
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
     _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)
-    require_mdp(simulator, "simulator")
+    _checks.instance(simulator, FiniteMDP, "simulator")
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
@@ -215,22 +214,22 @@ def trajectory_efficiency_bound(
     >>> round(oee.policy_is_moments(steer, even, right, horizon=3).variance, 4)  # importance sampling's
     14.04
     """
-    require_mdp(mdp)
+    _checks.instance(mdp, FiniteMDP, "mdp")
     steps = steps_of(horizon, mdp, kept=12 * mdp.n_states)
     _checks.one_of(model, "model", ("mdp", "tree", "stationary"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)
     require_action_support(mdp, behavior, pi, steps)
     plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
-    under_behavior = forward_measure(walk_of(mdp, behavior), steps, power=1)[:, 0]
+    under_behavior = walk_of(mdp, behavior).reaches(steps, power=1)[:, 0]
     if model == "stationary":
         visits = (under_behavior[:steps].sum(axis=0)[:, None] * behavior).reshape(-1)
         return _weighted_sum(_row_variance(mdp, transition_gradient(mdp, pi, horizon=steps)), visits)
-    values = values_to_go(plain, steps)
+    values = plain.values_to_go(steps)
     value = dot(mdp.initial, values[0])
     total = dot(mdp.initial, (values[0] - value) ** 2)
-    under_policy = forward_measure(plain, steps, power=1)[:, 0]
-    squared = forward_measure(weighted, steps, power=2)[:, 0]
+    under_policy = plain.reaches(steps, power=1)[:, 0]
+    squared = weighted.reaches(steps, power=2)[:, 0]
     matrix, n_actions = mdp.transitions, mdp.n_actions
     entry: IntArray = row_of_entry(matrix)
     paid = 0.0 if mdp.reward_data is None else mdp.reward_data
@@ -270,7 +269,7 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
 
 def _problem(target: FiniteMDP, policy: Any, distribution: Any, name: str, horizon: int | None) -> tuple[Array, Array]:
     """The gradient on the target's entries, and the distribution as (S*A,)."""
-    require_mdp(target, "target")
+    _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
     share = _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
@@ -289,12 +288,3 @@ def _weighted_sum(values: Array, share: Array) -> float:
     if missing.any():
         return float("inf")
     return float(np.sum(np.divide(values, share, out=np.zeros_like(values), where=share > 0)))
-
-
-__all__ = [
-    "efficiency_bound",
-    "leading_bias",
-    "ratio_of_ratios_variance",
-    "require_action_support",
-    "trajectory_efficiency_bound",
-]

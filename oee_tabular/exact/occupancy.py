@@ -1,4 +1,6 @@
-"""Discounted occupancies d(s), d(s, a), d(s, a, s'): the paper's equations for d_P^pi, normalised to sum to 1."""
+"""Discounted occupancies d(s), d(s, a), d(s, a, s'), the paper's equations for d_P^pi, normalised to sum to 1; and what they
+make of values: the derivative of J with respect to each transition probability, which carries sampling error from a model to J.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.values import policy_kernel
+from oee_tabular.exact.system import Kernel, policy_kernel, policy_system, readable, rows_of
+from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps
 
@@ -85,3 +88,60 @@ def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
         mass += weight
         weight *= mdp.discount
     return visits(mdp, policy, horizon) / mass
+
+
+def transition_gradient(
+    model: Model, policy: Any, *, horizon: int | None = None, values_of: Model | None = None
+) -> Array:
+    """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
+
+    sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
+    stands there only where rewards depend on s'. Defined up to a constant in each row (rows sum to 1).
+
+    Parameters
+    ----------
+    model : FiniteMDP (or a ReweightedModel)
+    policy : (S, A), stationary
+    horizon : positive int or None
+    values_of : V is that model's (its rewards too), which may have entries of its own: the result is then aligned with
+        ``values_of.transitions.data``; None: ``model``
+
+    Notes
+    -----
+    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
+    >>> transition_gradient(coin, [[1.0]] * 2).round(6).tolist()  # 0.5 V(s'), V = (0.5, 1.5), in each row
+    [0.25, 0.75, 0.25, 0.75]
+    """
+    require_model(model, "model")
+    if values_of is not None:
+        require_model(values_of, "values_of")
+        if values_of.rewards.shape != model.rewards.shape:
+            raise ValueError(
+                f"values_of must have the model's states and actions, {model.rewards.shape}; it has {values_of.rewards.shape}"
+            )
+    steps = optional_steps(horizon, model, kept=model.n_states)
+    pi = check_policy(policy, model)
+    valued = model if values_of is None else values_of
+    gamma = model.discount
+    rows, columns = row_of_entry(valued.transitions), valued.transitions.indices
+    action_share = pi.reshape(-1)[rows]
+    start = rows // model.n_actions
+    pay = 0.0 if valued.reward_data is None else valued.reward_data
+    if steps is None:
+        values = state_values(valued, pi)
+        visits = occupancy(model, pi, of="state") / (1.0 - gamma)
+        return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
+    from oee_tabular.exact import _finite
+
+    back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, pi).T)), 1.0)
+    to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(len(rows))
+    paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
+    kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
+    entries = rows_of(valued.transitions)
+    _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, readable(paid), total)
+    return np.asarray(total * action_share)

@@ -7,7 +7,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.values import action_values
-from oee_tabular.exact.walks import require_mdp
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import followed
 from oee_tabular.mdp.policies import deterministic_policy
@@ -39,7 +38,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()  # but not when there is no time left
     [[1, 0], [0, 0], [0, 0]]
     """
-    require_mdp(mdp)
+    _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.optional_horizon(horizon)
     if steps is not None:
         size = mdp.rewards.size

@@ -7,62 +7,16 @@ a reward r(s, a) at time t carries zeta_1 ... zeta_t, a reward r(s, a, s') also 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
-
-
-class Model(Protocol):
-    """What the functions of ``exact`` read: a FiniteMDP, or a ReweightedModel with rows of any sum.
-
-    Examples
-    --------
-    >>> import oee_tabular as oee
-    >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
-    >>> models: list[Model] = [target, reweight(simulator, oee.true_ratio(target, simulator))]
-    >>> first, second = (oee.policy_value(model, oee.tasks.gridworld_expert(3)) for model in models)
-    >>> abs(first - second) < 1e-9
-    True
-    """
-
-    @property
-    def n_states(self) -> int:
-        """S."""
-
-    @property
-    def n_actions(self) -> int:
-        """A."""
-
-    @property
-    def transitions(self) -> sparse.csr_array:
-        """(S*A, S) nonnegative."""
-
-    @property
-    def rewards(self) -> Array:
-        """(S, A) expected reward of a step."""
-
-    @property
-    def reward_data(self) -> Array | None:
-        """r(s, a, s') aligned with transitions.data, or None."""
-
-    @property
-    def initial(self) -> Array:
-        """(S,)."""
-
-    @property
-    def discount(self) -> float:
-        """In [0, 1]."""
-
-    @property
-    def terminal_state(self) -> IntArray:
-        """(S0,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +52,13 @@ class ReweightedModel:
     layout: Array | None = None
 
 
+MODELS = (FiniteMDP, ReweightedModel)
+Model: TypeAlias = FiniteMDP | ReweightedModel  # what the functions of ``exact`` read
+
+
 def require_model(value: object, name: str = "mdp") -> None:
     """A ValueError for what is neither a FiniteMDP nor a ReweightedModel."""
-    _checks.instance(value, (FiniteMDP, ReweightedModel), name, "FiniteMDP")
+    _checks.instance(value, MODELS, name, "FiniteMDP")
 
 
 def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
@@ -138,7 +96,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     kernel = on_pattern(mdp.transitions, zeta * mdp.transitions.data)
     rewards = mdp.rewards
     if mdp.reward_data is not None:
-        rewards = row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape)
+        rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))
     return ReweightedModel(
         mdp.n_states,
         mdp.n_actions,

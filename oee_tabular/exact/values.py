@@ -11,14 +11,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, BoolArray
 from oee_tabular.exact import finite
-from oee_tabular.exact.infinite import infinite_values, kernel_parts
-from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.systems import readable
+from oee_tabular.exact.reweighted import MODELS, Model, require_model
+from oee_tabular.exact.system import (
+    System,
+    entries_of,
+    exponent,
+    policy_system,
+    readable,
+    recurrent_states,
+    rows_of,
+    scaled_back,
+    without,
+)
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps, steps_of
 
@@ -39,16 +47,11 @@ class PolicyValues:
     certified: float | None = None
 
 
-def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
-    """(S, S): sum_a policy[s, a] K(s' | s, a)."""
-    indptr, columns, values = kernel_parts(model, policy, True)
-    signed = (part.view(np.int32) for part in (columns, indptr))
-    return sparse.csr_array((values, *signed), shape=(model.n_states, model.n_states))
-
-
 def policy_rewards(model: Model, policy: Array) -> Array:
     """(S,): sum_a policy[s, a] r(s, a)."""
-    return np.asarray(np.einsum("sa,sa->s", policy, model.rewards))
+    from oee_tabular.exact import _policy_rows
+
+    return np.asarray(_policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
 
 
 def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> PolicyValues:
@@ -88,9 +91,9 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
     >>> found.values.round(6).tolist(), round(found.value, 6), found.error_bound < 1e-12
     ([0.5, 1.5], 1.0, True)
     """
-    require_model(model, "model")
+    _checks.instance(model, MODELS, "model", "FiniteMDP")
     _checks.boolean(certify, "certify")
-    steps = optional_steps(horizon, model, policy)
+    steps = None if horizon is None else steps_of(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if certify and steps is not None:
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
@@ -98,8 +101,59 @@ def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, ce
         values = _backward(model, pi, steps)
         found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     else:
-        found = PolicyValues(*infinite_values(model, pi, certify))
+        found = infinite_values(model, pi, certify)
     return found if np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+
+
+def infinite_values(model: Model, policy: Array, certify: bool = False, shift: int = 0) -> PolicyValues:
+    """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
+
+    Rewards so small or large that their products leave the range of floats are first divided by 2^shift.
+    """
+    from oee_tabular.exact import _finite, _policy_rows, solvers
+
+    paid = np.ldexp(model.rewards, -shift) if shift else model.rewards
+    rewards, largest = _policy_rows.average_rewards(policy, paid)
+    if not shift and not 1e-100 < largest < 1e100 and (shift := exponent(model.rewards)):
+        found = infinite_values(model, policy, certify, shift)
+        values, bound, certified = scaled_back(found.values, found.error_bound, found.certified, shift)
+        with np.errstate(over="ignore", under="ignore"):
+            return PolicyValues(values, float(np.ldexp(found.value, shift)), bound, found.method, certified)
+    system, recurrent = policy_system(model, policy), None
+    if model.discount == 1.0:
+        recurrent = recurrent_states(system, rewards)
+        if recurrent.all():
+            return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed", 1.0 if certify else None)
+        system = without(system, recurrent)
+    norm = solvers.inverse_norm(system)
+    if certify:
+        return _certified(model, policy, paid, shift, system, recurrent, norm)
+    x, _, _, bound, _, method = solvers.answer(system, rewards)
+    begin = np.flatnonzero(model.initial)
+    value = _finite.dot(model.initial[begin], x[begin], len(begin))
+    slack = (model.n_actions + 1) * np.finfo(float).eps * largest
+    return PolicyValues(x, float(value), float(norm * (bound + slack)), method)
+
+
+def _certified(
+    model: Model, policy: Array, paid: Array, shift: int, system: System, recurrent: BoolArray | None, norm: float
+) -> PolicyValues:
+    """The same to the last bit, from what the rounding of the kernel and the rewards left."""
+    from oee_tabular.exact import _twofold
+    from oee_tabular.exact.certified import solve_certified
+
+    rows, largest = rows_of(model.transitions), float(np.abs(policy * paid).sum(axis=1).max())
+    lost, widest = np.zeros_like(paid), 0
+    if model.reward_data is not None:  # r(s, a) = sum P r(s, a, s') was rounded
+        lost, size = _twofold.expected_rest(rows, readable(np.ldexp(model.reward_data, -shift)), paid)
+        widest, largest = int(np.diff(rows.indptr).max()), max(largest, size)
+    low, pay, pay_low = _twofold.average_rest(rows, policy, paid, lost, system.kernel)
+    if recurrent is not None:
+        low[entries_of(system, recurrent)] = 0.0
+    slack = (0.5 * np.finfo(float).eps * (model.n_actions + widest + 8)) ** 2 * largest
+    found = solve_certified(system, low, pay, pay_low, norm, slack)
+    value = _twofold.dot(model.initial, found.high, found.low)
+    return PolicyValues(found.high, float(value), found.error_bound, found.method, found.certified)
 
 
 def _said(values: Any) -> Any:
@@ -113,20 +167,16 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
     if policy.ndim == 3:
         return finite.backward_in_time(model, policy, steps)
-    from oee_tabular.kernels.policy_rows import average_rewards
+    from oee_tabular.exact import _finite
 
-    indptr, columns, data = (readable(part) for part in kernel_parts(model, policy, False))
-    rewards, _ = average_rewards(finite.locked(policy), readable(model.rewards))
-    return finite.sweep((indptr, columns, data), rewards, model.discount, steps)
+    return np.asarray(_finite.sweep(policy_system(model, policy).kernel, policy_rewards(model, policy), steps))
 
 
 def _backup(model: Model, value: Array) -> Array:
     return np.asarray(model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape))
 
 
-def _normalise(model: Model, normalized: bool) -> float:
-    if not normalized:
-        return 1.0
+def _normalise(model: Model) -> float:
     if model.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     return 1.0 - model.discount
@@ -152,10 +202,11 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0
     """
-    require_model(mdp)
-    factor = _normalise(mdp, _checks.boolean(normalized, "normalized"))
+    _checks.instance(mdp, MODELS, "mdp", "FiniteMDP")
+    factor = _normalise(mdp) if _checks.boolean(normalized, "normalized") else 1.0
     if horizon is None:
-        return float(_said(factor * evaluate_policy(mdp, policy).value))
+        value = factor * evaluate_policy(mdp, policy).value
+        return value if np.isfinite(value) else float(_said(value))
     steps = steps_of(horizon, mdp, policy)
     return float(_said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 

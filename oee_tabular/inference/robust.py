@@ -100,7 +100,7 @@ class _Rows:
 
     def above(self, values: Array) -> Array:
         """(S*A,) certified bounds on sign * max sum P (sign * values), times sign; the maximisers are in ``p``."""
-        from oee_tabular.kernels import ambiguity as kernel
+        from oee_tabular.inference import _robust as kernel
 
         part = self._evidence
         v = self._sign * values

@@ -13,21 +13,6 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import steps_of
 
 
-def running_sums(data: Array, indptr: Any) -> Array:
-    """Sums of ``data`` from the beginning of each row up to each entry, each row by itself."""
-    total = np.empty(len(data))
-    lengths = np.diff(indptr)
-    rank = np.arange(len(data)) - np.repeat(indptr[:-1], lengths)
-    order = np.argsort(rank, kind="stable")  # all first entries, then all second ones, ...
-    sizes = np.bincount(rank, minlength=1)
-    low = 0
-    for width in sizes:
-        here = order[low : low + width]
-        total[here] = data[here] if low == 0 else total[here - 1] + data[here]
-        low += width
-    return total
-
-
 def stream_key(seed: Any) -> np.uint64:
     """A 64-bit key from anything that ``numpy.random.default_rng`` takes."""
     return np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
@@ -64,7 +49,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     Transitions(47 transitions in 10 episodes of 4 to 7 steps: 10 terminated, 0 truncated;
                 states 0..8, actions 0..2; rewards -0.8 to 0; behaviour probabilities)
     """
-    from oee_tabular.kernels import rollout
+    from oee_tabular.simulate import _rollout as rollout
 
     n = _checks.positive_integer(n_episodes, "n_episodes")
     _checks.require_memory(9.0 * n, "n_episodes", n)  # a row each, at least
@@ -76,7 +61,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     key = stream_key(seed)
     indptr = mdp.transitions.indptr.astype(np.int64)
     indices = mdp.transitions.indices.astype(np.int64)
-    cumulative = running_sums(mdp.transitions.data, indptr)
+    cumulative = rollout.running_sums(mdp.transitions.data, indptr)
     initial, table = np.cumsum(mdp.initial), np.cumsum(pi, axis=1)
     over = mdp.absorbing()
     lengths = rollout.episode_lengths(key, n, steps, initial, table, indptr, indices, cumulative, over)
@@ -112,7 +97,7 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
     >>> sample_transitions(coin, [[0.5], [0.5]], 1000, seed=0).counts(2, 1).toarray().tolist()
     [[222.0, 263.0], [262.0, 253.0]]
     """
-    from oee_tabular.kernels import rollout
+    from oee_tabular.simulate import _rollout as rollout
 
     _checks.instance(mdp, FiniteMDP, "mdp")
     size = _checks.positive_integer(n, "n")
@@ -123,7 +108,7 @@ def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) 
         weights = np.concatenate([weights, np.zeros((mdp.n_states - own, mdp.n_actions))])
     weights = _checks.distribution(weights, "distribution", (mdp.n_states, mdp.n_actions))
     indptr = mdp.transitions.indptr.astype(np.int64)
-    cumulative = running_sums(mdp.transitions.data, indptr)
+    cumulative = rollout.running_sums(mdp.transitions.data, indptr)
     rows, entries = rollout.transitions(stream_key(seed), size, np.cumsum(weights.reshape(-1)), indptr, cumulative)
     return _as_log(mdp, rows, entries)
 

@@ -135,9 +135,7 @@ def sample_returns(
     >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
     -197.914
     """
-    from oee_tabular.exact.walks import require_mdp  # not at import: logs do without
-
-    require_mdp(mdp)
+    _checks.instance(mdp, FiniteMDP, "mdp")
     _checks.one_of(kind, "kind", KINDS)
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")

@@ -19,7 +19,9 @@ from oee_tabular.mdp.horizons import steps_of
 from oee_tabular.simulate.logs import stream_key
 
 if TYPE_CHECKING:
-    from oee_tabular.kernels.alias import AliasTable
+    from oee_tabular.simulate._alias import Slots
+
+RECORDS_FROM = 1 << 22  # bytes of thresholds, successors and rewards: measured, tests/benchmarks/rollouts.py
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,24 @@ class Drawn:
         """W G; a return of 0 is 0 under any weight, even an infinite one."""
         with np.errstate(over="ignore"):
             return np.multiply(self.weights, self.returns, out=np.zeros_like(self.returns), where=self.returns != 0)
+
+
+@dataclass(frozen=True, eq=False)
+class AliasTable:
+    """One table for all states.
+
+    ``code`` (S + 1,) says where a state's slots are, the last one where those of the first state's draw are. Codes from
+    ``over`` on are those of states in which an episode is over.
+    """
+
+    slots: Slots
+    code: Any
+    over: np.uint64
+
+    @property
+    def most(self) -> np.uint64:
+        """The largest k of a move."""
+        return np.uint64((self.code[:-1] & np.uint64(255)).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +113,13 @@ class Sampler:
         return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
 
     def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
-        from oee_tabular.kernels.lanes import returns
+        from oee_tabular.simulate._lanes import Outcome, Plan, returns
 
-        table = self.table
+        table, by_move = self.table, self.mdp.reward_data is not None
+        draws = table.most, table.code[-1], table.over
+        plan = Plan(self.key, np.uint64(self.horizon), self.lanes, *draws, self.powers, weighted, by_move)
         chunk = max(16 * self.lanes, -(-self.n // 64))  # long enough to keep lanes busy, short enough for a few threads
-        returns(
-            self.key, self.n, chunk, np.uint64(self.horizon), self.lanes, table.arrays, table.most, table.code[-1],
-            table.over, self.powers, weighted, self.mdp.reward_data is not None, len(path) > 0, places, path,
-            sums, lengths, last,
-        )  # fmt: skip
+        returns(self.n, chunk, plan, table.slots, Outcome(sums, lengths, last, places, path))
 
 
 def sampler(
@@ -118,13 +136,44 @@ def sampler(
 
 def alias_table(mdp: FiniteMDP, policy: Array, ratio: Array, *, records: bool | None = None) -> AliasTable:
     """Of every state's (a, s') under the policy, and of the first state."""
-    from oee_tabular.kernels import alias
-
     matrix = mdp.transitions
     pay = mdp.rewards.reshape(-1) if mdp.reward_data is None else mdp.reward_data
-    return alias.build(
-        matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial, pay, ratio, mdp.absorbing(), records=records
-    )
+    parts = matrix.indptr, matrix.indices, matrix.data, policy, mdp.initial
+    return build(*parts, pay, ratio, mdp.absorbing(), records=records)
+
+
+def build(
+    indptr: Any, indices: Any, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
+    records: bool | None = None,
+) -> AliasTable:  # fmt: skip
+    """The table of all states under a policy, with rewards by row or by entry, and factors by entry, or none.
+
+    ``records``: each slot's four numbers side by side in 32 bytes, of which a step needs one cache line or two, instead of four
+    arrays; None: where the table is larger than a cache.
+    """
+    from oee_tabular.simulate._alias import Outcomes, Slots, fill, sizes
+
+    n_states, n_actions = policy.shape
+    outcomes = Outcomes(indptr, indices, prob, policy, initial)
+    widest = max(len(initial), int(np.diff(indptr[::n_actions]).max()))
+    size = np.empty(n_states + 1, np.int64)
+    sizes(outcomes, widest, size)
+    order = np.argsort(np.append(over, True), kind="stable")  # so that one comparison tells what is over
+    first, ends = np.empty(n_states + 1, np.int64), np.cumsum(1 << size[order])
+    first[order] = np.concatenate([[0], ends[:-1]])
+    n = int(ends[-1])
+    code = (first << 8 | size).astype(np.uint64)
+    if records or (records is None and 24 * n >= RECORDS_FROM):
+        room = np.empty(4 * n + 8, np.uint64)
+        ahead = -room.ctypes.data % 64 // 8  # no record lies across two cache lines
+        whole = room[ahead : ahead + 4 * n].reshape(n, 4)
+        numbers = whole.view(np.float64)
+        parts = whole[:, 0], whole[:, 1], numbers[:, 2], numbers[:, 3]
+    else:
+        parts = (*np.empty((2, n), np.uint64), np.empty(n), np.empty(n if len(ratio) else 0))
+    slots = Slots(*parts, np.empty(n, np.int64))
+    fill(outcomes, pay, ratio, widest, size, code, slots)
+    return AliasTable(slots, code, code[order[int(np.sum(~over))]])
 
 
 def entry_rewards(mdp: FiniteMDP) -> Array:

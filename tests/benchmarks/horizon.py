@@ -15,9 +15,10 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact import finite, walks
-from oee_tabular.exact.values import policy_kernel, policy_rewards
-from oee_tabular.kernels import horizon as kernels
+from oee_tabular.exact import _finite, _moments, finite, recursions
+from oee_tabular.exact.system import policy_kernel, policy_system
+from oee_tabular.exact.values import policy_rewards
+from oee_tabular.exact.walks import walk_of
 
 STEPS = 200
 
@@ -126,7 +127,7 @@ def values(size):
     grid = oee.tasks.gridworld(size, 0.3)
     policy = oee.uniform_policy(grid)
     kernel, rewards, discount = policy_kernel(grid, policy), policy_rewards(grid, policy), grid.discount
-    rows, pay = finite.rows_of(kernel), finite.locked(rewards)
+    rows = policy_system(grid, policy).kernel
     makers = {"scipy": scipy_sweeps, "quantecon": quantecon, "jax": jax}
     if size <= 10:
         makers["numpy, dense"] = numpy_sweeps
@@ -137,7 +138,7 @@ def values(size):
     seconds = 0.5 if size < 1000 else 4.0
     calls = {
         "ours": lambda: exact.state_values(grid, policy, horizon=STEPS),
-        "ours, sweeps alone": lambda: finite.sweep(rows, pay, discount, STEPS),
+        "ours, sweeps alone": lambda: _finite.sweep(rows, rewards, STEPS),
         "scipy, with its matrices": lambda: scipy_from_mdp(grid, policy),
     }
     scale = np.abs(truth).max()
@@ -193,15 +194,14 @@ def moments(size):
     """Rows of the mean and variance of the product estimator."""
     grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
     policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
-    walk = walks.walk_of(grid, policy, ratio=zeta)
-    strips = walks.strips_of(walk)
+    walk = walk_of(grid, policy, ratio=zeta)
+    extras = recursions.extras_of(walk, STEPS)
     made_before = scipy_moments(grid, zeta, policy)
-    variance = walks.centred(walk, STEPS, *[None] * 5, False)[1]
+    variance = _moments.per_decision(walk, STEPS, extras, False)[1]
     calls = {
         "ours": lambda: oee.weighted_return_moments(grid, zeta, policy, horizon=STEPS).variance,
-        "ours, zeta checked before": lambda: walks.merged(walk, walks.strips_of(walk), STEPS, *[None] * 4, False)[1][0],
-        "ours, sweeps alone": lambda: walks.merged(walk, strips, STEPS, *[None] * 4, False)[1][0],
-        "ours, the centred form": lambda: walks.centred(walk, STEPS, *[None] * 5, False)[1][0],
+        "ours, zeta checked before": lambda: recursions.merged(walk, STEPS, extras, False)[1][0],
+        "ours, the centred form": lambda: _moments.per_decision(walk, STEPS, extras, False)[1][0],
         "scipy": lambda: scipy_recursion(*made_before)[1][0],
         "scipy, with its matrices": lambda: scipy_recursion(*scipy_moments(grid, zeta, policy))[1][0],
     }
@@ -213,9 +213,8 @@ def kinds(size=10):
     """Rows of all kinds of moments, beside the compiled recursion of V, which they may be measured by."""
     grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
     policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
-    rows = finite.rows_of(policy_kernel(grid, policy))
-    pay = finite.locked(policy_rewards(grid, policy))
-    calls = {"a recursion of V": lambda: kernels.sweep(*rows, pay, grid.discount, STEPS, 0, 1, grid.n_states)}
+    kernel, pay = policy_system(grid, policy).kernel, policy_rewards(grid, policy)
+    calls = {"a recursion of V": lambda: _finite.sweep(kernel, pay, STEPS)}
     for kind in ("per_decision", "trajectory"):
         for options in ({}, {"self_normalized": True}, {"sources": True}):
             calls[f"ours, {kind} {' '.join(options)}".strip()] = lambda kind=kind, options=options: (

@@ -24,8 +24,10 @@ from common import interleaved, row, rows_of
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.exact.values import policy_kernel, policy_rewards
-from oee_tabular.simulate.logs import running_sums, stream_key
+from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.values import policy_rewards
+from oee_tabular.simulate._rollout import running_sums
+from oee_tabular.simulate.logs import stream_key
 
 TASK, HORIZON = "rollouts", 200
 
@@ -56,7 +58,8 @@ def padded(mdp, policy):
 
 def ours(mdp, policy, n):
     """Name -> a function that gives (transitions, returns or None); tables made before, as the peers' are, but in one row."""
-    from oee_tabular.kernels import lanes, rollout
+    from oee_tabular.simulate import _lanes as lanes
+    from oee_tabular.simulate import _rollout as rollout
     from oee_tabular.simulate.sampler import alias_table
 
     indptr, indices = (x.astype(np.int64) for x in (mdp.transitions.indptr, mdp.transitions.indices))
@@ -78,8 +81,8 @@ def ours(mdp, policy, n):
 
         def run():
             lanes.returns(
-                stream_key(0), n, max(1024, n // 64), np.uint64(HORIZON), 64, made.arrays, made.most, made.code[-1],
-                made.over, powers, weighted, by_move, record, places, path, sums, *outcomes,
+                n, max(1024, n // 64), lanes.Plan(stream_key(0), np.uint64(HORIZON), 64, made.most, made.code[-1], made.over,
+                powers, weighted, by_move), made.slots, lanes.Outcome(sums, *outcomes, places, path),
             )  # fmt: skip
             return int(outcomes[0].sum()), sums[0]
 

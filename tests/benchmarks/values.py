@@ -20,7 +20,8 @@ from scipy.sparse import linalg
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact.values import policy_kernel, policy_rewards
+from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.values import policy_rewards
 from oee_tabular.tasks.gridworld import gridworld_policy
 
 
@@ -159,16 +160,10 @@ def layered(n, size=4, actions=2, entries=3, reach=50):
 
 def tiny():
     """4 states: ours from the rows of the transitions, numpy from a dense P[s, a, s']."""
-    from oee_tabular.exact.systems import readable, unsigned
-    from oee_tabular.kernels.small_systems import small_value
-
     rng = np.random.default_rng(1)
     p, r, policy = rng.dirichlet(np.ones(4), (4, 3)), rng.normal(size=(4, 3)), rng.dirichlet(np.ones(3), 4)
     mdp, eye = oee.FiniteMDP(p, r, np.full(4, 0.25), 0.99), np.eye(4)
-    rows = mdp.transitions
-    parts = unsigned(rows.indptr), unsigned(rows.indices), readable(rows.data), readable(policy), readable(mdp.rewards)
     calls = {
-        "ours, compiled call (with its error bound)": lambda: small_value(*parts, 0.99)[0],
         "ours, evaluate_policy with its checks": lambda: exact.evaluate_policy(mdp, policy).values,
         "numpy": lambda: np.linalg.solve(
             eye - 0.99 * np.einsum("sa,sat->st", policy, p), np.einsum("sa,sa->s", policy, r)

@@ -95,21 +95,6 @@ def test_bad_batches(models, policies, text):
         exact.evaluate_batch(models, policies)
 
 
-@given(rngs)
-@settings(max_examples=10)
-def test_small_ones_of_any_sizes_are_taken_at_once(rng):
-    from oee_tabular.exact import batch
-
-    models = [random_mdp(rng, discount=0.9) for _ in range(5)]
-    policies = [random_policy(rng, model) for model in models]
-    known, alone = exact.evaluate_batch(models, policies), batch._one_by_one
-    batch._one_by_one = None
-    try:
-        assert_array_equal(exact.evaluate_batch(models, policies).value, known.value)
-    finally:
-        batch._one_by_one = alone
-
-
 def test_policies_of_single_precision_are_scaled_as_in_single_evaluations():
     policy = np.array([[1e-9, 1.0]] * 2, dtype=np.float32)
     mdp = oee.FiniteMDP([[[1.0, 0], [0, 1.0]], [[0, 1.0], [1.0, 0]]], [[1, 2.0], [3, 4]], [1, 0], 0.999)

@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
-from helpers import dense, paths, random_mdp, random_policy, rngs
+from helpers import BEHAVIOR, POLICY, dense, environments, paths, random_mdp, random_policy, rngs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact import leading_bias, ratio_of_ratios_variance
-from oee_tabular.exact.moments import values_to_go
-from oee_tabular.exact.walks import per_decision, walk_of
+from oee_tabular.exact.efficiency import require_action_support
+from oee_tabular.exact.recursions import per_decision
+from oee_tabular.exact.walks import walk_of
 
 
 def shares(rng, mdp, zeros=0.0):
@@ -103,7 +105,7 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
     mdp = random_mdp(rng, n_states=3, n_actions=2)
     behavior, policy = random_policy(rng, mdp, zeros=0), random_policy(rng, mdp)
     horizon = 3
-    values = values_to_go(walk_of(mdp, policy), horizon)
+    values = walk_of(mdp, policy).values_to_go(horizon)
     walk = walk_of(mdp, behavior, policy=policy)
     transitions, _ = dense(mdp)
     pairs = np.stack([mdp.rewards + mdp.discount * transitions @ values[t + 1] for t in range(horizon)])
@@ -336,6 +338,109 @@ def test_maximum_likelihood_attains_the_bound_for_one_kernel_and_is_below_the_on
     assert variance < 0.75 * oee.trajectory_efficiency_bound(steer, even, right, horizon=3)
 
 
+SHARE = np.array([[0.1, 0.2], [0.15, 0.05], [0.3, 0.2]])
+OTHER = np.array([[0.2, 0.2], [0.05, 0.25], [0.2, 0.1]])
+
+
+@pytest.mark.parametrize("form", [1, 3])
+@pytest.mark.parametrize("horizon", [None, 4])
+def test_the_ratio_of_ratios_variance_term_by_term(form, horizon):
+    simulator, target = environments(form)
+    p, q = dense(target)[0], dense(simulator)[0]
+    g = exact.transition_gradient(target, POLICY, horizon=horizon).reshape(3, 2, 3)
+    zeta, mean = p / q, (p * g).sum(axis=2)
+    bound = ((p * (g - mean[:, :, None]) ** 2).sum(axis=2) / SHARE).sum()
+    as_they_are = ((q * (zeta * g - mean[:, :, None]) ** 2).sum(axis=2) / OTHER).sum()
+    normalised = ((q * zeta**2 * (g - mean[:, :, None]) ** 2).sum(axis=2) / OTHER).sum()
+    extra = 2 * sum(((mean**2 / x).sum() - mean.sum() ** 2) for x in (SHARE, OTHER))
+    arguments, options = (simulator, target, POLICY, SHARE, OTHER), {"horizon": horizon}
+    assert_allclose(oee.efficiency_bound(target, POLICY, SHARE, **options), bound, rtol=1e-12)
+    assert_allclose(ratio_of_ratios_variance(*arguments, **options), bound + as_they_are, rtol=1e-10)
+    assert_allclose(ratio_of_ratios_variance(*arguments, rows="normalised", **options), bound + normalised, rtol=1e-10)
+    assert_allclose(
+        ratio_of_ratios_variance(*arguments, independent_samples=True, **options),
+        bound + as_they_are + extra,
+        rtol=1e-10,
+    )
+    never = OTHER.copy()
+    never[0, 0], never[0, 1] = 0.0, 0.4
+    assert ratio_of_ratios_variance(simulator, target, POLICY, SHARE, never, **options) == np.inf
+    assert ratio_of_ratios_variance(simulator, target, POLICY, never, OTHER, **options) == np.inf
+
+
+@pytest.mark.parametrize("form", [1, 2, 3])
+def test_the_leading_bias_is_that_of_second_differences(form):
+    """1/2 sum_x sum_s' P' D^2 J in the direction e_s' - P'(x), over data_distribution(x)."""
+    _, target = environments(form)
+    transitions, rewards = dense(target)
+    rows, step, total = transitions.reshape(6, 3), 1e-3, 0.0
+
+    def value(moved):
+        kernel = np.einsum("sa,sat->st", POLICY, moved)
+        paid = (POLICY * target.rewards).sum(axis=1)
+        if form == 3:
+            paid = np.einsum("sa,sat,sat->s", POLICY, moved, rewards)
+        return target.initial @ np.linalg.solve(np.eye(3) - 0.7 * kernel, paid)
+
+    for x in range(6):
+        for j in range(3):
+            direction = np.zeros((6, 3))
+            direction[x] = np.eye(3)[j] - rows[x]
+            ends = [value((rows + sign * step * direction).reshape(3, 2, 3)) for sign in (1, -1)]
+            total += rows[x, j] * (sum(ends) - 2 * value(transitions)) / step**2 / 2 / SHARE.reshape(-1)[x]
+    assert abs(total) > 0.01
+    assert_allclose(leading_bias(target, POLICY, SHARE), total, rtol=1e-4)
+
+
+@pytest.mark.parametrize("form", [2, 3])
+def test_the_bounds_for_episodes_with_their_own_weights(form):
+    """alpha^2 / beta for an MDP, E rho^2 for a tree, each times Var[r + gamma V], by marginals of the paths."""
+    mdp, _ = environments(form)
+    horizon, gamma = 3, 0.7
+    transitions, rewards = dense(mdp)
+    paid = rewards if form == 3 else np.zeros((3, 2, 3))
+    values = [oee.state_values(mdp, POLICY, horizon=horizon - t) for t in range(horizon)] + [np.zeros(3)]
+    found = {"mdp": 0.0, "tree": 0.0}
+    alpha, beta, square = mdp.initial, mdp.initial, mdp.initial
+    start = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
+    for t in range(horizon):
+        ahead = paid + gamma * values[t + 1]
+        spread = (transitions * (ahead - (transitions * ahead).sum(axis=2, keepdims=True)) ** 2).sum(axis=2)
+        under_policy, under_behavior = alpha[:, None] * POLICY, beta[:, None] * BEHAVIOR
+        squared = square[:, None] * POLICY**2 / BEHAVIOR
+        found["mdp"] += gamma ** (2 * t) * (under_policy**2 / np.maximum(under_behavior, 1e-300) * spread).sum()
+        found["tree"] += gamma ** (2 * t) * (squared * spread).sum()
+        alpha, beta, square = (np.einsum("sa,sat->t", x, transitions) for x in (under_policy, under_behavior, squared))
+    for model, expected in found.items():
+        bound = oee.trajectory_efficiency_bound(mdp, BEHAVIOR, POLICY, horizon=horizon, model=model)
+        assert_allclose(bound, start + expected, rtol=1e-12)
+    assert found["mdp"] < found["tree"]
+
+
+def test_only_actions_within_reach_must_be_taken():
+    """A corridor: the behaviour policy lacks action 1 in its third state, which two moves reach and one does not."""
+    rows = np.zeros((4, 2, 4))
+    rows[[0, 1, 2, 3], :, [1, 2, 3, 0]] = 1.0
+    mdp = FiniteMDP(rows, np.ones(4), [1, 0, 0, 0], 0.9)
+    half = np.full((4, 2), 0.5)
+    without = half.copy()
+    without[2] = [1.0, 0.0]
+    for horizon in (1, 2):
+        require_action_support(mdp, without, half, horizon)
+    text = r"in state 2 it never takes action 1 \(1 such state-action pairs in all\)$"
+    for horizon in (3, 4, 9, None):
+        with pytest.raises(ValueError, match=text):
+            require_action_support(mdp, without, half, horizon)
+    require_action_support(mdp, without, without, None)
+    never = half.copy()
+    never[:, 0], never[:, 1] = 0.0, 1.0
+    with pytest.raises(ValueError, match=r"in state 0 it never takes action 0 \(4 such"):
+        require_action_support(mdp, never, half, None)
+    over = FiniteMDP(np.ones((1, 2, 1)), np.zeros((1, 2)), [1.0], 0.9)
+    require_action_support(over, np.array([[1.0, 0.0]]), np.array([[0.5, 0.5]]), None)  # it is over: no action matters
+
+
+SIMULATOR, TARGET = environments(2)
 GRID = oee.tasks.gridworld(3, 0.3)
 UNIFORM = oee.uniform_policy(GRID)
 ONLY_UP = np.eye(4)[np.zeros(9, dtype=int)]
@@ -364,6 +469,50 @@ BAD = {
     "a target outside the simulator": (
         lambda: ratio_of_ratios_variance(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM, UNIFORM / 9, UNIFORM / 9),
         "target must stay where the simulator has probability",
+    ),
+    "ratio of ratios: rows": (
+        lambda: ratio_of_ratios_variance(SIMULATOR, TARGET, POLICY, SHARE, OTHER, rows="clipped"),
+        "^rows must be one of 'as_they_are', 'normalised'; got 'clipped'$",
+    ),
+    "ratio of ratios: simulator": (
+        lambda: ratio_of_ratios_variance(3, TARGET, POLICY, SHARE, OTHER),
+        "^simulator must be a FiniteMDP; got int$",
+    ),
+    "ratio of ratios: target": (
+        lambda: ratio_of_ratios_variance(SIMULATOR, 3, POLICY, SHARE, OTHER),
+        "^target must be a FiniteMDP; got int$",
+    ),
+    "ratio of ratios: data": (
+        lambda: ratio_of_ratios_variance(SIMULATOR, TARGET, POLICY, SHARE / 2, OTHER),
+        "^data_distribution must sum to 1",
+    ),
+    "ratio of ratios: the simulator's data": (
+        lambda: ratio_of_ratios_variance(SIMULATOR, TARGET, POLICY, SHARE, OTHER / 2),
+        "^simulator_distribution must sum to 1",
+    ),
+    "leading bias: data": (
+        lambda: leading_bias(TARGET, POLICY, SHARE / 2),
+        "^data_distribution must sum to 1",
+    ),
+    "leading bias: discount 1": (
+        lambda: leading_bias(TARGET.with_discount(1.0), POLICY, SHARE),
+        "^horizon must be given at discount 1$",
+    ),
+    "bound for episodes: mdp": (
+        lambda: oee.trajectory_efficiency_bound(3, BEHAVIOR, POLICY, horizon=2),
+        "^mdp must be a FiniteMDP; got int$",
+    ),
+    "bound for episodes: horizon": (
+        lambda: oee.trajectory_efficiency_bound(SIMULATOR, BEHAVIOR, POLICY, horizon=0),
+        "^horizon must be a positive integer; it is 0$",
+    ),
+    "bound for episodes: behaviour": (
+        lambda: oee.trajectory_efficiency_bound(SIMULATOR, BEHAVIOR * 2, POLICY, horizon=2),
+        r"^behavior_policy\[0\] must sum to 1",
+    ),
+    "bound for episodes: model": (
+        lambda: oee.trajectory_efficiency_bound(SIMULATOR, BEHAVIOR, POLICY, horizon=2, model="bush"),
+        "^model must be one of 'mdp', 'tree', 'stationary'; got 'bush'$",
     ),
 }
 

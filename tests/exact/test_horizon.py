@@ -1,18 +1,18 @@
-"""Finite horizons: light cone, frontier, blocks of rows and plain sweeps give one answer, that of the definition."""
+"""Finite horizons: light cone, frontier and plain sweeps give one answer, that of the definition."""
 
 import numpy as np
 import pytest
 from helpers import random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact import finite
-from oee_tabular.exact.values import evaluate_policy, policy_kernel, policy_rewards
-from oee_tabular.kernels import frontier, horizon
+from oee_tabular.exact import _finite, finite
+from oee_tabular.exact.system import policy_kernel, policy_system
+from oee_tabular.exact.values import evaluate_policy, policy_rewards
 
 horizons = st.integers(1, 9)
 
@@ -95,32 +95,26 @@ def test_a_policy_that_does_not_change_is_the_stationary_one(rng, steps):
     assert_allclose(both[1], both[0], rtol=1e-12, atol=1e-12 * max(1.0, np.abs(both[0]).max()))
 
 
-@given(rngs, st.integers(1, 12), st.integers(1, 6), st.integers(1, 20), st.integers(0, 3))
-def test_blocks_give_the_bits_of_plain_sweeps(rng, steps, height, width, more):
-    """Of any height and width, while no entry is further from the diagonal than the band."""
+@given(rngs, st.integers(1, 12))
+def test_a_sweep_is_that_many_products(rng, steps):
     model = some_model(rng)
     policy = random_policy(rng, model)
-    rows, rewards = finite.rows_of(policy_kernel(model, policy)), finite.locked(policy_rewards(model, policy))
-    plain = horizon.sweep(*rows, rewards, model.discount, steps, 0, 1, model.n_states)
-    band = horizon.bandwidth(*rows[:2]) + more
-    assert_array_equal(horizon.sweep(*rows, rewards, model.discount, steps, band, height, width), plain)
+    kernel, rewards = policy_system(model, policy).kernel, policy_rewards(model, policy)
+    value, matrix = np.zeros(model.n_states), policy_kernel(model, policy)
+    for _ in range(steps):
+        value = rewards + model.discount * (matrix @ value)
+    assert_allclose(
+        _finite.sweep(kernel, rewards, steps), value, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(value).max())
+    )
 
 
 @pytest.mark.parametrize("steps", [1, 2, 37])
-def test_what_outgrows_the_cache_has_the_same_bits(monkeypatch, steps):
+def test_a_sweep_over_all_states_and_one_over_the_cone_have_the_same_bits(steps):
     grid = oee.tasks.gridworld(40, 0.3)
     policy = oee.uniform_policy(grid)
-    plain = exact.state_values(grid, policy, horizon=steps)
-    monkeypatch.setattr(finite, "CACHED", 40_000)
-    assert_array_equal(exact.state_values(grid, policy, horizon=steps), plain)
     uniform = oee.FiniteMDP(grid.transitions, grid.rewards, np.full(1600, 1 / 1600), 0.99)
-    assert_allclose(exact.policy_value(uniform, policy, horizon=steps), plain.mean(), rtol=1e-13)
-
-
-def test_the_bandwidth_is_the_widest_entry():
-    kernel = sparse.csr_array(([0.5, 0.5, 1.0, 1.0], [0, 3, 1, 0, ], [0, 2, 3, 4, 4]), shape=(4, 4))  # fmt: skip
-    assert horizon.bandwidth(*finite.rows_of(kernel)[:2]) == 3
-    assert horizon.bandwidth(*finite.rows_of(kernel.T.tocsr())[:2]) == 3
+    mean = exact.state_values(grid, policy, horizon=steps).mean()
+    assert_allclose(exact.policy_value(uniform, policy, horizon=steps), mean, rtol=1e-13)
 
 
 def test_only_what_is_reached_in_time_is_read():
@@ -131,7 +125,7 @@ def test_only_what_is_reached_in_time_is_read():
     initial = np.eye(size)[3]
     line = oee.FiniteMDP(moves.tocsr(), np.arange(size, dtype=float), initial, 0.5)
     policy = np.ones((size, 1))
-    states, ends, indptr, indices, data, rewards, begin = finite.light_cone(line, policy, steps)
+    states, ends, (indptr, indices, data, _), rewards, begin = finite.light_cone(line, policy, steps)
     assert states.tolist() == [3, 4, 5]
     assert ends.tolist() == [1, 2, 3]
     assert (indptr.tolist(), indices.tolist(), data.tolist()) == ([0, 1, 2], [1, 2], [1.0, 1.0])
@@ -166,7 +160,7 @@ def test_first_states_that_nothing_else_leads_to():
 def test_dots_of_long_vectors(rng):
     size = int(rng.integers(1, 1000))
     x, y = rng.normal(size=size), rng.normal(size=size)
-    assert_allclose(horizon.dot(x, y, size), x @ y, rtol=1e-12, atol=1e-12)
+    assert_allclose(_finite.dot(x, y, size), x @ y, rtol=1e-12, atol=1e-12)
 
 
 GOOD = np.array([[0.5, 0.5], [0.25, 0.75]])
@@ -181,7 +175,7 @@ def test_a_policy_that_is_read_as_it_stands_is_checked(table):
     """The compiled look sends what is odd to ``check_policy``, whose words these are."""
     mdp = random_mdp(np.random.default_rng(0), n_states=2, n_actions=2)
     policy = np.array(table)
-    assert not frontier.stochastic(finite.locked(policy), 1e-9)
+    assert not _finite.stochastic(policy, 1e-9)
     with pytest.raises(ValueError, match=r"policy\[\d(, \d)?\] must (be nonnegative|sum to 1|be finite)"):
         oee.policy_value(mdp, policy, horizon=2)
     with pytest.raises(ValueError, match="policy"):
@@ -194,13 +188,13 @@ def test_a_policy_that_is_read_as_it_stands_is_checked(table):
 def test_four_actions_are_looked_at_together(row, column, value):
     """Several rows at a time; an entry that is odd, anywhere, is seen."""
     policy = np.full((17, 4), 0.25)
-    assert frontier.stochastic(finite.locked(policy), 1e-9)
+    assert _finite.stochastic(policy, 1e-9)
     policy[row, column] = value
-    assert not frontier.stochastic(finite.locked(policy), 1e-9)
+    assert not _finite.stochastic(policy, 1e-9)
     if value < 0.0:  # a sum of 1 does not hide it
         policy[row, (column + 1) % 4] += 0.25 - value
         assert_allclose(policy[row].sum(), 1.0)
-        assert not frontier.stochastic(finite.locked(policy), 1e-9)
+        assert not _finite.stochastic(policy, 1e-9)
 
 
 def test_a_policy_is_copied_only_where_it_must_be():

@@ -1,30 +1,32 @@
 """Exact moments against the enumeration of every path; statements named in brackets (notebooks/statements.md)."""
 
-import itertools
 import warnings
 
 import numpy as np
 import pytest
-from helpers import dense, paths, random_mdp, random_policy, rngs, survival_chain
+from helpers import (
+    BEHAVIOR,
+    POLICY,
+    dense,
+    environments,
+    paths,
+    random_mdp,
+    random_policy,
+    ratio_of,
+    rngs,
+    survival_chain,
+)
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.exact import walks, weight_growth, weight_moments
-from oee_tabular.exact.moments import values_to_go
+from oee_tabular import exact
+from oee_tabular.exact import weight_growth, weight_moments
 from oee_tabular.exact.walks import walk_of
-from oee_tabular.kernels.merged import LANES, PARTS
 
 KINDS = ("per_decision", "trajectory")
-
-
-def ratio_of(rng, simulator):
-    """Any weights on the simulator's entries: rows of zeta * P of any sum, zeros among them."""
-    data = rng.integers(0, 4, simulator.transitions.nnz) / 2.0
-    matrix = simulator.transitions
-    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def enumerated(mdp, drawn, u, w, horizon, kind):
@@ -134,7 +136,7 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
     found = oee.doubly_robust_moments(
         simulator, zeta, policy, baseline=baseline, horizon=horizon, action_baseline=action_baseline
     )
-    u = values_to_go(walk_of(simulator, policy), horizon) if baseline is None else baseline.copy()
+    u = walk_of(simulator, policy).values_to_go(horizon) if baseline is None else baseline.copy()
     u[horizon] = 0
     transitions, rewards = dense(simulator)
     over = simulator.absorbing()
@@ -164,7 +166,7 @@ def test_23_with_the_true_values_only_the_start_varies(rng):
     simulator = random_mdp(rng)
     target = random_mdp(rng, like=simulator)
     policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
-    values = values_to_go(walk_of(target, policy), 4)
+    values = walk_of(target, policy).values_to_go(4)
     found = oee.doubly_robust_moments(simulator, zeta, policy, baseline=values, horizon=4, action_baseline=True)
     start = target.initial @ (values[0] - target.initial @ values[0]) ** 2
     assert_allclose(found.variance, start, atol=1e-9 * max(1.0, found.mean**2))
@@ -235,7 +237,7 @@ def test_10_12_26_moments_of_the_weight(rng):
     if not simulator.absorbing().any():
         other = ratio_of(rng, simulator)
         mass = [simulator.initial.sum()]
-        alpha, kernel = simulator.initial, oee.exact.values.policy_kernel(oee.exact.reweight(simulator, other), policy)
+        alpha, kernel = simulator.initial, oee.exact.system.policy_kernel(oee.exact.reweight(simulator, other), policy)
         for _ in range(6):
             alpha = kernel.T @ alpha
             mass.append(alpha.sum())
@@ -247,7 +249,7 @@ def test_25_the_law_of_total_variance(rng):
     """Var G = Var V_0 + sum gamma^2t E Var_a Q_t + gamma^(2t+2) E Var V_{t+1}, for r(s, a)."""
     mdp = random_mdp(rng, form=2)
     policy, horizon = random_policy(rng, mdp), 4
-    values = values_to_go(walk_of(mdp, policy), horizon)
+    values = walk_of(mdp, policy).values_to_go(horizon)
     transitions, _ = dense(mdp)
     total = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
     reached = mdp.initial
@@ -260,83 +262,6 @@ def test_25_the_law_of_total_variance(rng):
         reached = np.einsum("s,sa,sat->t", reached, policy, transitions)
     found = oee.return_moments(mdp, policy, horizon=horizon)
     assert_allclose(found.variance, total, rtol=1e-9, atol=1e-10)
-
-
-@settings(max_examples=150)
-@given(rngs, st.sampled_from(["zeta", "policies", "none"]), st.booleans(), st.booleans())
-def test_merged_sweeps_are_the_centred_form(rng, weights, timed, based):
-    """One sweep over entries merged over actions; strips that fill and that do not; blocks of any size to the same bits."""
-    mdp = random_mdp(rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5)))
-    steps = int(rng.integers(1, 7))
-    options = {
-        "zeta": lambda: {"ratio": ratio_of(rng, mdp)}, "policies": lambda: {"policy": random_policy(rng, mdp)},
-        "none": dict,
-    }[weights]()  # fmt: skip
-    walk = walk_of(mdp, random_policy(rng, mdp), **options)
-    shift, scale = (rng.normal(size=steps), np.exp(rng.normal(size=steps))) if timed else (None, None)
-    h, k = (rng.normal(size=(n, mdp.n_states)) for n in (steps, steps + 1)) if based else (None, None)
-    old = walks.centred(walk, steps, shift, scale, None, h, k, True)
-    new = walks.merged(walk, walks.strips_of(walk), steps, shift, scale, h, k, True)
-    for name, a, b in zip(("mean", "var", "local"), new, old, strict=True):
-        assert_allclose(a, b, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(b).max()), err_msg=name)
-    height, width = int(rng.integers(1, 5)), int(rng.integers(1, 4))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(walks, "_blocks", lambda size, strips, band: (max(int(band), 1), height, width))
-        for a, b in zip(walks.merged(walk, walks.strips_of(walk), steps, shift, scale, h, k, True), new, strict=True):
-            assert_array_equal(a, b)
-
-
-@given(rngs, st.booleans(), st.booleans())
-def test_moves_to_states_that_stand_side_by_side(rng, timed, based):
-    """On a ring the strips' entries are consecutive states, but where it closes; the same numbers as in the centred form."""
-    n, n_actions, steps = int(rng.integers(70, 200)), 2, 4
-    steps_of = rng.choice(np.arange(-5, 40), 3, replace=False)
-    transitions = np.zeros((n, n_actions, n))
-    for step in steps_of:
-        transitions[np.arange(n), :, (np.arange(n) + step) % n] += rng.gamma(0.3, size=(n, n_actions)) + 1e-9
-    transitions /= transitions.sum(axis=2, keepdims=True)
-    mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
-    walk = walk_of(mdp, random_policy(rng, mdp), ratio=ratio_of(rng, mdp))
-    shift, scale = (rng.normal(size=steps), np.exp(rng.normal(size=steps))) if timed else (None, None)
-    h, k = (rng.normal(size=(x, n)) for x in (steps, steps + 1)) if based else (None, None)
-    strips = walks.strips_of(walk)
-    offsets, columns, aligned, numbers, *_ = strips
-    columns = columns.reshape(-1, LANES).astype(np.int64)
-    assert_array_equal(aligned, (columns == columns[:, :1] + np.arange(LANES)).all(axis=1))
-    assert not aligned.all()
-    mass = numbers.reshape(-1, PARTS, LANES)[:, 0]
-    for first, last in itertools.pairwise(offsets):
-        assert (2.0 * mass[first] >= mass[first:last].max(axis=0)).all()
-    old = walks.centred(walk, steps, shift, scale, None, h, k, True)
-    for a, b in zip(walks.merged(walk, strips, steps, shift, scale, h, k, True), old, strict=True):
-        assert_allclose(a, b, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(b).max()))
-
-
-def test_a_grids_strips_are_read_side_by_side():
-    """Entries are in the order of their columns, at a wall as beside it: four of five strips' at 100 x 100 are consecutive."""
-    grid = oee.tasks.gridworld(100, 0.3)
-    aligned = walks.strips_of(walk_of(grid, oee.uniform_policy(grid)))[2]
-    assert aligned.mean() > 0.8
-
-
-def test_rows_of_very_different_lengths_are_sorted_into_strips():
-    """One state of 200 that leads everywhere, the others to two: equal to the centred form, with no more room than needed."""
-    rng = np.random.default_rng(0)
-    transitions = np.zeros((200, 1, 200))
-    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
-    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
-    transitions[77] = 1 / 200
-    mdp = oee.FiniteMDP(transitions, rng.normal(size=(200, 1, 200)), np.full(200, 1 / 200), 0.9)
-    walk = walk_of(mdp, np.ones((200, 1)), ratio=ratio_of(rng, mdp))
-    strips = walks.strips_of(walk)
-    old, new = walks.centred(walk, 5, *[None] * 5, True), walks.merged(walk, strips, 5, *[None] * 4, True)
-    for a, b in zip(new, old, strict=True):
-        assert_allclose(a, b, rtol=1e-11, atol=1e-12)
-    offsets, *_, order, _ = strips
-    assert offsets[-1] <= 200 + 2 * 6
-    assert order[199] == 77
-    assert sorted(order[:200]) == list(range(200))
-    assert (order[200:] == 200).all()
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -365,13 +290,6 @@ def test_states_that_are_never_reached_may_pay_anything():
             for m in (huge, small)
         )
         assert_allclose((one.mean, one.variance), (two.mean, two.variance), rtol=1e-12)
-
-
-def test_blocks_fit_the_cache_or_are_one():
-    assert walks._blocks(10 * 1000, 10, 2) == (0, 1, 10)  # all of it fits
-    assert walks._blocks(10_000 * 10_000, 10_000, 5000) == (0, 1, 10_000)  # the band does not
-    band, height, width = walks._blocks(10_000 * 6000, 10_000, 10)
-    assert (band, height >= 2, width + height * band <= walks.CACHED / 6000) == (10, True, True)
 
 
 @given(rngs)
@@ -474,6 +392,40 @@ def test_05_06_07_relabelling_and_longer_horizons_change_nothing(rng, kind):
     assert_allclose((short.mean, short.variance), (long.mean, long.variance), rtol=1e-12)
 
 
+def test_policy_importance_sampling_with_both_policies_in_time():
+    """A behaviour policy for each step, the evaluated one for each step or for all."""
+    mdp, _ = environments(2)
+    moving = np.stack([BEHAVIOR, POLICY, BEHAVIOR])
+    for policy in (POLICY, np.stack([POLICY, BEHAVIOR, POLICY])):
+        found = oee.policy_is_moments(mdp, moving, policy, horizon=3)
+        assert_allclose(found.mean, oee.policy_value(mdp, policy, horizon=3), rtol=1e-12)
+    same = oee.policy_is_moments(mdp, moving, moving, horizon=3)
+    plain = oee.return_moments(mdp, moving, horizon=3)
+    assert_allclose((same.mean, same.variance), (plain.mean, plain.variance), rtol=1e-12)
+
+
+def test_moments_print_their_numbers():
+    found = exact.return_moments(oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld_expert(3), horizon=5)
+    assert found.by_step is None
+    page = found._repr_html_()
+    for text in ("Moments of one episode", "standard deviation", f"{found.standard_deviation:.6g}", "mean"):
+        assert text in page
+
+
+def test_moments_without_a_horizon_have_the_exact_mean():
+    simulator = oee.tasks.gridworld(4, 0.3, discount=0.8)
+    zeta = oee.true_ratio(oee.tasks.gridworld(4, 0.27), simulator)
+    policy = oee.uniform_policy(simulator)
+    known = oee.policy_value(exact.reweight(simulator, zeta.values), policy)
+    for sources in (False, True):
+        found = exact.weighted_return_moments(simulator, zeta, policy, sources=sources)
+        assert_allclose(found.mean, known, rtol=1e-12)
+        assert (found.by_state is not None) == sources
+    assert_allclose(exact.return_moments(simulator, policy).mean, oee.policy_value(simulator, policy), rtol=1e-12)
+
+
+SIMULATOR, TARGET = environments(2)
+ZETA = oee.true_ratio(TARGET, SIMULATOR)
 BAD = {
     "a trajectory without end": (
         lambda: oee.weighted_return_moments(CHAIN, RATIO, ONE, kind="trajectory"),
@@ -506,6 +458,42 @@ BAD = {
     "a simulator of what": (
         lambda: oee.weighted_return_moments(None, RATIO, ONE, horizon=1),
         "simulator must be a FiniteMDP; got NoneType",
+    ),
+    "weighted moments: simulator": (
+        lambda: oee.weighted_return_moments(3, ZETA, POLICY, horizon=2),
+        "simulator must be a FiniteMDP; got int$",
+    ),
+    "weighted moments: kind": (
+        lambda: oee.weighted_return_moments(SIMULATOR, ZETA, POLICY, kind="step", horizon=2),
+        "^kind must be one of 'per_decision', 'trajectory'; got 'step'$",
+    ),
+    "policy moments: mdp": (
+        lambda: oee.policy_is_moments(3, POLICY, POLICY, horizon=2),
+        "^mdp must be a FiniteMDP; got int$",
+    ),
+    "policy moments: behaviour": (
+        lambda: oee.policy_is_moments(SIMULATOR, POLICY * 2, POLICY, horizon=2),
+        r"^behavior_policy\[0\] must sum to 1",
+    ),
+    "policy moments: policy": (
+        lambda: oee.policy_is_moments(SIMULATOR, POLICY, POLICY * 2, horizon=2),
+        r"^policy\[0\] must sum to 1",
+    ),
+    "doubly robust: simulator": (
+        lambda: oee.doubly_robust_moments(3, ZETA, POLICY, horizon=2),
+        "^simulator must be a FiniteMDP; got int$",
+    ),
+    "doubly robust: horizon": (
+        lambda: oee.doubly_robust_moments(SIMULATOR, ZETA, POLICY, horizon=None),
+        "^horizon must be a positive integer; got None$",
+    ),
+    "doubly robust: a baseline that is no array": (
+        lambda: oee.doubly_robust_moments(SIMULATOR, ZETA, POLICY, baseline="V", horizon=2),
+        "^baseline must be an array of numbers; got str",
+    ),
+    "doubly robust: a baseline that is not finite": (
+        lambda: oee.doubly_robust_moments(SIMULATOR, ZETA, POLICY, baseline=np.full((3, 3), np.inf), horizon=2),
+        r"^baseline\[0, 0\] must be finite; it is inf$",
     ),
     "moments of what": (lambda: oee.return_moments(3, ONE, horizon=1), "mdp must be a FiniteMDP; got int"),
 }

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from helpers import random_mdp, rngs
 from hypothesis import given, settings
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
+from oee_tabular import FiniteMDP
 from oee_tabular.mdp.policies import deterministic_policy
 
 
@@ -78,3 +79,32 @@ def test_peers_agree(name):
         unit[s] = 1.0
         visits = DiscreteDP(unit, kernel[:, None, :], mdp.discount).evaluate_policy(np.zeros(mdp.n_states, dtype=int))
         assert_allclose(share[s], (1 - mdp.discount) * (mdp.initial @ visits), rtol=0, atol=1e-9)
+
+
+def test_at_discount_one_the_plan_starts_from_a_policy_that_is_absorbed():
+    """Action 0 stays for nothing, action 1 costs 1 and leads out, where 5 are paid on the way: out, not for ever."""
+    rows = np.array([[[1.0, 0, 0], [0, 1.0, 0]], [[0, 0, 1.0], [0, 1.0, 0]], [[0, 0, 1.0], [0, 0, 1.0]]])
+    mdp = FiniteMDP(rows, np.array([[0.0, -1.0], [5.0, 0.0], [0.0, 0.0]]), [1, 0, 0], 1.0)
+    plan = oee.optimal_policy(mdp)
+    assert oee.policy_value(mdp, plan) == 4.0
+    assert_array_equal(plan[:2], [[0.0, 1.0], [1.0, 0.0]])
+
+
+def test_with_a_horizon_the_first_of_equal_actions_and_the_discount():
+    """A delayed 10 against 6 at once: with discount 0.5 the latter; at the last step only what is paid at once counts."""
+    rows = np.array([[[0.0, 1.0], [0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0]] * 3])
+    rows[0, 0] = [1.0, 0.0]
+    mdp = FiniteMDP(rows, np.array([[0.0, 6.0, 6.0], [0.0, 0.0, 0.0]]), [1, 0], 0.5)
+    plan = oee.optimal_policy(mdp, horizon=3)
+    assert plan.shape == (3, 2, 3)
+    assert_array_equal(plan[:, 0], [[0.0, 1.0, 0.0]] * 3)
+    assert_array_equal(plan[:, 1], [[1.0, 0.0, 0.0]] * 3)
+    free = oee.optimal_policy(mdp.with_discount(1.0), horizon=2)
+    assert_array_equal(free[:, 0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def test_equal_actions_up_to_rounding_are_equal():
+    """0.1 + 0.2 against 0.3: the first, whichever is the larger in floating point."""
+    rows = np.ones((1, 2, 1))
+    for rewards in ([[0.1 + 0.2, 0.3]], [[0.3, 0.1 + 0.2]]):
+        assert_array_equal(oee.optimal_policy(FiniteMDP(rows, np.array(rewards), [1.0], 0.0)), [[1.0, 0.0]])

@@ -15,11 +15,11 @@ from scipy.optimize import linprog
 
 import oee_tabular as oee
 from oee_tabular.exact import evaluate_policy
+from oee_tabular.inference import _robust as kernel
 from oee_tabular.inference import ambiguity, likelihood, robust
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.statements import rectangular_program
-from oee_tabular.kernels import ambiguity as kernel
 
 
 def random_row(rng, box=True):

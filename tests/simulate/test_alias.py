@@ -8,7 +8,8 @@ from helpers import rngs
 from hypothesis import given
 from numpy.testing import assert_array_equal
 
-from oee_tabular.kernels import alias, lanes
+from oee_tabular.simulate import _lanes as lanes
+from oee_tabular.simulate import sampler as alias
 
 
 def table_of(rows, records=None):
@@ -30,10 +31,10 @@ def masses(table, starts, state):
     room = 2 ** (64 - k)
     found = [0] * (starts[state + 1] - starts[state])
     for i in range(2**k):
-        word = int(table.word[first + i])
+        word = int(table.slots.word[first + i])
         threshold, other = word >> k, word & (2**k - 1)
-        found[table.entry[first + i] - starts[state]] += threshold
-        found[table.entry[first + other] - starts[state]] += room - threshold
+        found[table.slots.entry[first + i] - starts[state]] += threshold
+        found[table.slots.entry[first + other] - starts[state]] += room - threshold
     return found
 
 
@@ -87,7 +88,7 @@ def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_doe
     code = table.code[0]
     first, k = int(code) >> 8, int(code) & 255
     for i in range(2**k):
-        word = int(table.word[first + i])
+        word = int(table.slots.word[first + i])
         threshold, other = word >> k + 32, word & (2**k - 1)
         for high, taken in (
             (0, i),
@@ -98,7 +99,7 @@ def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_doe
         ):
             if 0 <= high < 2 ** (32 - k):
                 x = high << k | i
-                slot, distance = lanes.choose(code, np.uint64(x << 32 | x), table.word, np.uint64(2 ** (k + 32)))
+                slot, distance = lanes.choose(code, np.uint64(x << 32 | x), table.slots.word, np.uint64(2 ** (k + 32)))
                 assert (int(distance) < 2 ** (k + 33)) >= (high == threshold)
                 assert (int(distance) < 2 ** (k + 33)) <= (abs(high - threshold) <= 1 or high == 2 ** (32 - k) - 1)
                 assert high == threshold or int(slot) == first + taken
@@ -107,13 +108,17 @@ def test_a_word_below_the_threshold_takes_the_slots_own_outcome_and_no_other_doe
 def test_records_hold_what_arrays_hold_in_aligned_32_bytes():
     rows = [np.random.default_rng(s).dirichlet(np.ones(s + 1)) for s in range(9)]
     (arrays, _), (records, _) = table_of(rows, records=False), table_of(rows, records=True)
-    for name in ("word", "following", "reward", "factor", "entry", "code", "over"):
-        assert_array_equal(getattr(arrays, name), getattr(records, name))
-    assert records.word.strides == (32,)
-    assert records.word.ctypes.data % 32 == 0
-    assert [getattr(records, name).ctypes.data - records.word.ctypes.data
+    for one, other in (
+        (arrays.code, records.code),
+        (arrays.over, records.over),
+        *zip(arrays.slots, records.slots, strict=True),
+    ):
+        assert_array_equal(one, other)
+    assert records.slots.word.strides == (32,)
+    assert records.slots.word.ctypes.data % 32 == 0
+    assert [getattr(records.slots, name).ctypes.data - records.slots.word.ctypes.data
             for name in ("word", "following", "reward", "factor")] == [0, 8, 16, 24]  # fmt: skip
-    assert arrays.word.strides == (8,)
+    assert arrays.slots.word.strides == (8,)
 
 
 def test_rewards_of_a_row_and_of_an_entry_and_codes_of_successors():
@@ -128,13 +133,16 @@ def test_rewards_of_a_row_and_of_an_entry_and_codes_of_successors():
             for state in range(2):
                 low, k = int(table.code[state]) >> 8, int(table.code[state]) & 255
                 for i in range(low, low + 2**k):
-                    x = table.entry[i]
-                    assert table.following[i] == table.code[indices[x]]
-                    assert table.reward[i] == pay[x if len(pay) == 6 else np.searchsorted(indptr, x, side="right") - 1]
-                    assert len(ratio) == 0 or table.factor[i] == ratio[x]
+                    x = table.slots.entry[i]
+                    assert table.slots.following[i] == table.code[indices[x]]
+                    assert (
+                        table.slots.reward[i]
+                        == pay[x if len(pay) == 6 else np.searchsorted(indptr, x, side="right") - 1]
+                    )
+                    assert len(ratio) == 0 or table.slots.factor[i] == ratio[x]
             begin = int(table.code[2])
             assert begin & 255 == 0
-            assert table.following[begin >> 8] == table.code[1]
+            assert table.slots.following[begin >> 8] == table.code[1]
 
 
 def test_rows_that_sum_to_one_only_to_the_tolerance():
@@ -161,9 +169,9 @@ def test_every_slot_is_one_states(rng):
         starts, np.zeros(starts[-1], int), prob, np.ones((n, 1)), np.eye(n)[0], np.zeros(n), np.zeros(0), over
     )
     taken = [np.arange(int(code) >> 8, (int(code) >> 8) + 2 ** (int(code) & 255)) for code in table.code]
-    assert_array_equal(np.sort(np.concatenate(taken)), np.arange(len(table.word)))
+    assert_array_equal(np.sort(np.concatenate(taken)), np.arange(len(table.slots.word)))
     for state in range(n):
-        assert set(table.entry[taken[state]]) == set(range(starts[state], starts[state + 1]))
+        assert set(table.slots.entry[taken[state]]) == set(range(starts[state], starts[state + 1]))
 
 
 def test_states_that_are_over_have_the_last_codes():

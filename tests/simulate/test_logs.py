@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.kernels import rollout
-from oee_tabular.simulate.logs import running_sums
+from oee_tabular.simulate import _rollout as rollout
 
 
 @pytest.mark.parametrize(
@@ -69,7 +68,7 @@ def test_running_sums_restart_in_each_row(rng):
     indptr = np.concatenate([[0], np.cumsum(lengths)])
     data = rng.random(indptr[-1])
     expected = np.concatenate([np.cumsum(data[a:b]) for a, b in zip(indptr[:-1], indptr[1:], strict=True)])
-    assert_allclose(running_sums(data, indptr), expected, rtol=1e-15)
+    assert_allclose(rollout.running_sums(data, indptr), expected, rtol=1e-15)
 
 
 def test_moves_follow_the_distribution_and_the_transitions():

@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse, stats
 
 import oee_tabular as oee
-from oee_tabular.kernels import alias, lanes, rollout
+from oee_tabular.simulate import _lanes as lanes
+from oee_tabular.simulate import _rollout as rollout
+from oee_tabular.simulate import sampler as alias
 from oee_tabular.simulate.logs import stream_key
 from oee_tabular.simulate.sampler import sampler
 
@@ -150,7 +152,7 @@ def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_compute
 def test_records_past_the_cache_give_the_same_bits(monkeypatch):
     options = {"seed": 3, "zeta": ZETA, "record": True}
     arrays = oee.sample_returns(GRID, UNIFORM, 200, 25, **options)
-    monkeypatch.setattr(alias, "_RECORDS_FROM", 0)
+    monkeypatch.setattr(alias, "RECORDS_FROM", 0)
     records = oee.sample_returns(GRID, UNIFORM, 200, 25, **options)
     same(arrays, records)
     assert_array_equal(arrays.log.state, records.log.state)

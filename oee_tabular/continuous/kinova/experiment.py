@@ -18,7 +18,7 @@ from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import frequencies
-from oee_tabular.exact.values import policy_kernel
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream

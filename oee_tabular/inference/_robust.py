@@ -7,15 +7,12 @@ For a given lambda the sum is nonincreasing in eta (one bracketed root; at a jum
 as lambda grows (another).
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 
-def fill_at(eta: Any, lam: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def fill_at(eta, lam, phat, v, low, high, start, stop, out):
     """P(eta, lambda) into ``out``; its sum and minus the sum's derivative."""
     total, slope = 0.0, 0.0
     for i in range(start, stop):
@@ -37,10 +34,8 @@ def fill_at(eta: Any, lam: Any, phat: Any, v: Any, low: Any, high: Any, start: A
     return total, slope
 
 
-fill_at = njit(cache=True, error_model="numpy")(fill_at)
-
-
-def greedy_row(v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any, spare: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def greedy_row(v, low, high, start, stop, out, spare):
     """Without a ball: what ``low`` leaves goes to the largest v, then to the next; returns the last v that got some."""
     rest = 1.0
     for i in range(start, stop):
@@ -63,10 +58,8 @@ def greedy_row(v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any, spa
     return eta
 
 
-greedy_row = njit(cache=True, error_model="numpy")(greedy_row)
-
-
-def row_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: Any, out: Any, spare: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def row_at(lam, phat, v, low, high, start, stop, out, spare):
     """P for a given lambda, summing to 1, into ``out``; returns eta. Needs sum low <= 1 <= sum high."""
     if lam == 0.0:
         return greedy_row(v, low, high, start, stop, out, spare)
@@ -101,10 +94,8 @@ def row_at(lam: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: A
     return right
 
 
-row_at = njit(cache=True, error_model="numpy")(row_at)
-
-
-def divergence(phat: Any, p: Any, start: Any, stop: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def divergence(phat, p, start, stop):
     """KL(phat || P) = sum phat (-log(1 + u)) + u-terms, u = (P - phat) / phat, without cancellation where P is near phat."""
     total = 0.0
     for i in range(start, stop):
@@ -121,10 +112,8 @@ def divergence(phat: Any, p: Any, start: Any, stop: Any) -> Any:
     return total
 
 
-divergence = njit(cache=True, error_model="numpy")(divergence)
-
-
-def bound_above(eta: Any, lam: Any, epsilon: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
     """The Lagrangian's maximum: an upper bound on the row's problem for any eta and lambda >= 0."""
     total = eta + lam * epsilon
     for i in range(start, stop):
@@ -141,12 +130,8 @@ def bound_above(eta: Any, lam: Any, epsilon: Any, phat: Any, v: Any, low: Any, h
     return total
 
 
-bound_above = njit(cache=True, error_model="numpy")(bound_above)
-
-
-def worst_row(
-    epsilon: Any, phat: Any, v: Any, low: Any, high: Any, start: Any, stop: Any, guess: Any, out: Any, spare: Any
-) -> Any:
+@njit(cache=True, error_model="numpy")
+def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
     """Fill ``out`` with the maximiser; returns lambda, an upper bound on the maximum, and the KL (above epsilon: none)."""
     smallest, largest = np.inf, -np.inf
     for i in range(start, stop):
@@ -204,12 +189,8 @@ def worst_row(
     return lam, bound_above(eta, lam, epsilon, phat, v, low, high, start, stop), kl
 
 
-worst_row = njit(cache=True, error_model="numpy")(worst_row)
-
-
-def worst_rows(
-    epsilon: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, lam: Any, out: Any, above: Any, kl: Any
-) -> Any:
+@njit(cache=True, error_model="numpy")
+def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
     """Every row; ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is a row without data."""
     spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):
@@ -222,10 +203,8 @@ def worst_rows(
             lam[k], above[k], kl[k] = worst_row(epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare)
 
 
-worst_rows = njit(cache=True, error_model="numpy")(worst_rows)
-
-
-def worst_l1(radius: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, order: Any, out: Any) -> Any:
+@njit(cache=True, error_model="numpy")
+def worst_l1(radius, phat, v, low, high, indptr, order, out):
     """max sum P v over |P - phat|_1 <= radius and the box: mass moves from the smallest v to the largest.
 
     ``order`` sorts each row's entries by v, rising. phat is first moved into the box, which costs its share of the radius;
@@ -281,6 +260,3 @@ def worst_l1(radius: Any, phat: Any, v: Any, low: Any, high: Any, indptr: Any, o
             out[j] -= step_size
             moved += cost * step_size
     return feasible
-
-
-worst_l1 = njit(cache=True, error_model="numpy")(worst_l1)

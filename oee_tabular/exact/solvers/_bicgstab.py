@@ -5,22 +5,30 @@ search that starts anew stand before those it had found: a layered kernel is the
 With D~ the modified diagonal, L and U the rest divided by it, the operator (I + L)^-1 (L + D + U) (I + U)^-1 costs one
 backward and one forward sweep, as one product does [1]; all vector updates and dot products ride on the sweeps.
 
-Index arrays are unsigned: signed ones cost twice the time. L fills one buffer from its front and U from its back.
+L fills one buffer from its front and U from its back.
 
 Reference: [1] Eisenstat, Efficient implementation of a class of preconditioned conjugate gradient methods, SIAM J. Sci.
 Stat. Comput. 2 (1981).
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+from oee_tabular.exact._policy_rows import transposed
 
-def breadth_first(indptr: Any, indices: Any) -> Any:
+FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
+STEPS = 500
+
+# row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it
+Factors = namedtuple("Factors", "lower upper columns values diagonal modified order place")
+
+
+@njit(cache=True)
+def breadth_first(kernel):
     """States in breadth-first order along the rows, later trees before earlier ones, and each state's place."""
+    indptr, indices, _, _ = kernel
     n = len(indptr) - 1
     place = np.empty(n, dtype=np.uint32)
     queue = np.empty(n, dtype=np.uint32)
@@ -51,14 +59,13 @@ def breadth_first(indptr: Any, indices: Any) -> Any:
     return order, place
 
 
-breadth_first = njit(cache=True)(breadth_first)
-
-
-def modified_diagonal(indptr: Any, indices: Any, data: Any, discount: Any, weight: Any, order: Any, place: Any) -> Any:
+@njit(cache=True)
+def modified_diagonal(kernel, weight, order, place):
     """D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the plain diagonal where that is too small.
 
     With weight 1, (D~ + L) D~^-1 (D~ + U) has the row sums of M. The same D~ serves the transposed system.
     """
+    indptr, indices, data, discount = kernel
     n = len(order)
     modified = np.empty(n)
     later = np.empty(n)
@@ -82,11 +89,9 @@ def modified_diagonal(indptr: Any, indices: Any, data: Any, discount: Any, weigh
     return modified
 
 
-modified_diagonal = njit(cache=True)(modified_diagonal)
-
-
-def split(indptr: Any, indices: Any, data: Any, discount: Any, order: Any, place: Any, modified: Any) -> Any:
-    """L, U and D of D~^-1 (I - discount K) in the new order: two row pointers, columns, values, and D - 2."""
+@njit(cache=True)
+def split(indptr, indices, data, discount, order, place, modified):
+    """L, U and D of D~^-1 (I - discount K) in the new order."""
     n = len(order)
     lower = np.empty(n + 1, dtype=np.uint32)
     upper = np.empty(n + 1, dtype=np.uint32)
@@ -116,20 +121,17 @@ def split(indptr: Any, indices: Any, data: Any, discount: Any, order: Any, place
         lower[i + 1] = low
         upper[i + 1] = high
         diagonal[i] = own * scale - 2.0
-    return lower, upper, columns, values, diagonal
+    return Factors(lower, upper, columns, values, diagonal, modified, order, place)
 
 
-split = njit(cache=True)(split)
-
-
-def bicgstab(
-    lower: Any, upper: Any, columns: Any, values: Any, diagonal: Any, b: Any, relative: Any, floor: Any, steps: Any
-) -> Any:
+@njit(cache=True)
+def bicgstab(factors, b, relative, floor, steps):
     """y with (I + U)^-1 y = x for the scaled right side b, in at most ``steps`` steps; the steps taken.
 
     It stops where the largest entry of the preconditioned residual is below relative * (its first) or below floor times
     the largest entry of y. Values hold the negated L and U (they are nonnegative).
     """
+    lower, upper, columns, values, diagonal, _, _, _ = factors
     n = len(b)
     r = np.empty(n)
     first = np.empty(n)
@@ -215,4 +217,18 @@ def bicgstab(
     return t, taken
 
 
-bicgstab = njit(cache=True)(bicgstab)
+@njit(cache=True)
+def factorised(kernel, transpose, weight, order, place):
+    """The preconditioned system, or that of the transposed one, with the states in the given order."""
+    indptr, indices, data, discount = kernel
+    modified = modified_diagonal(kernel, weight, order, place)
+    if transpose:
+        indptr, indices, data = transposed(indptr, indices, data, len(order))
+    return split(indptr, indices, data, discount, order, place, modified)
+
+
+@njit(cache=True)
+def solve(factors, b, relative):
+    """x, its residual below ``relative`` times b's if all goes well."""
+    x, _ = bicgstab(factors, b[factors.order] / factors.modified, relative, FLOOR, STEPS)
+    return x[factors.place]

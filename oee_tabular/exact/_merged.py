@@ -13,9 +13,7 @@ strip: so its arithmetic is done by vector instructions, with every sum in the o
 their columns: in grids a strip's lead mostly to states that stand side by side too, and are read as such.
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
@@ -24,19 +22,23 @@ LANES = 32  # states of a strip
 SMALL = 1e-280
 PARTS = 5  # numbers of an entry: q, bm, em, c, rho
 
+# where each strip's entries begin; where an entry leads, and whether its lanes lead side by side; its numbers; masses and
+# residuals of the states; the states by place, S in the places that stay empty
+Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
-def merge_state(
-    s: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, place: Any, to: Any,
-    numbers: Any, single: Any, entry: Any,
-) -> Any:  # fmt: skip
+
+@njit(cache=True)
+def merge_state(s, walk, place, to, numbers, single, entry):
     """Fill ``to`` and ``numbers`` (., PARTS) with the merged entries of s, one of large mass first.
 
     Returns how many they are, their mass, and the residual variance. ``place`` (S,) is zeros before and after; ``single``
     (., 3) and ``entry`` have room for q, b, e and the merged entry of each one.
     """
+    indptr, indices, prob, w, acts, us, by_move, pay, _, _ = walk
+    act, u = acts[0], us[0]
     n_actions = len(act) // len(place)
     rows = range(s * n_actions, (s + 1) * n_actions)
-    i: Any = 0
+    i = 0
     size, count, mass, rest = 0, 0, 0.0, 0.0
     for row in rows:
         if act[row] != 0.0:
@@ -100,28 +102,22 @@ def merge_state(
     return size, mass, rest
 
 
-merge_state = njit(cache=True)(merge_state)
-
-
-def strip_offsets(length: Any, order: Any, n_states: Any) -> Any:
+@njit(cache=True)
+def strip_offsets(length, order, n_states):
     """Where each strip's entries begin: it has as many as the longest of its states."""
     offsets = np.zeros(len(order) // LANES + 1, np.int64)
     for strip in range(len(offsets) - 1):
-        longest: Any = 0
+        longest = 0
         for i in range(strip * LANES, min(n_states, (strip + 1) * LANES)):
             longest = max(longest, length[order[i]])
         offsets[strip + 1] = offsets[strip] + longest
     return offsets
 
 
-strip_offsets = njit(cache=True)(strip_offsets)
-
-
-def merge(indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, n_states: Any) -> Any:
-    """Strips of merged entries of a policy (S*A,): offsets, columns (places in the order), whether an
-    entry's are consecutive, numbers, masses and residuals, the order of the states, with S in the places that stay empty,
-    and how many strips away an entry leads at most.
-    """
+@njit(cache=True, error_model="numpy")
+def merge(walk):
+    """The ``Strips`` of a walk whose policy does not depend on time."""
+    indptr, indices, act, n_states = walk.indptr, walk.indices, walk.act[0], len(walk.initial)
     n_actions = len(act) // n_states
     place = np.zeros(n_states, np.uint32)
     length = np.zeros(n_states + 1, np.int64)
@@ -156,45 +152,38 @@ def merge(indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_mov
         lane_of[order[i]] = i
     columns = np.full(offsets[strips] * LANES, strips * LANES, np.uint32)
     numbers = np.zeros(offsets[strips] * LANES * PARTS)
-    band: Any = 0
     fixed = np.zeros(2 * strips * LANES)  # mass and residual
     to, own = np.zeros(longest, np.uint32), np.zeros((longest, PARTS))
-    most: Any = 0
+    most = 0
     for s in range(n_states):
         most = max(most, np.int64(indptr[(s + 1) * n_actions]) - np.int64(indptr[s * n_actions]))
     single, entry_of = np.zeros((most, 3)), np.zeros(most, np.int64)
     for i in range(n_states):
         s, first, lane = order[i], offsets[i // LANES], i % LANES
-        size, mass, rest = merge_state(
-            s, indptr, indices, prob, w, act, u, by_move, pay, place, to, own, single, entry_of
-        )
+        size, mass, rest = merge_state(s, walk, place, to, own, single, entry_of)
         fixed[(i - lane) * 2 + lane], fixed[(i - lane) * 2 + LANES + lane] = mass, rest
         for entry in range(size):
             place_of = np.int64(lane_of[to[entry]])
             columns[(first + entry) * LANES + lane] = place_of
-            band = max(band, abs(place_of // LANES - i // LANES))
             for part in range(PARTS):
                 numbers[((first + entry) * PARTS + part) * LANES + lane] = own[entry, part]
     aligned = np.ones(offsets[strips], np.bool_)
     for entry in range(len(aligned)):
         for lane in range(1, LANES):
             aligned[entry] &= columns[entry * LANES + lane] == columns[entry * LANES] + np.uint32(lane)
-    return offsets, columns, aligned, numbers, fixed, order, band
+    return Strips(offsets, columns, aligned, numbers, fixed, order)
 
 
-merge = njit(cache=True, error_model="numpy")(merge)
-
-
-def advance(
-    t: Any, first: Any, last: Any, y: Any, v: Any, new_y: Any, new_v: Any, room: Any, lanes: Any, offsets: Any, columns: Any,
-    aligned: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any, based: Any, h: Any, k: Any, gamma: Any,
-    local: Any, keep: Any,
-) -> Any:  # fmt: skip
-    """The strips first .. last - 1 at step t: y, v of what follows -> those of the step before, or mean, variance at t = 0.
+@njit(cache=True, error_model="numpy")
+def advance(strips, extras, t, shift_all, gamma, here, there, local, room, lanes):
+    """All strips at step t: y, v of what follows -> those of the step before, or mean, variance at t = 0.
 
     The last LANES of y and v are room for what an entry leads to where that does not stand side by side. ``lanes`` is LANES:
     a short loop over a number known beforehand would be unrolled before it is made of vector instructions, and not be.
     """
+    offsets, columns, aligned, numbers, fixed, _ = strips
+    shift, scale, _, h, k = extras
+    (y, v), (new_y, new_v) = here, there
     one, tail = np.uint64(LANES), np.uint64(np.uint32(len(y) - LANES))
     two, three, four = one * np.uint64(2), one * np.uint64(3), one * np.uint64(4)
     unit = scale[t]
@@ -202,7 +191,7 @@ def advance(
     factor, lower, square = 1.0, 0.0, 1.0  # of the step before
     if t > 0:
         factor, lower, square = gamma / scale[t - 1], 0.0 if shift_all else shift[t - 1], gamma * gamma
-    for strip in range(first, last):
+    for strip in range(len(offsets) - 1):
         for entry in range(offsets[strip], offsets[strip + 1]):
             at = np.uint64(entry) * one
             if aligned[entry]:
@@ -239,53 +228,30 @@ def advance(
             room[two + i] = own
             new_y[at + i] = factor * unit * (weight * room[i] + d - weight * lowered) - lower
             new_v[at + i] = square * (own + room[three + i])
-        if keep:
+        if len(local):
             for i in range(lanes):
                 local[t, at + i] = room[two + i]
-        if based:
+        if len(h):
             for i in range(lanes):
                 new_y[at + i] += factor * (h[t, at + i] - k[t, at + i])
 
 
-advance = njit(cache=True, error_model="numpy")(advance)
+@njit(cache=True, error_model="numpy")
+def merged_moments(strips, steps, extras, shift_all, gamma, keep):
+    """What ``_moments.per_decision`` gives, by places: mean, variance (N,), the steps' shares (T, N).
 
-
-def merged_moments(
-    steps: Any, offsets: Any, columns: Any, aligned: Any, numbers: Any, fixed: Any, shift_all: Any, shift: Any, scale: Any,
-    based: Any, h: Any, k: Any, gamma: Any, mean: Any, var: Any, local: Any, keep: Any, band: Any, height: Any, width: Any,
-) -> Any:  # fmt: skip
-    """What ``moments.per_decision`` fills in, by places: mean, var (N,), local (T, N), h (T, N), k (T, N), k[0] = 0.
-
-    ``shift_all``: the shift is of X, not of what b multiplies; ``based``: whether h and k are read; the last three (strips,
-    steps, strips): blocks as in ``horizon.sweep``.
+    h and k are (T, N), k[0] = 0, or empty where they are 0; ``shift_all``: the shift is of X, not of what b multiplies.
     """
-    size, strips = len(mean), len(offsets) - 1
+    size = len(strips.order)
     # of what follows, in units of the step's scale: mean and variance; then what padding reads, then room
     long = size + 1 + LANES
-    y, v, new_y, new_v = np.zeros(long), np.zeros(long), np.zeros(long), np.zeros(long)
+    here, there = (np.zeros(long), np.zeros(long)), (np.zeros(long), np.zeros(long))
+    local = np.empty((steps if keep else 0, size))
     if not shift_all:
-        y[:size] = -shift[steps - 1]
+        here[0][:size] = -extras.shift[steps - 1]
     room = np.zeros(4 * LANES)  # z of the first entry; sums of q d, of squares, of what v carries
     lanes = np.uint64(len(room) // 4)
-    left = steps
-    while left > 0:
-        now = min(height, left)
-        for low in range(0, strips + (now - 1) * band, width):
-            here, here_v, there, there_v = y, v, new_y, new_v
-            for i in range(now):
-                t = left - 1 - i
-                if t == 0:
-                    there, there_v = mean, var
-                first, last = max(0, low - i * band), min(strips, low + width - i * band)
-                if first < last:
-                    advance(
-                        t, first, last, here, here_v, there, there_v, room, lanes, offsets, columns, aligned, numbers, fixed,
-                        shift_all, shift, scale, based, h, k, gamma, local, keep,
-                    )  # fmt: skip
-                here, here_v, there, there_v = there, there_v, here, here_v
-        if now % 2:
-            y, v, new_y, new_v = new_y, new_v, y, v
-        left -= now
-
-
-merged_moments = njit(cache=True, error_model="numpy")(merged_moments)
+    for t in range(steps - 1, -1, -1):
+        advance(strips, extras, t, shift_all, gamma, here, there, local, room, lanes)
+        here, there = there, here
+    return here[0][:size], here[1][:size], local

@@ -1,23 +1,29 @@
 """Finite horizons: backward sweeps over all states, or over the light cone of the first ones; and visits, forward.
 
-Index arrays are unsigned, and rows are read four entries at a time: signed ones, which could count from the end, cost twice
-as much. Every sum keeps the order of its row, so that a value has the same bits in whichever sweep it is worked out.
+    V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
+
+Rows are read four entries at a time, with unsigned indices: signed ones, which could count from the end, cost twice as much.
+Every sum keeps the order of its row, so that a value has the same bits in whichever sweep it is worked out.
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+from oee_tabular.exact._policy_rows import transposed
+from oee_tabular.exact.system import Kernel
+
 CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
 
+# states; those reached in at most k moves are the first ends[k]; P_pi, rewards and initial under the new numbers
+Cone = namedtuple("Cone", "states ends kernel rewards initial")
 
-def backup(
-    indptr: Any, indices: Any, data: Any, rewards: Any, gamma: Any, ahead: Any, out: Any, first: Any, last: Any
-) -> Any:
+
+@njit(cache=True)
+def backup(kernel, rewards, ahead, out, first, last):
     """out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
+    indptr, indices, data, gamma = kernel
     one, four = np.uint64(1), np.uint64(4)
     x = np.uint64(indptr[first])
     for s in range(first, last):
@@ -35,10 +41,8 @@ def backup(
         out[s] = rewards[s] + gamma * total
 
 
-backup = njit(cache=True)(backup)
-
-
-def dot(x: Any, y: Any, size: Any) -> Any:
+@njit(cache=True)
+def dot(x, y, size):
     """x . y over the first ``size`` entries."""
     total = 0.0
     for low in range(0, size, CHUNK):
@@ -49,56 +53,19 @@ def dot(x: Any, y: Any, size: Any) -> Any:
     return total
 
 
-dot = njit(cache=True)(dot)
-
-
-def bandwidth(indptr: Any, indices: Any) -> Any:
-    """The largest |s - s'| of an entry."""
-    widest: Any = 0
-    for s in range(len(indptr) - 1):
-        for x in range(indptr[s], indptr[s + 1]):
-            widest = max(widest, abs(np.int64(indices[x]) - s))
-    return widest
-
-
-bandwidth = njit(cache=True)(bandwidth)
-
-
-def sweep(
-    indptr: Any, indices: Any, data: Any, rewards: Any, gamma: Any, steps: Any, band: Any, height: Any, width: Any
-) -> Any:
-    """V with ``steps`` rewards to go, ``height`` steps at a time in blocks of ``width`` rows that move back by ``band`` a step.
-
-    A row at one step needs rows at most ``band`` away at the step before, and the two buffers hold both until nothing asks
-    for the older: so a block goes through several steps while it is in the cache. Height 1 is the plain sweep.
-    """
+@njit(cache=True)
+def sweep(kernel, rewards, steps):
+    """V with ``steps`` rewards to go: V_t = r + gamma K V_{t+1}, V_T = 0."""
     n = len(rewards)
     value, other = np.zeros(n), np.zeros(n)
-    done = 0
-    while done < steps:
-        now = min(height, steps - done)
-        if now == 1:
-            backup(indptr, indices, data, rewards, gamma, value, other, np.uint64(0), np.uint64(n))
-            value, other = other, value
-            done += 1
-            continue
-        for low in range(0, n + (now - 1) * band, width):
-            ahead, out = value, other
-            for t in range(now):
-                first, last = max(0, low - t * band), min(n, low + width - t * band)
-                if first < last:
-                    backup(indptr, indices, data, rewards, gamma, ahead, out, np.uint64(first), np.uint64(last))
-                ahead, out = out, ahead
-        if now % 2:
-            value, other = other, value
-        done += now
+    for _ in range(steps):
+        backup(kernel, rewards, value, other, np.uint64(0), np.uint64(n))
+        value, other = other, value
     return value
 
 
-sweep = njit(cache=True)(sweep)
-
-
-def grown(array: Any, size: Any) -> Any:
+@njit(cache=True)
+def grown(array, size):
     """The array, or a copy of twice the length where it is shorter than ``size``."""
     if size <= len(array):
         return array
@@ -107,19 +74,15 @@ def grown(array: Any, size: Any) -> Any:
     return longer
 
 
-grown = njit(cache=True)(grown)
+@njit(cache=True)
+def light_cone(rows, policy, rewards, initial, discount, steps, place):
+    """What ``steps`` rewards can depend on: a ``Cone``, its states in the order in which they are first reached.
 
-
-def light_cone(
-    indptr: Any, indices: Any, data: Any, rewards: Any, policy: Any, initial: Any, steps: Any, place: Any
-) -> Any:
-    """What ``steps`` rewards can depend on: states in the order in which they are first reached, and rows of P_pi among them.
-
-    Rows have their entries in the order in which the actions do, and sums too, as ``policy_rows.average_rows`` has them.
-    Returns states, ends (those reached in at most k moves are the first ends[k]), and the rows indptr, indices, data,
-    rewards and initial under the new numbers; rows are there only for states from which a move still counts. ``place`` (S,)
-    must be zeros, uint32; what is not reached is not read.
+    Rows have their entries in the order in which the actions do, and sums too, as ``_policy_rows.average_rows`` has them; they
+    are there only for states from which a move still counts. ``place`` (S,) must be zeros, uint32; what is not reached is not
+    read.
     """
+    indptr, indices, data = rows
     n_actions = policy.shape[1]
     ends = np.zeros(steps, np.int64)
     support, count = 0, 0
@@ -186,84 +149,110 @@ def light_cone(
     begin = np.zeros(ends[0])
     for i in range(ends[0]):
         begin[i] = initial[states[i]]
-    return states[:count], ends, start[: done + 1], column[:size], value[:size], pay, begin
+    kernel = Kernel(start[: done + 1], column[:size], value[:size], discount)
+    return Cone(states[:count], ends, kernel, pay, begin)
 
 
-light_cone = njit(cache=True)(light_cone)
-
-
-def cone_values(ends: Any, indptr: Any, indices: Any, data: Any, rewards: Any, initial: Any, gamma: Any) -> Any:
+@njit(cache=True)
+def cone_values(cone):
     """(T + 1,): J of 0 .. T rewards, by a sweep that leaves one ring of the cone out at each step."""
+    ends = cone.ends
     steps = len(ends)
     found = np.zeros(steps + 1)
-    value, other = rewards.copy(), np.zeros(len(rewards))
+    value, other = cone.rewards.copy(), np.zeros(len(cone.rewards))
     for k in range(1, steps + 1):
         if k > 1:
-            backup(indptr, indices, data, rewards, gamma, value, other, np.uint64(0), np.uint64(ends[steps - k]))
+            backup(cone.kernel, cone.rewards, value, other, np.uint64(0), np.uint64(ends[steps - k]))
             value, other = other, value
-        found[k] = dot(initial, value, ends[0])
+        found[k] = dot(cone.initial, value, ends[0])
     return found
 
 
-cone_values = njit(cache=True)(cone_values)
-
-
-def transposed(indptr: Any, indices: Any, data: Any, n_columns: Any) -> Any:
-    """The CSR arrays of the transpose; within a row in the order of the rows that they came from."""
-    start = np.zeros(n_columns + 1, np.int64)
-    for x in range(len(indices)):
-        start[np.int64(indices[x]) + 1] += 1
-    for j in range(n_columns):
-        start[j + 1] += start[j]
-    fill = start[:-1].copy()
-    column, value = np.zeros(len(indices), np.uint32), np.zeros(len(indices))
-    for s in range(len(indptr) - 1):
-        for x in range(indptr[s], indptr[s + 1]):
-            at = fill[indices[x]]
-            column[at] = s
-            value[at] = data[x]
-            fill[indices[x]] += 1
-    return start, column, value
-
-
-transposed = njit(cache=True)(transposed)
-
-
-def cone_visits(ends: Any, indptr: Any, indices: Any, data: Any, initial: Any, gamma: Any) -> Any:
+@njit(cache=True)
+def cone_visits(cone):
     """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states, gathered through the transpose as far as t moves reach."""
+    ends = cone.ends
+    indptr, indices, data, gamma = cone.kernel
     size = ends[-1]
-    start, column, value = transposed(indptr, indices, data, size)
+    back = Kernel(*transposed(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
     here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
-    here[: ends[0]] = initial
+    here[: ends[0]] = cone.initial
     weight = 1.0
     for t in range(len(ends)):
         for i in range(ends[t]):
             total[i] += weight * here[i]
         if t + 1 < len(ends):
-            backup(start, column, value, nothing, 1.0, here, there, np.uint64(0), np.uint64(ends[t + 1]))
+            backup(back, nothing, here, there, np.uint64(0), np.uint64(ends[t + 1]))
             here, there = there, here
         weight *= gamma
     return total
 
 
-cone_visits = njit(cache=True)(cone_visits)
+@njit(cache=True)
+def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs, keep):
+    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), step by step over the states that are reached at t exactly.
+
+    ``here``, ``there`` (S,) and ``reached`` (S, uint32) must be zeros. If ``keep``, sum_t gamma^t Pr(s_t = s, a_t = a) is
+    added to ``pairs`` (S, A).
+    """
+    indptr, indices, data = rows
+    steps, n_states, n_actions = policy.shape
+    found = np.zeros(steps + 1)
+    active = np.zeros(n_states, np.uint32)
+    following = np.zeros(n_states, np.uint32)
+    count = 0
+    for s in range(n_states):
+        if initial[s] != 0.0:
+            here[s] = initial[s]
+            active[count] = s
+            count += 1
+    weight = 1.0
+    for t in range(steps):
+        total, part, coming = 0.0, 0.0, 0
+        for i in range(count):
+            s = active[i]
+            mass = here[s]
+            here[s] = 0.0
+            for a in range(n_actions):
+                share = mass * policy[t, s, a]
+                part += share * rewards[s, a]
+                if keep:
+                    pairs[s, a] += weight * share
+                if share == 0.0 or t + 1 == steps:
+                    continue
+                row = np.int64(s) * n_actions + a
+                for x in range(indptr[row], indptr[row + 1]):
+                    j = indices[x]
+                    if reached[j] != t + 1:
+                        reached[j] = t + 1
+                        following[coming] = j
+                        coming += 1
+                    there[j] += share * data[x]
+            if i % CHUNK == CHUNK - 1:
+                total += part
+                part = 0.0
+        found[t + 1] = found[t] + weight * (total + part)
+        weight *= gamma
+        here, there = there, here
+        active, following = following, active
+        count = coming
+    return found
 
 
-def gradient_flows(
-    indptr: Any, indices: Any, data: Any, rewards: Any, to_go: Any, back_indptr: Any, back_indices: Any, back_data: Any,
-    initial: Any, gamma: Any, rows: Any, columns: Any, policy: Any, pay: Any, found: Any,
-) -> Any:  # fmt: skip
+@njit(cache=True)
+def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, found):
     """found[x] += sum_t gamma^t d_t(s) (pay[x] + gamma V_{t+1}(s')) for the entries x of the actions that are taken.
 
-    The first four are the kernel that V is of, filled into ``to_go`` (T + 1, S); then the transposed kernel that d is of;
-    ``rows`` (S*A + 1,) and ``columns`` the entries, ``pay`` aligned with them or empty.
+    ``kernel`` and ``rewards`` are those that V is of, filled into ``to_go`` (T + 1, S); ``back`` is the transposed kernel that
+    d is of, with discount 1; ``rows`` (S*A, S) has the entries, ``pay`` is aligned with them or empty.
     """
+    gamma, (indptr, columns, _) = kernel.discount, rows
     steps, n = to_go.shape[0] - 1, to_go.shape[1]
     n_actions = policy.shape[1]
     to_go[steps] = 0.0
     for t in range(steps - 1, -1, -1):
-        backup(indptr, indices, data, rewards, gamma, to_go[t + 1], to_go[t], np.uint64(0), np.uint64(n))
+        backup(kernel, rewards, to_go[t + 1], to_go[t], np.uint64(0), np.uint64(n))
     nothing, here, there = np.zeros(n), initial.copy(), np.zeros(n)
     weight = 1.0
     for t in range(steps):
@@ -276,11 +265,22 @@ def gradient_flows(
                 if policy[s, a] == 0.0:
                     continue
                 row = s * n_actions + a
-                for x in range(rows[row], rows[row + 1]):
+                for x in range(indptr[row], indptr[row + 1]):
                     found[x] += mass * ((pay[x] if len(pay) else 0.0) + gamma * ahead[columns[x]])
-        backup(back_indptr, back_indices, back_data, nothing, 1.0, here, there, np.uint64(0), np.uint64(n))
+        backup(back, nothing, here, there, np.uint64(0), np.uint64(n))
         here, there = there, here
         weight *= gamma
 
 
-gradient_flows = njit(cache=True)(gradient_flows)
+@njit(cache=True)
+def stochastic(policy, tolerance):
+    """Whether no entry of (N, A) is negative (or nan) and every row sums to 1."""
+    for s in range(policy.shape[0]):
+        total = 0.0
+        for a in range(policy.shape[1]):
+            if not policy[s, a] >= 0.0:
+                return False
+            total += policy[s, a]
+        if not abs(total - 1.0) <= tolerance:
+            return False
+    return True

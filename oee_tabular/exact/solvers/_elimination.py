@@ -1,29 +1,86 @@
-"""(I - gamma K) x = b by the strongly connected components of K, where all of them are small.
+"""M = I - gamma K with a nonnegative K, by LU without pivoting: dense, or one strongly connected component after the other.
 
-In a layered model (a season, a task with steps, a clock in the state) no state is met again, or only with few others. Taken
-after those that they lead to, the components are solved one by one, each by a dense LU: exact, in one pass over K.
+    L_ik = M_ik / M_kk,  M_ij <- M_ij - L_ik M_kj  (i, j > k);    M_kk > 0 always, else M is no M-matrix: rho(gamma K) >= 1.
 
-The search is path-based [1]: a component is known while it grows, so that one that is too large ends the search at once. On a
-grid that is after as many states as a component may have.
+In a layered model (a season, a task with steps, a clock in the state) no state is met again, or only with few others: taken
+after those that they lead to, the components C are solved one by one, M_CC x_C = b_C + gamma K_CD x_D. Their search is
+path-based [1]: a component is known while it grows, so that one that is too large ends the search at once; on a grid that is
+after as many states as a component may have.
 
 Reference: [1] Gabow, Path-based depth-first search for strong and biconnected components, Information Processing Letters 74
 (2000).
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
-
-from oee_tabular.kernels.small_systems import factor, substitute
 
 _ONE = np.uint32(1)
 
 
-def components(indptr: Any, indices: Any, data: Any, most: Any) -> Any:
+@njit(cache=True)
+def factor(a):
+    """LU of (n, n) in place, unit lower; whether all pivots are positive."""
+    n = len(a)
+    for k in range(n):
+        if not a[k, k] > 0.0:
+            return False
+        source = a[k, k + 1 :]  # slices: a computed signed index is not vectorised
+        for i in range(k + 1, n):
+            if a[i, k] != 0.0:
+                a[i, k] /= a[k, k]
+                target = a[i, k + 1 :]
+                for j in range(len(target)):
+                    target[j] -= a[i, k] * source[j]
+    return True
+
+
+@njit(cache=True)
+def substitute(a, x, transpose):
+    """Solve M x = b, or M^T x = b, in place."""
+    n = len(a)
+    for turn in range(n):
+        i = turn
+        if transpose:
+            x[i] /= a[i, i]
+            x[i + 1 :] -= a[i, i + 1 :] * x[i]
+        else:
+            for j in range(i):
+                x[i] -= a[i, j] * x[j]
+    for turn in range(n):
+        i = n - 1 - turn
+        if transpose:
+            x[:i] -= a[i, :i] * x[i]
+        else:
+            for j in range(i + 1, n):
+                x[i] -= a[i, j] * x[j]
+            x[i] /= a[i, i]
+
+
+@njit(cache=True)
+def factorised(kernel):
+    """The factors of the whole, dense; whether it is an M-matrix."""
+    indptr, indices, data, discount = kernel
+    a = np.eye(len(indptr) - 1)
+    for i in range(len(a)):
+        for k in range(indptr[i], indptr[i + 1]):
+            a[i, indices[k]] -= discount * data[k]
+    return a, factor(a)
+
+
+@njit(cache=True)
+def solve_dense(a, regular, transpose, b, relative):
+    """x by these factors."""
+    x = np.full(len(b), np.nan)
+    if regular:
+        x[:] = b
+        substitute(a, x, transpose)
+    return x
+
+
+@njit(cache=True)
+def components(kernel, most):
     """States by component, each after those it leads to, and where components begin; empty if one has more than ``most``."""
+    indptr, indices, data, _ = kernel
     n = len(indptr) - 1
     unseen, done = np.uint32(0xFFFFFFFF), np.uint32(0xFFFFFFFE)
     height = np.full(n, unseen)  # in ``open_states``, while a state is there
@@ -60,7 +117,7 @@ def components(indptr: Any, indices: Any, data: Any, most: Any) -> Any:
             depth -= 1
             if begins[n_begins - 1] == height[state]:
                 n_begins -= 1
-                low: Any = np.int64(begins[n_begins])
+                low = np.int64(begins[n_begins])
                 starts[found], found = n_ordered, found + 1
                 for i in range(low, n_open):
                     order[n_ordered] = open_states[i]
@@ -71,40 +128,39 @@ def components(indptr: Any, indices: Any, data: Any, most: Any) -> Any:
     return order, starts[: found + 1]
 
 
-components = njit(cache=True)(components)
-
-
-def solve(indptr: Any, indices: Any, data: Any, discount: Any, order: Any, starts: Any, b: Any, transpose: Any) -> Any:
+@njit(cache=True)
+def solve_components(kernel, order, starts, transpose, b, relative):
     """x, or that of the transposed system; nan from the first component on that is no M-matrix."""
+    indptr, indices, data, discount = kernel
     n, count = len(b), len(starts) - 1
     x, left = np.full(n, np.nan), b.copy()
-    most: Any = 0
+    most = 0
     for c in range(count):
         most = max(most, np.int64(starts[c + 1]) - np.int64(starts[c]))
     number = np.zeros(n, dtype=np.uint32)  # within its component, beginning with 1; 0 outside of the one at hand
-    matrix, right = np.empty(most * most), np.empty(most)
+    room, right = np.empty(most * most), np.empty(most)
     for turn in range(count):
         c = count - 1 - turn if transpose else turn
         low = np.int64(starts[c])
         size = np.int64(starts[c + 1]) - low
         for i in range(size):
             number[order[low + i]] = i + 1
-        matrix[: size * size] = 0.0
+        matrix = room[: size * size].reshape(size, size)
+        matrix[:] = 0.0
         for i in range(size):
             state = order[low + i]
-            row = matrix[i * size : (i + 1) * size]
-            row[i] = 1.0
+            matrix[i, i] = 1.0
             total = left[state]
             for k in range(indptr[state], indptr[state + _ONE]):
                 j = indices[k]
                 if number[j] > 0:
-                    row[np.int64(number[j]) - 1] -= discount * data[k]
+                    matrix[i, np.int64(number[j]) - 1] -= discount * data[k]
                 elif not transpose and data[k] != 0.0:
                     total += discount * data[k] * x[j]
             right[i] = total
-        if not factor(matrix, size, size, 0, size - 1, size - 1):
+        if not factor(matrix):
             return x
-        substitute(matrix, size, size, 0, size - 1, size - 1, right, transpose)
+        substitute(matrix, right[:size], transpose)
         for i in range(size):
             state = order[low + i]
             x[state] = right[i]
@@ -115,6 +171,3 @@ def solve(indptr: Any, indices: Any, data: Any, discount: Any, order: Any, start
         for i in range(size):
             number[order[low + i]] = 0
     return x
-
-
-solve = njit(cache=True)(solve)

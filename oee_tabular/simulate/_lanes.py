@@ -4,15 +4,13 @@ Each step has a word of 32 random bits (Philox, four steps a call), which the al
 Thresholds there have 64 bits: where the first 32 do not decide, in one step of 2^28 or so, 32 more are drawn.
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
 
-from oee_tabular.kernels.rollout import philox
-from oee_tabular.kernels.shared import threads_share
+from oee_tabular._compiled import threads_share
+from oee_tabular.simulate._rollout import philox
 
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs
@@ -20,8 +18,18 @@ _FURTHER = np.uint64(2)  # added to it for the bits that decide where the first 
 _NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
 _PLACE, _SIZE = np.uint64(8), np.uint64(255)
 
+# what all episodes have in common: ``most``, ``start`` and ``over`` are the alias table's (``AliasTable``)
+Plan = namedtuple("Plan", "key horizon n_lanes most start over discounts weighted by_move")
 
-def step_words(key: Any, trajectory: Any, t: Any, words: Any, n: Any) -> None:
+# what is filled in, by trajectory; and by ``places`` the ``path``, an entry of P for each step, unless it is empty
+Outcome = namedtuple("Outcome", "sums lengths last places path")
+
+# of each lane: its trajectory, step, the code of its state; and G, X, the weight and the largest one that a reward has
+Lanes = namedtuple("Lanes", "trajectory t now held")
+
+
+@njit(cache=True)
+def step_words(key, trajectory, t, words, n):
     """The random words of steps t .. t + 3 (t is a multiple of 4) of each of n lanes, each twice in 64 bits: (4, lanes)."""
     k0, k1 = key & _LOW, key >> _SHIFT
     for i in range(n):
@@ -31,10 +39,8 @@ def step_words(key: Any, trajectory: Any, t: Any, words: Any, n: Any) -> None:
         words[2, i], words[3, i] = x2 << _SHIFT | x2, x3 << _SHIFT | x3
 
 
-step_words = njit(cache=True)(step_words)
-
-
-def word_of(key: Any, kind: Any, trajectory: Any, t: Any) -> Any:
+@njit(cache=True)
+def word_of(key, kind, trajectory, t):
     """The random word of one step."""
     x0, x1, x2, x3 = philox(t >> _TWO, kind, trajectory & _LOW, trajectory >> _SHIFT, key & _LOW, key >> _SHIFT)
     if t & _TWO:
@@ -42,10 +48,8 @@ def word_of(key: Any, kind: Any, trajectory: Any, t: Any) -> Any:
     return x1 if t & _ONE else x0
 
 
-word_of = njit(cache=True)(word_of)
-
-
-def choose(code: Any, x: Any, word: Any, near: Any) -> Any:
+@njit(cache=True, inline="always")
+def choose(code, x, word, near):
     """The slot that the random word x takes in the state of that code, and a number that is small where x may not decide it.
 
     x holds its 32 bits twice: the low copy gives the slot, the high one is compared. Below that, and in its low k bits, other
@@ -59,10 +63,8 @@ def choose(code: Any, x: Any, word: Any, near: Any) -> Any:
     return slot if x <= own else base + (own & low), own - x + near
 
 
-choose = njit(cache=True, inline="always")(choose)
-
-
-def settle(key: Any, kind: Any, trajectory: Any, t: Any, code: Any, word: Any) -> Any:
+@njit(cache=True)
+def settle(key, kind, trajectory, t, code, word):
     """The slot of one step, whatever bits that takes."""
     x = word_of(key, kind, trajectory, t)
     size, base = code & _SIZE, code >> _PLACE
@@ -74,15 +76,12 @@ def settle(key: Any, kind: Any, trajectory: Any, t: Any, code: Any, word: Any) -
     return base + ((x if high < threshold else own) & low)
 
 
-settle = njit(cache=True)(settle)
-
-
-def walk(
-    key: Any, horizon: Any, until: Any, table: Any, over: Any, discounts: Any, weighted: Any, by_move: Any, record: Any,
-    place: Any, path: Any, i: Any, trajectory: Any, t: Any, now: Any, held: Any,
-) -> None:  # fmt: skip
+@njit(cache=True)
+def walk(plan, slots, lanes, i, until, place, path):
     """Lane i, step by step, up to the step ``until`` or the end of its episode (which has one step at least)."""
-    word, following, reward, factor, entry = table
+    key, horizon, _, _, _, over, discounts, weighted, by_move = plan
+    word, following, reward, factor, entry = slots
+    trajectory, t, now, held = lanes
     g, x, w, largest = held[0], held[1], held[2], held[3]
     while t[i] < until and (now[i] < over or t[i] == _NONE):
         slot = settle(key, _MOVES, trajectory[i], t[i], now[i], word)
@@ -95,18 +94,13 @@ def walk(
             x[i] += pay * carried if pay != 0.0 else 0.0  # a weight may be infinite
             largest[i] = max(largest[i], carried)
             w[i] = after if by_move or t[i] + _ONE < horizon else w[i]
-        if record:
+        if len(path):
             path[place + t[i]] = entry[slot]
         t[i] += _ONE
 
 
-walk = njit(cache=True)(walk)
-
-
-def lanes_of(
-    key: Any, begin: Any, end: Any, horizon: Any, n_lanes: Any, table: Any, most: Any, start: Any, over: Any, discounts: Any,
-    weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
-) -> None:  # fmt: skip
+@njit(cache=True)
+def lanes_of(begin, end, plan, slots, outcome):
     """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
 
     sums (4, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole; the largest that a reward
@@ -114,13 +108,17 @@ def lanes_of(
     left of a horizon after whole passes is taken one trajectory at a time; so is a pass in which a word of 32 bits may not
     have decided.
     """
-    word, following, reward, factor, entry = table
+    key, horizon, n_lanes, most, start, over, discounts, weighted, by_move = plan
+    word, following, reward, factor, entry = slots
+    sums, lengths, last, places, path = outcome
+    record = len(path) > 0
     words, codes = np.empty((4, n_lanes), np.uint64), np.empty((5, n_lanes), np.uint64)
     held, before = np.empty((4, n_lanes)), np.empty((4, n_lanes))
     t, trajectory = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
     stopped, ends = np.empty(n_lanes, np.int64), np.zeros(n_lanes + 3, np.uint64)
     g, x, w, largest = held[0], held[1], held[2], held[3]
     now = codes[0]  # the other rows: after each step of a pass
+    lanes = Lanes(trajectory, t, now, held)
     near = _ONE << (most + _SHIFT)
     active, waiting, n_stopped = 0, begin, 0
     while True:
@@ -130,8 +128,7 @@ def lanes_of(
                 i = stopped[n_stopped]
                 j = trajectory[i]
                 if t[i] < horizon and (now[i] < over or t[i] == _NONE):  # a call has many arguments
-                    walk(key, horizon, horizon, table, over, discounts, weighted, by_move, record,
-                         places[j] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
+                    walk(plan, slots, lanes, i, horizon, places[j] if record else _NONE, path)
                 sums[0, j], sums[1, j], sums[2, j], sums[3, j] = g[i], x[i], w[i], largest[i]
                 lengths[j], last[j] = t[i], now[i]
                 if waiting == end:
@@ -195,8 +192,7 @@ def lanes_of(
                 g[i] = before[0, i]
                 if weighted:
                     x[i], w[i], largest[i] = before[1, i], before[2, i], before[3, i]
-                walk(key, horizon, t[i] + _PASS, table, over, discounts, weighted, by_move, record,
-                     places[trajectory[i]] if record else _NONE, path, i, trajectory, t, now, held)  # fmt: skip
+                walk(plan, slots, lanes, i, t[i] + _PASS, places[trajectory[i]] if record else _NONE, path)
         else:
             if record:
                 for i in range(active):
@@ -219,20 +215,9 @@ def lanes_of(
                         n_stopped += 1
 
 
-lanes_of = njit(cache=True)(lanes_of)
-
-
-def returns(
-    key: Any, n: Any, chunk: Any, horizon: Any, n_lanes: Any, table: Any, most: Any, start: Any, over: Any, discounts: Any,
-    weighted: Any, by_move: Any, record: Any, places: Any, path: Any, sums: Any, lengths: Any, last: Any,
-) -> None:  # fmt: skip
+@threads_share
+def returns(n, chunk, plan, slots, outcome):
     """``lanes_of`` for all n trajectories, in chunks that threads share; no output depends on either."""
     for c in prange((n + chunk - 1) // chunk):
         begin = np.int64(c) * chunk  # prange counts in uint64, and uint64 * int64 would be a float64
-        lanes_of(
-            key, begin, min(n, begin + chunk), horizon, n_lanes, table, most, start, over, discounts,
-            weighted, by_move, record, places, path, sums, lengths, last,
-        )  # fmt: skip
-
-
-returns = threads_share(returns)
+        lanes_of(begin, min(n, begin + chunk), plan, slots, outcome)

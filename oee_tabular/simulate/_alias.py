@@ -10,26 +10,28 @@ Reference: [1] A. J. Walker, An efficient method for generating discrete random 
 TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array, IntArray
-
 _PLACE = np.uint64(8)  # bits that hold k
 _NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
-_RECORDS_FROM = 1 << 22  # bytes of thresholds, successors and rewards: measured, tests/benchmarks/rollouts.py
+
+# what is drawn in a state: a row by the policy, an entry by P; the first state by ``initial``
+Outcomes = namedtuple("Outcomes", "indptr indices prob policy initial")
+
+# of each slot: its word, the code of s', reward, factor (or none) and the entry of P that it stands for
+Slots = namedtuple("Slots", "word following reward factor entry")
 
 
-def chances(state: Any, indptr: Any, prob: Any, policy: Any, initial: Any, chance: Any, row: Any) -> Any:
+@njit(cache=True)
+def chances(state, outcomes, chance, row):
     """Fill in probability and row s*A + a of a state's outcomes (after the last state: of first states); how many.
 
     Rows of P sum to 1 only to 1e-8, so each is divided by its own sum (``units`` does so for the policy's).
     """
+    indptr, _, prob, policy, initial = outcomes
     n_states, n_actions = policy.shape
     if state == n_states:
         for x in range(len(initial)):
@@ -48,10 +50,8 @@ def chances(state: Any, indptr: Any, prob: Any, policy: Any, initial: Any, chanc
     return n
 
 
-chances = njit(cache=True)(chances)
-
-
-def units(chance: Any, n: Any, out: Any) -> Any:
+@njit(cache=True)
+def units(chance, n, out):
     """Whole numbers of 2^-64 nearest to chance / sum, of n outcomes: how many are not 0, and the most probable outcome.
 
     That one takes what the others leave, so that they sum to 2^64 (in a word: 0).
@@ -71,24 +71,20 @@ def units(chance: Any, n: Any, out: Any) -> Any:
     return kept, most
 
 
-units = njit(cache=True)(units)
-
-
-def sizes(indptr: Any, prob: Any, policy: Any, initial: Any, widest: Any, out: Any) -> None:
+@njit(cache=True)
+def sizes(outcomes, widest, out):
     """k of each state: the least with 2^k slots for its outcomes."""
     chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
     for s in range(len(out)):
-        kept, _ = units(chance, chances(s, indptr, prob, policy, initial, chance, row), unit)
+        kept, _ = units(chance, chances(s, outcomes, chance, row), unit)
         k = 0
         while (1 << k) < kept:
             k += 1
         out[s] = k
 
 
-sizes = njit(cache=True)(sizes)
-
-
-def pair(mass: Any, k: Any, word: Any, small: Any, large: Any) -> None:
+@njit(cache=True)
+def pair(mass, k, word, small, large):
     """The words of 2^k slots, from the units of their own outcomes, which are used up."""
     room = _ONE << (_BITS - np.uint64(k))
     n_small, n_large = 0, 0
@@ -112,23 +108,21 @@ def pair(mass: Any, k: Any, word: Any, small: Any, large: Any) -> None:
         word[large[i]] = np.uint64(large[i])
 
 
-pair = njit(cache=True)(pair)
-
-
-def fill(
-    indptr: Any, indices: Any, prob: Any, policy: Any, initial: Any, pay: Any, by_move: Any, ratio: Any, widest: Any,
-    size: Any, code: Any, word: Any, following: Any, reward: Any, factor: Any, entry: Any,
-) -> None:  # fmt: skip
-    """All slots, state by state; ``ratio`` may be empty."""
+@njit(cache=True)
+def fill(outcomes, pay, ratio, widest, size, code, slots):
+    """All slots, state by state; ``pay`` is aligned with rows or with entries, ``ratio`` may be empty."""
+    indptr, indices, prob, policy, _ = outcomes
+    word, following, reward, factor, entry = slots
     n_states, n_actions = policy.shape
+    by_move = len(pay) == len(prob)
     chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
     most_slots = 1 << np.max(size)
     mass, own = np.empty(most_slots, np.uint64), np.empty(most_slots, np.int64)
     small, large = np.empty(most_slots, np.int64), np.empty(most_slots, np.int64)
     for s in range(n_states + 1):
-        n = chances(s, indptr, prob, policy, initial, chance, row)
+        n = chances(s, outcomes, chance, row)
         kept, most = units(chance, n, unit)
-        slots, base, used = 1 << size[s], np.int64(code[s] >> _PLACE), 0
+        n_slots, base, used = 1 << size[s], np.int64(code[s] >> _PLACE), 0
         for x in range(n):
             if unit[x] > _NONE and kept > 1:
                 mass[used], own[used] = unit[x], x
@@ -136,10 +130,10 @@ def fill(
         if kept == 1:  # all 2^64 units are one outcome's
             word[base], own[0] = _NONE, most
         else:
-            for i in range(used, slots):  # no word stops at these
+            for i in range(used, n_slots):  # no word stops at these
                 mass[i], own[i] = _NONE, own[0]
-            pair(mass, size[s], word[base : base + slots], small, large)
-        for i in range(slots):
+            pair(mass, size[s], word[base : base + n_slots], small, large)
+        for i in range(n_slots):
             x = indptr[s * n_actions] + own[i]
             entry[base + i] = x
             moves = s < n_states  # else a first state, before anything is paid
@@ -147,68 +141,3 @@ def fill(
             reward[base + i] = 0.0 if not moves else pay[x] if by_move else pay[row[own[i]]]
             if len(ratio) > 0:
                 factor[base + i] = ratio[x] if moves else 1.0
-
-
-fill = njit(cache=True)(fill)
-
-
-@dataclass(frozen=True, eq=False)
-class AliasTable:
-    """One table for all states: ``word``, ``following`` (the code of s'), ``reward`` and ``factor`` by slot.
-
-    ``entry`` is the entry of P that a slot stands for; ``code`` (S + 1,) says where a state's slots are, the last one where
-    those of the first state's draw are. Codes from ``over`` on are those of states in which an episode is over.
-    """
-
-    word: Any
-    following: Any
-    reward: Array
-    factor: Array
-    entry: IntArray
-    code: Any
-    over: np.uint64
-
-    @property
-    def most(self) -> np.uint64:
-        """The largest k of a move."""
-        return np.uint64((self.code[:-1] & np.uint64(255)).max())
-
-    @property
-    def arrays(self) -> tuple[Any, Any, Array, Array, IntArray]:
-        """As the kernels take them."""
-        return self.word, self.following, self.reward, self.factor, self.entry
-
-
-def build(
-    indptr: Any, indices: Any, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
-    records: bool | None = None,
-) -> AliasTable:  # fmt: skip
-    """The table of all states under a policy, with rewards by row or by entry, and factors by entry, or none.
-
-    ``records``: each slot's four numbers side by side in 32 bytes, of which a step needs one
-    cache line or two, instead of four arrays; None: where the table is larger than a cache.
-    """
-    n_states, n_actions = policy.shape
-    widest = max(len(initial), int(np.diff(indptr[::n_actions]).max()))
-    size = np.empty(n_states + 1, np.int64)
-    sizes(indptr, prob, policy, initial, widest, size)
-    order = np.argsort(np.append(over, True), kind="stable")  # so that one comparison tells what is over
-    first, ends = np.empty(n_states + 1, np.int64), np.cumsum(1 << size[order])
-    first[order] = np.concatenate([[0], ends[:-1]])
-    slots = int(ends[-1])
-    code = (first << int(_PLACE) | size).astype(np.uint64)
-    if records or (records is None and 24 * slots >= _RECORDS_FROM):
-        room = np.empty(4 * slots + 8, np.uint64)
-        ahead = -room.ctypes.data % 64 // 8  # no record lies across two cache lines
-        whole = room[ahead : ahead + 4 * slots].reshape(slots, 4)
-        numbers = whole.view(np.float64)
-        word, following, reward, factor = whole[:, 0], whole[:, 1], numbers[:, 2], numbers[:, 3]
-    else:
-        word, following = np.empty((2, slots), np.uint64)
-        reward, factor = np.empty(slots), np.empty(slots if len(ratio) else 0)
-    entry = np.empty(slots, np.int64)
-    fill(
-        indptr, indices, prob, policy, initial, pay, len(pay) == len(prob), ratio, widest,
-        size, code, word, following, reward, factor, entry,
-    )  # fmt: skip
-    return AliasTable(word, following, reward, factor, entry, code, code[order[int(np.sum(~over))]])

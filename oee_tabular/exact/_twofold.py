@@ -6,10 +6,6 @@ References: [1] Dekker, A floating-point technique for extending the available p
 [2] Ogita, Rump and Oishi, Accurate sum and dot product, SIAM J. Sci. Comput. 26 (2005).
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numba.core import types
@@ -17,39 +13,34 @@ from numba.extending import intrinsic
 
 
 @intrinsic
-def _fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+def fused(typing, a, b, c):
     """A * b + c with one rounding: an instruction where the machine has it, else the C library's fma."""
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def build(context, builder, signature, arguments):
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), build
 
 
-fused: Any = _fused
-
-
-def two_sum(a: Any, b: Any) -> Any:
+@njit(cache=True)
+def two_sum(a, b):
     """a + b and what its rounding left."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
-two_sum = njit(cache=True)(two_sum)
-
-
-def two_product(a: Any, b: Any) -> Any:
+@njit(cache=True)
+def two_product(a, b):
     """A * b and what its rounding left."""
     product = a * b
     return product, fused(a, b, -product)
 
 
-two_product = njit(cache=True)(two_product)
-
-
-def expected_rest(indptr: Any, data: Any, pay: Any, rewards: Any) -> Any:
+@njit(cache=True)
+def expected_rest(rows, pay, rewards):
     """What ``rewards`` (S, A), the rounded sums of data * pay over the rows, have lost; the largest sum of |data * pay|."""
+    indptr, _, data = rows
     n_actions = rewards.shape[1]
     low, largest = np.empty_like(rewards), 0.0
     for row in range(rewards.size):
@@ -65,24 +56,14 @@ def expected_rest(indptr: Any, data: Any, pay: Any, rewards: Any) -> Any:
     return low, largest
 
 
-expected_rest = njit(cache=True)(expected_rest)
-
-
-def average_rest(
-    indptr: Any,
-    indices: Any,
-    data: Any,
-    policy: Any,
-    rewards: Any,
-    rest_of: Any,
-    starts: Any,
-    columns: Any,
-    values: Any,
-) -> Any:
-    """What ``policy_rows.average_rows`` and ``average_rewards`` rounded away: low parts of the kernel, rewards and theirs.
+@njit(cache=True)
+def average_rest(rows, policy, rewards, rest_of, kernel):
+    """What averaging over a policy's actions rounded away: low parts of the kernel, the rewards and theirs.
 
     ``rest_of`` (S, A): low parts of ``rewards``.
     """
+    indptr, indices, data = rows
+    starts, columns, values, _ = kernel
     n_states, n_actions = policy.shape
     low = np.empty(len(columns))
     high_sums, low_sums = np.zeros(n_states), np.zeros(n_states)
@@ -112,17 +93,13 @@ def average_rest(
     return low, pay, pay_low
 
 
-average_rest = njit(cache=True)(average_rest)
-
-
-def residual(
-    indptr: Any, indices: Any, data: Any, low: Any, discount: Any, b: Any, b_low: Any, x: Any, x_low: Any, formed: Any,
-    total: Any,
-) -> Any:  # fmt: skip
+@njit(cache=True)
+def residual(kernel, low, b, b_low, x, x_low, formed, total):
     """b - (I - discount K) x of pairs; its largest magnitude and a bound on the exact one, or their sums if ``total``.
 
     The pair sums are exact to (entries + formed + 8)^2 u^2 times the sum of magnitudes, u = 2^-53.
     """
+    indptr, indices, data, discount = kernel
     n = len(b)
     missed = np.empty(n)
     unit = 0.25 * np.finfo(np.float64).eps ** 2 * (1.0 + 1e-9)
@@ -161,10 +138,8 @@ def residual(
     return missed, largest, bound * (1.0 + 1e-9), rounding
 
 
-residual = njit(cache=True)(residual)
-
-
-def add(x: Any, x_low: Any, step: Any) -> None:
+@njit(cache=True)
+def add(x, x_low, step):
     """x += step, for a pair, in place."""
     for i in range(len(x)):
         high, low = two_sum(x[i], step[i])
@@ -172,10 +147,8 @@ def add(x: Any, x_low: Any, step: Any) -> None:
         x[i], x_low[i] = two_sum(high, low)
 
 
-add = njit(cache=True)(add)
-
-
-def dot(weights: Any, x: Any, x_low: Any) -> Any:
+@njit(cache=True)
+def dot(weights, x, x_low):
     """sum weights * x of a pair, rounded once."""
     total, rest = 0.0, 0.0
     for i in range(len(x)):
@@ -185,10 +158,8 @@ def dot(weights: Any, x: Any, x_low: Any) -> Any:
     return total + rest
 
 
-dot = njit(cache=True)(dot)
-
-
-def settled(x: Any, x_low: Any, bound: Any) -> Any:
+@njit(cache=True)
+def settled(x, x_low, bound):
     """Where every number within ``bound`` of the pair is rounded to the same float."""
     sure = np.empty(len(x), dtype=np.bool_)
     for i in range(len(x)):
@@ -201,11 +172,10 @@ def settled(x: Any, x_low: Any, bound: Any) -> Any:
     return sure
 
 
-settled = njit(cache=True)(settled)
-
-
-def nothing_ahead(indptr: Any, indices: Any, b: Any, b_low: Any, x: Any, x_low: Any) -> Any:
+@njit(cache=True)
+def nothing_ahead(kernel, b, b_low, x, x_low):
     """States of a set of zeros in x that no row leaves and where b is 0: there the solution is 0, exactly."""
+    indptr, indices, _, _ = kernel
     n = len(b)
     zero = np.empty(n, dtype=np.bool_)
     for i in range(n):
@@ -221,6 +191,3 @@ def nothing_ahead(indptr: Any, indices: Any, b: Any, b_low: Any, x: Any, x_low: 
                         changed = True
                         break
     return zero
-
-
-nothing_ahead = njit(cache=True)(nothing_ahead)

@@ -1,15 +1,10 @@
 """Sums over weighted episodes of any lengths that stand in a row, ``starts`` (n + 1,) apart; in a fixed order."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from numba import njit
 
 
-def carried(
-    starts: Any, path: Any, ratio: Any, pay: Any, discounts: Any, by_move: Any, weight: Any, reward: Any
-) -> None:  # fmt: skip
+@njit(cache=True)
+def carried(starts, path, ratio, pay, discounts, by_move, weight, reward):
     """Of each step, from the entry of P that it takes: gamma^t r_t, and its weight W_t, or W_{t+1} where ``by_move``."""
     for i in range(len(starts) - 1):
         w = 1.0
@@ -21,10 +16,8 @@ def carried(
             w = after
 
 
-carried = njit(cache=True)(carried)
-
-
-def step_sums(starts: Any, weight: Any, reward: Any, mass: Any, paid: Any) -> None:
+@njit(cache=True)
+def step_sums(starts, weight, reward, mass, paid):
     """mass[t] = sum_i w_it, paid[t] = sum_i w_it r_it, over the episodes that have a step t; both begin at 0."""
     for i in range(len(starts) - 1):
         for row in range(starts[i], starts[i + 1]):
@@ -32,10 +25,8 @@ def step_sums(starts: Any, weight: Any, reward: Any, mass: Any, paid: Any) -> No
             paid[row - starts[i]] += weight[row] * reward[row]
 
 
-step_sums = njit(cache=True)(step_sums)
-
-
-def linearised(starts: Any, weight: Any, reward: Any, value: Any, scale: Any, out: Any) -> None:
+@njit(cache=True)
+def linearised(starts, weight, reward, value, scale, out):
     """out[i] = sum_t (w_it r_it - value_t w_it) scale_t."""
     for i in range(len(starts) - 1):
         total = 0.0
@@ -45,12 +36,8 @@ def linearised(starts: Any, weight: Any, reward: Any, value: Any, scale: Any, ou
         out[i] = total
 
 
-linearised = njit(cache=True)(linearised)
-
-
-def control_variates(
-    places: Any, path: Any, columns: Any, rows: Any, ratio: Any, known: Any, going: Any, discount: Any, ahead: Any
-) -> None:  # fmt: skip
+@njit(cache=True)
+def control_variates(places, path, columns, rows, ratio, known, going, discount, ahead):
     """ahead[i] of the episodes i < len(places), a step further back, the one whose entry is at places[i] of the path.
 
     D = known(s, a) + zeta (gamma D' - gamma V(s')), with ``going`` = gamma V.
@@ -58,6 +45,3 @@ def control_variates(
     for i in range(len(places)):
         entry = path[places[i]]
         ahead[i] = known[rows[entry]] + ratio[entry] * (discount * ahead[i] - going[columns[entry]])
-
-
-control_variates = njit(cache=True)(control_variates)

@@ -7,14 +7,10 @@ of 32 bits for ``lanes``.
 Reference: [1] Salmon, Moraes, Dror and Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit, prange
 
-from oee_tabular.kernels.shared import threads_share
+from oee_tabular._compiled import threads_share
 
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
@@ -24,7 +20,9 @@ _UNIT = 1.0 / 9007199254740992.0  # 2**-53
 _DROP = np.uint64(11)
 
 
-def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
+# inlined by numba: a call inside the loop over lanes would keep LLVM from vectorising it (3 ns instead of 10)
+@njit(cache=True, inline="always")
+def philox(c0, c1, c2, c3, k0, k1):
     """Ten rounds of Philox4x32 on 32-bit words held in uint64 (only the low 32 bits of what is between them count)."""
     for _ in range(10):
         p0 = _M0 * (c0 & _LOW)
@@ -35,11 +33,8 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
     return c0 & _LOW, c1 & _LOW, c2 & _LOW, c3 & _LOW
 
 
-# inlined by numba: a call inside the loop over lanes would keep LLVM from vectorising it (3 ns instead of 10)
-philox = njit(cache=True, inline="always")(philox)
-
-
-def uniforms(key: Any, trajectory: Any, step: Any) -> Any:
+@njit(cache=True)
+def uniforms(key, trajectory, step):
     """Two numbers in [0, 1) that belong to (key, trajectory, step)."""
     t, s = np.uint64(trajectory), np.uint64(step)
     x0, x1, x2, x3 = philox(s & _LOW, s >> _SHIFT, t & _LOW, t >> _SHIFT, key & _LOW, key >> _SHIFT)
@@ -48,10 +43,18 @@ def uniforms(key: Any, trajectory: Any, step: Any) -> Any:
     return first, second
 
 
-uniforms = njit(cache=True)(uniforms)
+@njit(cache=True)
+def running_sums(data, indptr):
+    """Sums of ``data`` from the beginning of each row up to each entry, each row by itself."""
+    total = data.copy()
+    for row in range(len(indptr) - 1):
+        for k in range(indptr[row] + 1, indptr[row + 1]):
+            total[k] += total[k - 1]
+    return total
 
 
-def pick(cumulative: Any, low: Any, high: Any, u: Any) -> Any:
+@njit(cache=True)
+def pick(cumulative, low, high, u):
     """The first position in [low, high) whose running sum exceeds u times the total (so zero entries are never picked)."""
     target = u * cumulative[high - 1]
     while low < high - 1:
@@ -63,12 +66,8 @@ def pick(cumulative: Any, low: Any, high: Any, u: Any) -> Any:
     return low
 
 
-pick = njit(cache=True)(pick)
-
-
-def episode_lengths(
-    key: Any, n: Any, horizon: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any, over: Any
-) -> Any:
+@threads_share
+def episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulative, over):
     """The number of steps of each of n episodes: up to the horizon, or to the first state that is over."""
     n_states, n_actions = policy.shape
     flat = policy.reshape(-1)
@@ -88,10 +87,8 @@ def episode_lengths(
     return lengths
 
 
-episode_lengths = threads_share(episode_lengths)
-
-
-def episodes(key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indices: Any, cumulative: Any) -> Any:
+@threads_share
+def episodes(key, starts, initial, policy, indptr, indices, cumulative):
     """The same episodes, written out: row and entry of each move, in the ragged places that ``starts`` gives."""
     n_states, n_actions = policy.shape
     flat = policy.reshape(-1)
@@ -110,10 +107,8 @@ def episodes(key: Any, starts: Any, initial: Any, policy: Any, indptr: Any, indi
     return rows, entries
 
 
-episodes = threads_share(episodes)
-
-
-def transitions(key: Any, n: Any, distribution: Any, indptr: Any, cumulative: Any) -> Any:
+@threads_share
+def transitions(key, n, distribution, indptr, cumulative):
     """n independent moves: a row from ``distribution`` (running sums), then a stored entry of the row."""
     rows = np.empty(n, dtype=np.int64)
     entries = np.empty(n, dtype=np.int64)
@@ -123,6 +118,3 @@ def transitions(key: Any, n: Any, distribution: Any, indptr: Any, cumulative: An
         rows[i] = row
         entries[i] = pick(cumulative, indptr[row], indptr[row + 1], v)
     return rows, entries
-
-
-transitions = threads_share(transitions)

@@ -7,27 +7,29 @@ per decision    X = h(s) + u [pay(s, a) + c(s, a) + sum over the move of w (pay(
 trajectory      L = u w L', L R = u w L' (r + gamma R'): means of L and L R, variances and covariance likewise
 
 (law of total variance: every term is a variance or a positive multiple of one; E X^2 - (E X)^2 would lose digits). For a
-policy and pays that do not depend on time ``merged`` has the same, faster; this is what it is tested against.
+policy and pays that do not depend on time ``_merged`` has the same, faster; this is what it is tested against.
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+# what X has beside the walk's pays: see ``per_decision``
+Extras = namedtuple("Extras", "shift scale c h k")
 
-def per_decision(
-    steps: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, shift: Any,
-    scale: Any, c: Any, h: Any, k: Any, gamma: Any, mean: Any, var: Any, local: Any, keep: Any,
-) -> Any:  # fmt: skip
-    """Fill ``mean`` and ``var`` (S,) of X_0 and, if ``keep``, ``local`` (T, S): the variance that each step adds.
+
+@njit(cache=True, error_model="numpy")
+def per_decision(walk, steps, extras, keep):
+    """Mean and variance (S,) of X_0 and, if ``keep``, (T, S) the variance that each step adds.
 
     act, u, c are (1 or T, S*A), h (1 or T, S), k (1 or T + 1, S): the first axis is time where it is longer than 1. Pays
     are (pay - shift_t) * scale_t.
     """
-    n_states = len(mean)
+    indptr, indices, prob, w, act, u, by_move, pay, initial, gamma = walk
+    shift, scale, c, h, k = extras
+    n_states = len(initial)
+    mean, var, local = np.empty(n_states), np.empty(n_states), np.empty((steps if keep else 1, n_states))
     n_actions = act.shape[1] // n_states
     next_mean, next_var = np.zeros(n_states), np.zeros(n_states)
     inner = np.empty(n_actions)
@@ -76,21 +78,19 @@ def per_decision(
                 local[t, s] = own
         next_mean[:] = mean
         next_var[:] = var
+    return mean, var, local
 
 
-per_decision = njit(cache=True, error_model="numpy")(per_decision)
-
-
-def trajectory(
-    steps: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, gamma: Any,
-    out: Any, local: Any, keep: Any,
-) -> Any:  # fmt: skip
-    """Fill ``out`` (5, S): E L, E LR, Var L, Cov(L, LR), Var LR; and ``local`` (T, 3, S), each step's share of the last three.
+@njit(cache=True, error_model="numpy")
+def trajectory(walk, steps, keep):
+    """(5, S): E L, E LR, Var L, Cov(L, LR), Var LR; and if ``keep``, (T, 3, S) each step's share of the last three.
 
     For rewards r(s, a) the last move's w is left out: T rewards, T - 1 moves.
     """
-    n_states = out.shape[1]
+    indptr, indices, prob, w, act, u, by_move, pay, initial, gamma = walk
+    n_states = len(initial)
     n_actions = act.shape[1] // n_states
+    out, local = np.empty((5, n_states)), np.empty((steps if keep else 1, 3, n_states))
     after = np.zeros((5, n_states))
     after[0] = 1.0
     for left in range(steps):
@@ -138,23 +138,20 @@ def trajectory(
             if keep:
                 local[t, 0, s], local[t, 1, s], local[t, 2, s] = own_l, own_cov, own_lr
         after[:] = out
+    return out, local
 
 
-trajectory = njit(cache=True, error_model="numpy")(trajectory)
+@njit(cache=True, error_model="numpy")
+def forward(walk, steps, power, returns):
+    """(T + 1, 3, S): E[W^p G^i 1{s_t = s}] for i = 0, 1, 2, p = ``power``, G the discounted return before t.
 
-
-def forward(
-    steps: Any, indptr: Any, indices: Any, prob: Any, w: Any, act: Any, u: Any, by_move: Any, pay: Any, gamma: Any,
-    power: Any, first: Any, second: Any, out: Any,
-) -> Any:  # fmt: skip
-    """Fill ``out`` (T + 1, 3, S): E[W^p G^i 1{s_t = s}] for i = 0, 1, 2, p = ``power``, G the discounted return before t.
-
-    ``first`` (S,) is the distribution of s_0; W holds the factors of the steps before t. ``second`` says whether the
-    returns are asked for (False leaves i = 1, 2 at 0).
+    W holds the factors of the steps before t. Without ``returns`` i = 1, 2 stay at 0.
     """
-    n_states = out.shape[2]
+    indptr, indices, prob, w, act, u, by_move, pay, initial, gamma = walk
+    n_states = len(initial)
+    out = np.zeros((steps + 1, 3, n_states))
     n_actions = act.shape[1] // n_states
-    out[0, 0] = first
+    out[0, 0] = initial
     factor = 1.0
     for t in range(steps):
         ta = t if act.shape[0] > 1 else 0
@@ -172,11 +169,9 @@ def forward(
                     f = u[ta, row] * w[x]
                     chance = share * prob[x] * (f if power == 1 else f * f)
                     out[t + 1, 0, j] += chance * b0
-                    if second:
+                    if returns:
                         r = factor * (pay[x] if by_move else pay[row])
                         out[t + 1, 1, j] += chance * (b1 + r * b0)
                         out[t + 1, 2, j] += chance * (b2 + 2.0 * r * b1 + r * r * b0)
         factor *= gamma
-
-
-forward = njit(cache=True, error_model="numpy")(forward)
+    return out

@@ -7,16 +7,22 @@ as many entries as K, and the iteration takes a third of the steps.
 Reference: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 12.5 (independent set orderings; ILUM).
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+from oee_tabular.exact.solvers import _bicgstab as bicgstab
+from oee_tabular.exact.system import Kernel
 
-def independent(indptr: Any, indices: Any, data: Any, discount: Any, order: Any) -> Any:
+# 1 for the states of E, else 0; the inverse diagonal of E; the states that are left, and each one's number there
+Reduction = namedtuple("Reduction", "mark inverse states number")
+
+
+@njit(cache=True)
+def independent(kernel, order):
     """1 for the states of E, found greedily in the given order, else 0; the inverse diagonal of E; room that K' may need."""
+    indptr, indices, data, discount = kernel
     n = len(order)
     mark = np.zeros(n, dtype=np.uint8)
     inverse = np.zeros(n)
@@ -52,13 +58,22 @@ def independent(indptr: Any, indices: Any, data: Any, discount: Any, order: Any)
     return mark, inverse, room
 
 
-independent = njit(cache=True)(independent)
+@njit(cache=True)
+def added(columns, values, where, begin, filled, i, value):
+    """The row from ``begin`` on with ``value`` added at column i, and where it ends then."""
+    at = where[i]
+    if begin <= at and at < filled and columns[at] == i:
+        values[at] += value
+        return filled
+    where[i], columns[filled], values[filled] = filled, i, value
+    return filled + np.uint64(1)
 
 
-def eliminate(
-    indptr: Any, indices: Any, data: Any, discount: Any, order: Any, mark: Any, inverse: Any, columns: Any, values: Any
-) -> Any:
-    """K' in the given order of what is left, written to ``columns`` and ``values``; row pointers, states, their numbers."""
+@njit(cache=True)
+def eliminate(kernel, order, mark, inverse, room):
+    """The rest K' in the given order of what is left, with discount 1; and the ``Reduction``."""
+    indptr, indices, data, discount = kernel
+    columns, values = np.empty(room, dtype=np.uint32), np.empty(room)  # only what is filled becomes memory
     n = len(order)
     number = np.zeros(n, dtype=np.uint32)
     left = 0
@@ -82,41 +97,23 @@ def eliminate(
             j = indices[k]
             value = discount * data[k]
             if mark[j] == 0:
-                i = number[j]
-                at = where[i]
-                if begin <= at and at < filled and columns[at] == i:
-                    values[at] += value
-                else:
-                    where[i] = filled
-                    columns[filled] = i
-                    values[filled] = value
-                    filled += np.uint64(1)
+                filled = added(columns, values, where, begin, filled, number[j], value)
                 continue
             value *= discount * inverse[j]
             for m in range(indptr[j], indptr[j + np.uint32(1)]):
                 if indices[m] == j:
                     continue
-                i = number[indices[m]]
-                at = where[i]
-                if begin <= at and at < filled and columns[at] == i:
-                    values[at] += value * data[m]
-                else:
-                    where[i] = filled
-                    columns[filled] = i
-                    values[filled] = value * data[m]
-                    filled += np.uint64(1)
+                filled = added(columns, values, where, begin, filled, number[indices[m]], value * data[m])
         starts[row + np.uint32(1)] = filled
-    return starts, states, number
+    rest = Kernel(starts, columns[: starts[-1]], values[: starts[-1]], 1.0)
+    return rest, Reduction(mark, inverse, states, number)
 
 
-eliminate = njit(cache=True)(eliminate)
-
-
-def reduce_right(
-    indptr: Any, indices: Any, data: Any, discount: Any, mark: Any, inverse: Any, states: Any, number: Any, b: Any,
-    transpose: Any,
-) -> Any:  # fmt: skip
+@njit(cache=True)
+def reduce_right(kernel, reduction, transpose, b):
     """The right side of what is left."""
+    indptr, indices, data, discount = kernel
+    mark, inverse, states, number = reduction
     reduced = np.empty(len(states))
     for row in range(len(states)):
         state = states[row]
@@ -137,14 +134,11 @@ def reduce_right(
     return reduced
 
 
-reduce_right = njit(cache=True)(reduce_right)
-
-
-def extend(
-    indptr: Any, indices: Any, data: Any, discount: Any, mark: Any, inverse: Any, states: Any, b: Any, y: Any,
-    transpose: Any,
-) -> Any:  # fmt: skip
+@njit(cache=True)
+def extend(kernel, reduction, transpose, b, y):
     """The whole solution from that of what is left."""
+    indptr, indices, data, discount = kernel
+    mark, inverse, states, _ = reduction
     x = np.zeros(len(b))
     for row in range(len(states)):
         state = states[row]
@@ -164,4 +158,8 @@ def extend(
     return x
 
 
-extend = njit(cache=True)(extend)
+@njit(cache=True)
+def solve(kernel, reduction, factors, transpose, b, relative):
+    """x, by BiCGSTAB on what is left."""
+    y = bicgstab.solve(factors, reduce_right(kernel, reduction, transpose, b), relative)
+    return extend(kernel, reduction, transpose, b, y)

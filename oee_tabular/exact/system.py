@@ -1,0 +1,200 @@
+"""A policy's linear system M x = b, M = I - gamma K, as arrays that compiled loops read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular.exact.reweighted import Model
+
+# of the right side, and of how far its residual is to fall; None where the solver gives up
+Solve: TypeAlias = Callable[[Array, float], Array | None]
+
+
+class DivergentKernelError(ValueError):
+    """gamma K has a spectral radius of 1 or more: the infinite sum does not exist."""
+
+
+class Csr(NamedTuple):
+    """A CSR matrix as kernels read it: indices of 32 bits, unsigned (signed ones cost twice the time), all read-only."""
+
+    indptr: Any
+    indices: Any
+    data: Array
+
+
+class Kernel(NamedTuple):
+    """The rows of K, and gamma."""
+
+    indptr: Any
+    indices: Any
+    data: Array
+    discount: float
+
+
+def rows_of(matrix: sparse.csr_array) -> Csr:
+    """The arrays of the matrix itself where they have 32 bits, so that each kernel is compiled for one kind of array."""
+    indptr, indices, data = matrix.indptr, matrix.indices, np.ascontiguousarray(matrix.data, dtype=np.float64)
+    if indptr.dtype != np.int32 or indices.dtype != np.int32:
+        if indptr[-1] >= 2**32:
+            raise ValueError(f"transitions must have fewer than 2**32 entries; they have {int(indptr[-1])}")
+        indptr, indices = indptr.astype(np.uint32), indices.astype(np.uint32)
+    rows = Csr(np.ascontiguousarray(indptr).view(np.uint32), np.ascontiguousarray(indices).view(np.uint32), data.view())
+    for part in rows:
+        part.flags.writeable = False
+    return rows
+
+
+def readable(array: Any) -> Any:
+    """A contiguous view that cannot be written through."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """M = I - gamma K, or its transpose.
+
+    Attributes
+    ----------
+    kernel : K and gamma
+    smallest, largest : row sums of K, the latter with its rounding
+    transpose : whether M^T x = b is meant
+    formed : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
+    """
+
+    kernel: Kernel
+    smallest: float
+    largest: float
+    transpose: bool = False
+    formed: int = 0
+
+    @classmethod
+    def of(cls, kernel: sparse.csr_array, discount: float, transpose: bool = False) -> System:
+        """Of a CSR matrix."""
+        from oee_tabular.exact._policy_rows import range_of_sums
+
+        found = Kernel(*rows_of(kernel), discount)
+        smallest, largest = range_of_sums(found, 0.0)
+        return cls(found, smallest, largest, transpose)
+
+    @cached_property
+    def components(self) -> tuple[Any, Any]:
+        """States by strongly connected component, those last that lead to all others; where components begin.
+
+        Both are empty where a component has more than 100 states, or more than a tenth of them all.
+        """
+        from oee_tabular.exact.solvers._elimination import components
+
+        found: tuple[Any, Any] = components(self.kernel, min(100, (len(self.kernel.indptr) - 1) // 10))
+        return found
+
+    def forward(self) -> System:
+        """The same without the transposition."""
+        return replace(self, transpose=False) if self.transpose else self
+
+    def csr(self) -> sparse.csr_array:
+        """K."""
+        indptr, indices = (part.astype(np.int64) for part in self.kernel[:2])
+        return sparse.csr_array((self.kernel.data, indices, indptr), shape=(len(indptr) - 1, len(indptr) - 1))
+
+    def matrix(self) -> sparse.csc_array:
+        """M for a library's solver."""
+        kernel = self.csr()
+        matrix = sparse.csr_array(sparse.eye_array(kernel.shape[0], format="csr") - self.kernel.discount * kernel)
+        return sparse.csc_array(matrix.T if self.transpose else matrix)
+
+
+def policy_system(model: Model, policy: Array) -> System:
+    """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a)."""
+    from oee_tabular.exact import _policy_rows
+
+    rows = rows_of(model.transitions)
+    indptr, indices, data = _policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64))
+    for part in (indptr, indices, data):
+        part.flags.writeable = False
+    kernel = Kernel(indptr, indices, data, model.discount)
+    smallest, largest = _policy_rows.range_of_sums(kernel, float(model.n_actions))
+    return System(kernel, smallest, largest, formed=model.n_actions)
+
+
+def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
+    """(S, S): sum_a policy[s, a] K(s' | s, a)."""
+    indptr, columns, values, _ = policy_system(model, policy).kernel
+    parts = values.copy(), columns.astype(np.int32), indptr.astype(np.int32)
+    kernel = sparse.csr_array(parts, shape=(model.n_states, model.n_states))
+    kernel.sort_indices()
+    return kernel
+
+
+def recurrent_states(system: System, rewards: Array) -> BoolArray:
+    """(S,) mask of the closed classes at discount 1, which must pay nothing; the other states are solved for."""
+    kernel = system.csr()
+    _, component = csgraph.connected_components(kernel, directed=True, connection="strong")
+    rows = row_of_entry(kernel)
+    crossing = (kernel.data > 0) & (component[rows] != component[kernel.indices])
+    closed = np.ones(component.max() + 1, dtype=np.bool_)
+    closed[component[rows[crossing]]] = False
+    closed[component[row_sums(kernel) < 1.0 - 2.0 * _checks.SUM_TOLERANCE]] = False  # a kernel may lose mass
+    recurrent = np.asarray(closed[component])
+    paying: IntArray = np.flatnonzero(recurrent & (rewards != 0.0))
+    if paying.size:
+        raise DivergentKernelError(
+            "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
+            f"that pay nothing; it stays for ever in {paying.size} states that do, the first: {paying[0]} "
+            f"(reward {rewards[paying[0]]:g})"
+        )
+    return recurrent
+
+
+def entries_of(system: System, recurrent: BoolArray) -> BoolArray:
+    """The entries of the rows of these states."""
+    return np.repeat(recurrent, np.diff(system.kernel.indptr.astype(np.int64)))
+
+
+def without(system: System, recurrent: BoolArray) -> System:
+    """The system in which these states lead nowhere."""
+    from oee_tabular.exact import _policy_rows
+
+    kernel = system.kernel._replace(data=readable(np.where(entries_of(system, recurrent), 0.0, system.kernel.data)))
+    smallest, largest = _policy_rows.range_of_sums(kernel, float(system.formed))
+    return System(kernel, smallest, largest, formed=system.formed)
+
+
+def exponent(numbers: Array) -> int:
+    """That of the largest number, where its square may leave the range of floats; else 0."""
+    largest = float(max(numbers.max(initial=0.0), -numbers.min(initial=0.0)))
+    return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
+
+
+def scaled_back(x: Array, bound: float, certified: float | None, shift: int) -> tuple[Array, float, float | None]:
+    """2^shift x, a bound on its error, and the share that stays certified: what becomes subnormal is rounded once more."""
+    with np.errstate(over="ignore", under="ignore"):
+        x, bound = np.ldexp(x, shift), float(np.ldexp(bound, shift))
+    if certified is not None:
+        certified = min(certified, float(np.mean((x == 0.0) | (np.abs(x) >= np.finfo(float).tiny))))
+    return x, bound + len(x) * 5e-324, certified
+
+
+def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:
+    """The spectral radius of discount * K for a nonnegative K, by the power method (a mean over 1000 steps)."""
+    vector = np.ones(kernel.shape[0])
+    growth = []
+    for _ in range(2000):
+        vector = discount * (kernel @ vector)
+        size = float(vector.max(initial=0.0))
+        if size == 0.0:
+            return 0.0
+        vector /= size
+        growth.append(np.log(size))
+    return float(np.exp(np.mean(growth[1000:])))  # the mean, for kernels that are periodic

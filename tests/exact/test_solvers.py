@@ -1,0 +1,410 @@
+"""Every solver of a policy's linear system against the same laws, on kernels of every structure; the choice; the kernels."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import dense_values, rngs
+from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+from structures import STRUCTURES, binary_tree, cycle, grid, layered, levels, random_rows
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, exact
+from oee_tabular.exact import solvers
+from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.solvers import (
+    SOLVERS,
+    _bicgstab,
+    _elimination,
+    _reduction,
+    _value_iteration,
+    inverse_norm,
+    refine,
+)
+from oee_tabular.exact.solvers.bicgstab import BiCGStab
+from oee_tabular.exact.solvers.elimination import DenseLU
+from oee_tabular.exact.solvers.library import expands
+from oee_tabular.exact.system import System, spectral_radius
+
+OTHERS = (DenseLU(up_to=700), BiCGStab(reduced=False))  # as the options have it
+
+
+@dataclass
+class Stub:
+    """A solver that does what it is told."""
+
+    name: str
+    solve: Any
+    direct: bool = False
+
+    def suits(self, system):
+        return True
+
+    def prepare(self, system):
+        return self.solve
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("discount", [0.0, 0.9, 0.9999])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_every_solver_gives_the_one_answer_within_its_bound(name, discount, transpose):
+    kernel = STRUCTURES[name]
+    b = np.random.default_rng(1).normal(size=kernel.shape[0])
+    matrix = np.eye(len(b)) - discount * kernel.toarray()
+    truth = np.linalg.solve(matrix.T if transpose else matrix, b)
+    scale = np.abs(truth).sum() if transpose else np.abs(truth).max()
+    size = 1e-12 / (1.0 - discount) * scale
+    found = solve_policy_system(kernel, b, discount, transpose=transpose)
+    proved = solve_policy_system(kernel, b, discount, transpose=transpose, certify=True)
+    assert_allclose(found.x, truth, rtol=0, atol=size)
+    assert proved.certified > 0.99  # all, but for a small entry beside large ones
+    missed = np.abs(found.x - proved.x)
+    assert (missed.sum() if transpose else missed.max()) <= found.error_bound + np.spacing(scale)
+    assert found.error_bound < 1e-11 / (1 - discount) * scale + 1e-300
+    spacing = np.spacing(np.abs(proved.x))  # certified: half of it at the most, and what is not a little more
+    assert proved.error_bound <= (0.51 * spacing.sum() if transpose else 0.51 * spacing.max())
+    system = System.of(kernel, discount, transpose)
+    norm = inverse_norm(system)
+    for solver in (*SOLVERS, *OTHERS):
+        if not solver.suits(system):
+            continue
+        answer = refine(system, b, solver.prepare(system), solver.name)
+        if answer is None:  # value iteration where the graph does not mix
+            assert not solver.direct
+            continue
+        missed = np.abs(answer.x - proved.x)
+        missed = missed.sum() if transpose else missed.max()
+        # an iteration may end above its rounding: its residual says so, and another solver is asked
+        assert missed <= norm * answer.bound + np.spacing(scale), solver
+        assert missed < size or not solver.direct, solver
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [("one state", "dense LU"), ("grid", "BiCGSTAB"), ("layered", "LU by components"), ("expander", "value iteration"),
+     ("ring", "BiCGSTAB"), ("dense", "value iteration"), ("rows above 1", "BiCGSTAB"), ("empty", "LU by components")],
+)  # fmt: skip
+def test_the_choice(name, method):
+    kernel = STRUCTURES[name]
+    b = np.random.default_rng(0).random(kernel.shape[0])
+    assert solve_policy_system(kernel, b, 0.95).method == method
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("n", [3, 30, 200, 500])
+def test_a_direct_solver_answers_a_singular_system_with_nan(n, transpose):
+    """From which divergence is concluded; the name of the method is that of the solver that was asked first."""
+    singular = System.of(sparse.csr_array(sparse.eye_array(n)), 1.0, transpose)
+    asked = [solver for solver in (*SOLVERS, *OTHERS) if solver.direct and solver.suits(singular)]
+    assert asked
+    for solver in asked:
+        assert np.isnan(solver.prepare(singular)(np.ones(n), 0.0)).all()
+    found = solvers.answer(singular, np.ones(n))
+    assert np.isnan(found.x).all()
+    assert np.isnan(found.largest)
+    assert found.method == ("dense LU" if n <= 32 else "LU by components")
+
+
+def test_the_iteration_refines_to_rounding_and_leaves_zero_alone():
+    system, solver = System.of(grid(25), 0.99), BiCGStab()
+    b = np.random.default_rng(0).random(625)
+    x, missed, largest, bound, rounding, _ = refine(system, b, solver.prepare(system), solver.name)
+    assert_allclose(missed, b + 0.99 * (system.csr() @ x) - x, rtol=0, atol=1e-15 * np.abs(x).max())
+    assert largest == np.abs(missed).max() < 1e-14 * np.abs(x).max()
+    assert largest < bound <= largest + rounding
+    x, missed, largest, *_ = refine(system, np.zeros(625), solver.prepare(system), solver.name)
+    assert_array_equal(x, np.zeros(625))
+    assert_array_equal(missed, np.zeros(625))
+    assert largest == 0.0
+
+
+def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
+    grid = oee.tasks.gridworld(25, 0.3)
+    policy = oee.uniform_policy(grid)
+    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: np.zeros(len(b))), *SOLVERS[4:]))
+    found = exact.evaluate_policy(grid, policy)
+    assert found.method == "sparse LU"
+    assert_allclose(found.values, dense_values(grid, policy), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("certify", [False, True])
+def test_where_iteration_fails_on_an_expander(monkeypatch, certify):
+    """Up to 3000 states a dense solver answers; above, the bound says how far the iteration got."""
+    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: 0.9 * b), *SOLVERS[4:]))
+    for n, method in ((900, "dense LU"), (3300, "BiCGSTAB")):
+        b = np.random.default_rng(0).normal(size=n)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = solve_policy_system(random_rows(n, 3), b, 0.9, certify=certify)
+        assert (len(said) == 1) == (n > 3000 and not certify)
+        assert not said or "3300 states is solved only to a residual of" in str(said[0].message)
+        missed = np.abs(found.x - 0.9 * (random_rows(n, 3) @ found.x) - b).max()
+        assert found.method == method
+        assert (missed < 1e-13) == (n == 900)
+        assert missed <= 10 * found.error_bound + 1e-13
+        assert found.error_bound < 1e3
+        assert not certify or (found.certified == 1.0) == (n == 900)
+
+
+def test_no_direct_solver_is_asked_about_an_expander(monkeypatch):
+    monkeypatch.setattr(solvers, "SOLVERS", SOLVERS[:4])
+    for entries in (2, 3, 6, 20):
+        kernel = random_rows(3000, entries)
+        for discount in (0.9, 0.9999):
+            for transpose in (False, True):
+                found = solve_policy_system(kernel, np.ones(3000) / 3000, discount, transpose=transpose)
+                assert found.method in ("BiCGSTAB", "value iteration")
+
+
+def test_a_dense_model_of_two_halves_that_hardly_meet():
+    """Value iteration and BiCGSTAB fail there, and every state is a hub: LAPACK answers."""
+    rng = np.random.default_rng(0)
+    p, half = rng.random((450, 450)), 225
+    p[:half, half:] *= 1e-9
+    p[half:, :half] *= 1e-9
+    p /= p.sum(axis=1, keepdims=True)
+    mdp = FiniteMDP(p[:, None], np.arange(450.0), np.ones(450) / 450, 1 - 1e-9)
+    found = exact.evaluate_policy(mdp, np.ones((450, 1)))
+    assert found.error_bound < 1e-3 * np.abs(found.values).max()
+
+
+def test_a_large_tree_near_discount_one():
+    kernel, b = binary_tree(4095), np.random.default_rng(1).normal(size=4095)
+    found = solve_policy_system(kernel, b, 0.999999)
+    assert_allclose(b + 0.999999 * (kernel @ found.x) - found.x, 0.0, atol=1e-10 * np.abs(found.x).max())
+    assert found.error_bound < 1e-5 * np.abs(found.x).max()
+
+
+def test_which_graphs_expand():
+
+    n = 900
+    restart = sparse.csr_array((np.ones(n), (np.arange(n), np.zeros(n, dtype=int))), shape=(n, n))
+    for kernel in (grid(25), sparse.csr_array(0.9 * grid(30) + 0.1 * restart), cycle(500), layered(40, 20),
+                   sparse.csr_array(sparse.block_diag([grid(10)] * 20))):  # fmt: skip
+        assert not expands(kernel)
+    for entries in (2, 3, 8):
+        assert expands(random_rows(900, entries))
+    assert expands(sparse.csr_array(np.full((450, 450), 1 / 450)))  # nothing but hubs
+    assert not expands(binary_tree(1023))
+
+
+@given(rngs)
+def test_strongly_connected_components_are_found_and_ordered(rng):
+    """Those of scipy, each after those that it leads to; one that is too large ends the search."""
+    from oee_tabular.exact.solvers._elimination import components
+
+    n = int(rng.integers(1, 70))
+    dense, count = levels(rng, n, int(rng.integers(1, 9)))
+    kernel = sparse.csr_array(dense)
+    hidden = rng.random(kernel.nnz) < 0.2  # entries of 0 that are stored lead nowhere
+    dense = np.where(
+        sparse.csr_array((hidden, kernel.indices, kernel.indptr), shape=kernel.shape).toarray(), 0.0, dense
+    )
+    kernel.data[hidden] = 0.0
+    seen, label = sparse.csgraph.connected_components(dense, directed=True, connection="strong")
+    assert seen >= count
+    parts = System.of(kernel, 0.5)
+    order, starts = components(parts.kernel, n)
+    assert_array_equal(np.sort(order), np.arange(n))
+    assert len(starts) == seen + 1
+    sets = [set(order[low:high].tolist()) for low, high in zip(starts[:-1], starts[1:], strict=True)]
+    assert {frozenset(s) for s in sets} == {frozenset(np.flatnonzero(label == c).tolist()) for c in range(seen)}
+    place = np.empty(n, dtype=int)
+    for number, states in enumerate(sets):
+        place[list(states)] = number
+    rows, columns = np.nonzero(dense)
+    assert (place[columns] <= place[rows]).all()
+    largest = max(len(states) for states in sets)
+    for most in range(1, n + 1):
+        found = components(parts.kernel, most)
+        assert (len(found[1]) > 0) == (most >= largest)
+        assert len(found[0]) == n * (most >= largest)
+
+
+@given(rngs)
+def test_layered_systems_are_solved_by_components(rng):
+    n = int(rng.integers(70, 120))
+    dense, _ = levels(rng, n, 7)
+    kernel, b = sparse.csr_array((dense > 0) | (rng.random((n, n)) < 0.05)).astype(float), rng.normal(size=n)
+    kernel.data = dense[
+        np.repeat(np.arange(n), np.diff(kernel.indptr)), kernel.indices
+    ]  # some of them 0, where order ends
+    discount = float(rng.choice([0.0, 0.9, 0.9999]))
+    for transpose in (False, True):
+        matrix = np.eye(n) - discount * (dense.T if transpose else dense)
+        found = solve_policy_system(kernel, b, discount, transpose=transpose)
+        assert found.method == "LU by components"
+        truth = np.linalg.solve(matrix, b)
+        assert_allclose(found.x, truth, rtol=0, atol=1e-12 / (1 - discount) * np.abs(truth).sum())
+        missed = np.abs(found.x - solve_policy_system(kernel, b, discount, transpose=transpose, certify=True).x)
+        assert (missed.sum() if transpose else missed.max()) <= found.error_bound + np.spacing(np.abs(truth).sum())
+
+
+def test_a_layered_model_of_any_order_has_its_exact_values():
+    """A clock in the state: T rounds of a grid world are its values over T steps."""
+    small, steps = oee.tasks.gridworld(6, 0.3), 50
+    n = small.n_states
+    order = np.random.default_rng(0).permutation(n * steps)
+    clock = sparse.csr_array(sparse.kron(sparse.eye_array(steps, k=1), small.transitions))
+    last = sparse.csr_array((np.arange(clock.shape[0]) >= n * (steps - 1) * small.n_actions).astype(float)[:, None])
+    end = sparse.csr_array(([1.0], ([0], [0])), shape=(1, 1))
+    clock = sparse.csr_array(sparse.block_array([[clock, last], [None, sparse.vstack([end] * small.n_actions)]]))
+    rewards = np.append(np.tile(small.rewards, (steps, 1)), np.zeros((1, small.n_actions)), axis=0)
+    place = np.append(order, n * steps)  # the new number of a state
+    back = np.argsort(place)
+    rows = (back[:, None] * small.n_actions + np.arange(small.n_actions)).reshape(-1)
+    policy = np.append(np.tile(oee.uniform_policy(small), (steps, 1)), np.full((1, 4), 0.25), axis=0)
+    for discount in (0.99, 1.0):
+        mdp = FiniteMDP(clock[rows][:, back], rewards[back], np.eye(n * steps + 1)[place[0]], discount)
+        found = exact.evaluate_policy(mdp, policy[back])
+        known = oee.state_values(small.with_discount(discount), oee.uniform_policy(small), horizon=steps)
+        assert found.method == "LU by components"
+        assert_allclose(found.values[place[:n]], known, rtol=1e-13)
+
+
+def test_a_layered_kernel_is_solved_in_one_step():
+    """In breadth-first order it is upper triangular, whatever the order of its states, and the preconditioner exact."""
+    from oee_tabular.exact.solvers import _bicgstab as krylov
+
+    kernel = STRUCTURES["layered"]
+    shuffled = np.random.default_rng(3).permutation(480)
+    for rows in (kernel, sparse.csr_array(kernel[shuffled][:, shuffled])):
+        system = System.of(rows, 0.999)
+        order, place = krylov.breadth_first(system.kernel)
+        assert_array_equal(np.sort(order), np.arange(480))
+        assert_array_equal(order[place], np.arange(480))
+        factors = krylov.factorised(system.kernel, False, 0.9, order, place)
+        _, steps = krylov.bicgstab(factors, np.ones(480) / factors.modified, 1e-12, 0.0, 50)
+        assert steps <= 1 + 2 * (rows is not kernel)
+
+
+@given(rngs)
+def test_kernels_are_what_numpy_says(rng):
+    """The plain twins: elimination, value iteration's sweeps, the reduced system, the modified diagonal."""
+    n, gamma = int(rng.integers(2, 12)), float(rng.choice([0.5, 0.95]))
+    kernel = rng.random((n, n)) * (rng.random((n, n)) < 0.5)
+    kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-9)
+    system = System.of(sparse.csr_array(kernel), gamma)
+    matrix, b = np.eye(n) - gamma * kernel, rng.normal(size=n)
+    factors, regular = _elimination.factorised(system.kernel)
+    assert regular
+    assert_allclose((np.tril(factors, -1) + np.eye(n)) @ np.triu(factors), matrix, atol=1e-14)
+    for transpose, m in ((False, matrix), (True, matrix.T)):
+        x = _elimination.solve_dense(factors, True, transpose, b, 0.0)
+        assert_allclose(m @ x, b, atol=1e-12)
+        order, _ = _bicgstab.breadth_first(system.kernel)
+        mark, inverse, room = _reduction.independent(system.kernel, order)
+        inside = mark == 1
+        assert not (kernel * (1 - np.eye(n)))[np.ix_(inside, inside)].any()
+        rest, reduction = _reduction.eliminate(system.kernel, order, mark, inverse, room)
+        left = reduction.states.astype(int)
+        assert_array_equal(np.sort(left), np.flatnonzero(~inside))
+        crossing = m[np.ix_(left, inside)] @ np.linalg.solve(m[np.ix_(inside, inside)], m[np.ix_(inside, left)])
+        schur = m[np.ix_(left, left)] - crossing
+        reduced = sparse.csr_array(
+            (rest.data, rest.indices.astype(int), rest.indptr.astype(int)), shape=(len(left),) * 2
+        )
+        reduced = np.eye(len(left)) - (reduced.T if transpose else reduced).toarray()
+        assert_allclose(reduced, schur, atol=1e-13)
+        right = _reduction.reduce_right(system.kernel, reduction, transpose, b)
+        assert_allclose(
+            _reduction.extend(system.kernel, reduction, transpose, b, np.linalg.solve(schur, right)), x, atol=1e-11
+        )
+    swept, shifted = _value_iteration.sweeps(system.kernel, 1.0, b, 0.0), b
+    if swept is not None and np.abs(kernel.sum(axis=1) - 1.0).max() < 1e-9:
+        for _ in range(2000):
+            shifted = b + gamma * kernel @ shifted
+        assert_allclose(swept, shifted, rtol=1e-10, atol=1e-10)
+    place = rng.permutation(n).astype(np.uint32)
+    order = np.argsort(place).astype(np.uint32)
+    ordered, pivots, later = matrix[order][:, order], np.zeros(n), np.zeros(n)
+    for i in range(n):
+        plain = ordered[i, i]
+        pivots[i] = plain - 0.9 * sum(-ordered[i, j] * later[j] for j in range(i))
+        pivots[i] = pivots[i] if pivots[i] > 0.05 * plain else plain
+        later[i] = -ordered[i, i + 1 :].sum() / pivots[i]
+    assert_allclose(_bicgstab.modified_diagonal(system.kernel, 0.9, order, place), pivots, rtol=1e-12)
+
+
+@given(rngs)
+def test_residuals_and_what_bounds_them(rng):
+    """Each kernel that computes a residual, against the formulas in its docstring."""
+    from oee_tabular.exact import _policy_rows as policy_rows
+
+    n, discount, formed = int(rng.integers(2, 9)), float(rng.random()), 3.0
+    dense = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
+    b, x = rng.normal(size=(2, n)) * 10.0 ** rng.integers(-3, 4, (2, n))
+    parts = System.of(sparse.csr_array(dense), discount)
+    unit = 0.5 * np.finfo(float).eps
+    for transpose, matrix in ((False, dense), (True, dense.T)):
+        kernel = policy_rows.residual_transposed if transpose else policy_rows.residual
+        missed, largest, bound, rounding = kernel(parts.kernel, b, x, formed)
+        sizes = discount * (matrix @ np.abs(x)) + np.abs(x) + np.abs(b)
+        here = unit * ((matrix > 0).sum(axis=1) + 4 + formed) * sizes
+        truth = b + discount * (matrix @ x) - x
+        assert (np.abs(missed - truth) <= 2 * here).all()
+        assert largest == np.abs(missed).max()
+        assert_allclose(rounding, here.max(), rtol=1e-7)
+        whole = np.abs(missed) + here
+        assert_allclose(bound, whole.sum() if transpose else whole.max(), rtol=1e-7)
+        assert bound >= (whole.sum() if transpose else whole.max()) * (1 - 1e-15)
+
+
+def test_the_spectral_radius_of_simple_kernels():
+    assert spectral_radius(sparse.csr_array(np.array([[0.0, 1.0], [0.0, 0.0]]))) == 0.0
+    assert_allclose(spectral_radius(sparse.csr_array(np.eye(3))), 1.0)
+    assert_allclose(spectral_radius(sparse.csr_array(np.eye(3)), 0.25), 0.25)
+    assert_allclose(spectral_radius(sparse.csr_array(np.array([[0.0, 2.0], [0.5, 0.0]]))), 1.0, rtol=1e-12)
+    assert_allclose(spectral_radius(sparse.csr_array(np.array([[0.0, 9.0], [1.0, 0.0]])), 0.5), 1.5, rtol=1e-12)
+
+
+def test_the_norm_of_the_inverse_of_kernels_below_one():
+    """1 / (1 - gamma * largest row sum), exactly."""
+    assert_allclose(
+        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0, rtol=1e-12
+    )
+    assert_allclose(
+        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5)), 1 / 0.6, rtol=1e-12
+    )
+    assert_allclose(inverse_norm(System.of(sparse.csr_array((2, 2)), 0.9)), 1.0, rtol=1e-12)
+
+
+def test_rows_below_one_need_no_certificate(monkeypatch):
+    """The bound is known from the row sums: no second system is solved for it."""
+    monkeypatch.setattr(solvers, "answer", None)
+    assert_allclose(inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0)
+
+
+def test_the_certificate_counts_its_own_residual(monkeypatch):
+    """|M^-1| <= max h / (1 - residual); half of it or more, or an h that is not positive, certifies nothing."""
+    kernel = sparse.csr_array(np.array([[0.0, 2.0], [0.1, 0.0]]))
+    for residual, h in (([0.2, -0.4], [3.0, 1.0]), ([0.2, -0.6], [3.0, 1.0]), ([0.0, 0.0], [3.0, 0.0])):
+        largest = np.abs(residual).max()
+        answer = solvers.Answer(np.array(h), np.array(residual), largest, largest, 0.0, "dense LU")
+        monkeypatch.setattr(solvers, "answer", lambda system, b, answer=answer: answer)
+        if min(residual) == -0.4:
+            assert_allclose(inverse_norm(System.of(kernel, 0.9)), 3.0 / 0.6)
+        else:
+            with pytest.raises(ValueError, match=r"spectral radius of 0\.402492"):
+                inverse_norm(System.of(kernel, 0.9))
+
+
+@given(rngs)
+def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
+    """Kernels whose rows exceed 1: |(I - gamma K)^-1|_inf is at most what the M-matrix certificate says, and near it."""
+    n = int(rng.integers(2, 7))
+    kernel = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
+    kernel[0] *= 3.0
+    radius = np.abs(np.linalg.eigvals(kernel)).max()
+    if radius == 0:
+        return
+    kernel *= 1.05 / radius
+    bound = inverse_norm(System.of(sparse.csr_array(kernel), 0.9))
+    norm = np.abs(np.linalg.inv(np.eye(n) - 0.9 * kernel)).sum(axis=1).max()
+    assert norm <= bound * (1 + 1e-12)
+    if 0.9 * kernel.sum(axis=1).max() > 1:
+        assert_allclose(bound, norm, rtol=1e-6)
