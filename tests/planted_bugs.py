@@ -100,8 +100,8 @@ BUGS = {
     11: (
         "KL direction swapped in the ball",
         "inference/_robust.py",
-        "            u = (p[i] - phat[i]) / phat[i]\n            total += phat[i] * (",
-        "            u = (phat[i] - p[i]) / p[i]\n            total += p[i] * (",
+        "            u = (p[i] - phat[i]) / phat[i]\n            if abs(u) < 1e-4:\n                total += phat[i] *",
+        "            u = (phat[i] - p[i]) / p[i]\n            if abs(u) < 1e-4:\n                total += p[i] *",
         INTERVALS,
     ),
     12: (
