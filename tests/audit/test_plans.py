@@ -8,6 +8,8 @@ from scipy import optimize
 
 import oee_tabular as oee
 
+pytestmark = pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")  # SLSQP of older scipy
+
 
 def three(seed=0):
     rng = np.random.default_rng(seed)
