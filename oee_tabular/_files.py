@@ -23,6 +23,7 @@ KIND = "oee_tabular_kind"
 KINDS = {
     "finite_mdp": "FiniteMDP",
     "transitions": "log of numbered states (Transitions)",
+    "transition_counts": "counted log (TransitionCounts)",
     "continuous_transitions": "log of continuous states (ContinuousTransitions)",
 }
 FORMULA = re.compile(

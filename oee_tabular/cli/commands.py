@@ -85,6 +85,9 @@ def evaluate(
     guaranteed: Annotated[
         bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
     ] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave likelihood intervals out, most of the time of large problems.")
+    ] = False,
     grid: Annotated[str | None, typer.Option(help=GRID_HELP)] = None,
     outside: Annotated[str | None, typer.Option(help=OUTSIDE_HELP)] = None,
     strict: Annotated[bool, typer.Option("--strict", help=STRICT_HELP)] = False,
@@ -118,7 +121,7 @@ def evaluate(
     continuous = is_continuous(simulator)
     if not continuous:
         refuse_settings(settings)
-    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
+    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
     elif simulator is None or log is None:

@@ -7,14 +7,14 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
@@ -82,29 +82,25 @@ class Transitions(Log):
         With ``discount`` each move counts discount**timestep, the paper's discounted d (needs timesteps).
         Raises ValueError where a state or action is outside the given numbers.
         """
-        _checks.positive_integer(n_states, "n_states")
-        _checks.positive_integer(n_actions, "n_actions")
-        _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
-        for name, column, limit in (
-            ("state", self.state, n_states),
-            ("action", self.action, n_actions),
-            ("next_state", self.next_state, n_states),
-        ):
-            bad = np.flatnonzero(column >= limit)
-            if bad.size:
-                given = "n_actions" if name == "action" else "n_states"
-                raise ValueError(
-                    f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
-                    f"{given} is {limit})"
-                )
         weights = np.ones(len(self))
         if discount is not None:
             if self.timestep is None:
                 raise ValueError("log must have timesteps (or episodes) to be counted with a discount; it has none")
             weights = _checks.number_in(discount, "discount", 0.0, 1.0) ** self.timestep.astype(np.float64)
-        rows = self.state * n_actions + self.action
-        matrix = sparse.csr_array((weights, (rows, self.next_state)), shape=(n_states * n_actions, n_states))
-        return canonical(matrix, drop_zeros=True)
+        return counts_of(self, weights, n_states, n_actions)
+
+    def moves(self) -> Moves:
+        """Each row with the one move that it stands for and what it paid."""
+        return Moves(np.ones(len(self)), self.reward, self.reward, self.reward)
+
+    def led_to(self, next_state: IntArray) -> Transitions:
+        """The same with other next states."""
+        return Transitions(**(self.columns() | {"next_state": next_state}))
+
+    @property
+    def by_episodes(self) -> bool:
+        """Whether moves may depend on those before them."""
+        return self.episode is not None
 
     def summary(self) -> dict[str, Any]:
         """What the log holds, as plain numbers. Cost: O(n), or O(n log n) where the numbers are far above n."""
@@ -143,6 +139,37 @@ class Transitions(Log):
         if self.reward is not None:
             text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
         return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
+
+
+class Moves(NamedTuple):
+    """Of each row of a log: how many moves it stands for, the sum of their rewards, the least and the largest, (n,) each."""
+
+    number: Array
+    reward_sum: Array | None
+    reward_min: Array | None
+    reward_max: Array | None
+
+
+def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:
+    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S); ValueError for numbers out of range."""
+    _checks.positive_integer(n_states, "n_states")
+    _checks.positive_integer(n_actions, "n_actions")
+    _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
+    for name, column, limit in (
+        ("state", log.state, n_states),
+        ("action", log.action, n_actions),
+        ("next_state", log.next_state, n_states),
+    ):
+        bad = np.flatnonzero(column >= limit)
+        if bad.size:
+            given = "n_actions" if name == "action" else "n_states"
+            raise ValueError(
+                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
+                f"{given} is {limit})"
+            )
+    rows = log.state * n_actions + log.action
+    matrix = sparse.csr_array((weights, (rows, log.next_state)), shape=(n_states * n_actions, n_states))
+    return canonical(matrix, drop_zeros=True)
 
 
 _SPARE = 8  # bytes of a table that counts, for each byte of the column: beyond it the column is sorted
