@@ -7,7 +7,7 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
+
+if TYPE_CHECKING:
+    from oee_tabular.data.counted import TransitionCounts
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -75,6 +78,49 @@ class Transitions(Log):
     def _repr_html_(self) -> str:
         rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value is not None]
         return _printing.facts("Transitions: a log", rows)
+
+    @staticmethod
+    def open(path: Any, **options: Any) -> TransitionCounts:
+        """Count a log of any size, in memory of the size of its counts: what ``Problem`` takes where no log fits.
+
+        Parameters
+        ----------
+        path : file (.parquet, .csv, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, or a list
+        n_states, n_actions : int, optional: states and actions from there on are bad
+        bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
+            a row that is left out breaks its episode, whose other moves are still counted
+        kept_moves : int, 500 000: whole episodes of so many moves are kept for importance sampling, drawn uniformly
+        output : .npz to write the counts to; beside it stands what was counted when the run is stopped, and the same call goes
+            on from there
+        jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files
+        progress : whether to show a bar
+
+        Raises
+        ------
+        ValueError
+            Names the file, the row or the column, the rule and what was found: files that are no tables, have other columns
+            than the first, or rows that are none of a log, where they are refused. An episode stands in one file.
+        OSError
+            A file that is not there; no scheduler at the address.
+
+        Notes
+        -----
+        Cost: O(rows); memory of the different moves, of a batch of 131 072 rows (CSV: 8 MiB), and of what is kept. Serial,
+        processes and cluster give the same bits. Names of episodes that do not grow by 1 take 24 bytes an episode.
+
+        Examples
+        --------
+        >>> import tempfile, pathlib
+        >>> folder = pathlib.Path(tempfile.mkdtemp())
+        >>> for k in range(2):
+        ...     Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]).save(folder / f"part-{k}.csv")
+        >>> Transitions.open(folder)
+        TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 to 2 steps: 0 terminated, 2 truncated;
+                         states 0..2, actions 0..0; 2 whole episodes kept)
+        """
+        from oee_tabular.data.streaming import count_log
+
+        return count_log(path, **options)
 
     def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
         """How often each (s, a, s') was seen: csr of shape (S*A, S), row s*A + a.
