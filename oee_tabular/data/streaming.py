@@ -144,6 +144,8 @@ class Run:
             raise ValueError(
                 f"settings must be those of the count that was stopped, {told['settings']}; they are {self._settings()}{begin}"
             )
+        if not self.limits.drop and told["reasons"]:
+            raise ValueError(f"bad_rows must be 'drop', as before the stop; it is 'refuse'{begin}")
         for name, known in told["files"].items():
             if name not in self.parts:
                 raise ValueError(f"path must have the files that were counted before the stop; {name!r} is gone{begin}")
@@ -172,7 +174,8 @@ class Run:
         return found
 
     def _settings(self) -> dict[str, Any]:
-        return {name: int(value) for name, value in self.limits._asdict().items()}
+        """Those that files were counted under; a file without bad rows is counted alike whether they are dropped or not."""
+        return {name: int(value) for name, value in self.limits._asdict().items() if name != "drop"}
 
 
 def _added(total: Counted | None, found: Counted, kept: int) -> Counted:

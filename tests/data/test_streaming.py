@@ -455,7 +455,7 @@ def test_a_stopped_count_goes_on_only_with_the_same(tmp_path):
     with pytest.raises(
         ValueError, match=r"settings must be those of the count that was stopped, .* delete .*c\.partial\.npz"
     ):
-        Transitions.open(folder, output=output, bad_rows="drop")
+        Transitions.open(folder, output=output, n_states=9)
     first = (folder / "part-0.parquet").read_bytes()
     logs(5)[4].save(folder / "part-0.parquet")
     with pytest.raises(ValueError, match=r"part-0\.parquet' must be as it was counted; it has changed since"):
@@ -469,6 +469,24 @@ def test_a_stopped_count_goes_on_only_with_the_same(tmp_path):
     np.savez(tmp_path / "c.partial.npz", **arrays)
     with pytest.raises(ValueError, match=r"c\.partial\.npz': the checksum must be that of the arrays"):
         Transitions.open(folder, output=output)
+
+
+def test_bad_rows_that_stop_a_count_can_be_dropped_in_the_next(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    good = (folder / "part-3.parquet").read_bytes()
+    frame = pd.read_parquet(folder / "part-1.parquet").assign(reward=np.nan)
+    frame.to_parquet(folder / "part-1.parquet", index=False)
+    with pytest.raises(ValueError, match="must have a value|must be finite"):
+        Transitions.open(folder, output=output)
+    spoil(folder / "part-3.parquet")
+    with pytest.raises(ValueError, match="must be a parquet table"):
+        Transitions.open(folder, output=output, bad_rows="drop")
+    (folder / "part-3.parquet").write_bytes(good)
+    with pytest.raises(ValueError, match="bad_rows must be 'drop', as before the stop; it is 'refuse'; delete"):
+        Transitions.open(folder, output=output)
+    found = Transitions.open(folder, output=output, bad_rows="drop")
+    same(found, Transitions.open(folder, bad_rows="drop"))
+    assert found.recording.dropped == len(frame)
 
 
 KILLED = """
