@@ -18,6 +18,7 @@ from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked, checked_rows, find, row_of_entry, row_sums
 from oee_tabular.mdp.layout import check_layout
+from oee_tabular.mdp.naming import NAMELESS, Name, Names, check_names, from_text, start_law, to_text
 
 KIND = "finite_mdp"
 
@@ -34,7 +35,7 @@ class FiniteMDP:
         r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
         In a sparse one an absent entry is 0 on the support and undefined elsewhere.
     initial : (S,) array
-        Distribution mu_0 of the first state.
+        Distribution mu_0 of the first state; or one state, by number or name, or a mapping state -> probability.
     discount : float in [0, 1]
         gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states that pay nothing;
         the functions that evaluate say so when it is not.
@@ -43,6 +44,8 @@ class FiniteMDP:
         leads. By default s itself.
     layout : (S,) or (S, c) array, optional
         Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``).
+    state_names, action_names : S, A texts or tuples of texts and numbers, optional
+        What the states and the actions are called, each once; none reads as a number. Logs and policies may use them.
 
     Attributes
     ----------
@@ -50,7 +53,8 @@ class FiniteMDP:
     transitions : csr_array of shape (S*A, S), without explicit zeros
     rewards : (S, A) expected reward
     transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
-    initial, discount, terminal_state, layout ((S, c) or None)
+    initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None)
+    names : both, as sentences word them (``mdp.naming``)
 
     Raises
     ------
@@ -68,12 +72,14 @@ class FiniteMDP:
 
     __slots__ = (
         "_reward_data",
+        "action_names",
         "discount",
         "initial",
         "layout",
         "n_actions",
         "n_states",
         "rewards",
+        "state_names",
         "terminal_state",
         "transition_rewards",
         "transitions",
@@ -88,6 +94,8 @@ class FiniteMDP:
     discount: float
     terminal_state: IntArray
     layout: Array | None
+    state_names: tuple[Name, ...] | None
+    action_names: tuple[Name, ...] | None
     _reward_data: Array | None
 
     def __init__(
@@ -99,6 +107,8 @@ class FiniteMDP:
         *,
         terminal_state: Any = None,
         layout: Any = None,
+        state_names: Any = None,
+        action_names: Any = None,
     ) -> None:
         matrix, n_states, n_actions = _transition_rows(transitions)
         table, expected = _reward_table(rewards, matrix, n_states, n_actions)
@@ -109,16 +119,20 @@ class FiniteMDP:
             terminal = np.arange(n_states, dtype=np.int64)
         else:
             terminal = _terminal_states(terminal_state, n_states)
+        called = None if state_names is None else check_names(state_names, "state_names", n_states)
+        start = start_law(initial, called, n_states)
         values = {
             "n_states": n_states,
             "n_actions": n_actions,
             "transitions": matrix,
             "rewards": _checks.freeze(expected),
             "transition_rewards": table,
-            "initial": _checks.freeze(_checks.distribution(initial, "initial", (n_states,))),
+            "initial": _checks.freeze(_checks.distribution(start, "initial", (n_states,))),
             "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
             "terminal_state": _checks.freeze(terminal),
             "layout": None if layout is None else check_layout(layout, n_states),
+            "state_names": called,
+            "action_names": None if action_names is None else check_names(action_names, "action_names", n_actions),
             "_reward_data": data,
         }
         for name, value in values.items():
@@ -155,6 +169,11 @@ class FiniteMDP:
         """r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)."""
         return self._reward_data
 
+    @property
+    def names(self) -> Names:
+        """How sentences word a state and an action: by name, or by number."""
+        return Names(self.state_names, self.action_names)
+
     def absorbing(self) -> _checks.BoolArray:
         """(S,) mask of the closed states that pay nothing: where an episode is over."""
         unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
@@ -186,7 +205,7 @@ class FiniteMDP:
         if self.transition_rewards is not None:
             _, defined = align(self.transition_rewards, matrix)
             if not defined.all():
-                moves = [name_move(matrix, k, n_actions) for k in np.flatnonzero(~defined)[:3]]
+                moves = [name_move(matrix, k, n_actions, self.names) for k in np.flatnonzero(~defined)[:3]]
                 raise ValueError(
                     f"new transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
                     f"the first: {'; '.join(moves)}"
@@ -205,6 +224,10 @@ class FiniteMDP:
     def with_layout(self, layout: Any) -> Self:
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
         return self._changed(layout=layout)
+
+    def with_names(self, state_names: Any = None, action_names: Any = None) -> Self:
+        """The same MDP with these names of its states and of its actions; None: with none."""
+        return self._changed(state_names=state_names, action_names=action_names)
 
     def with_action_noise(self, epsilon: float) -> Self:
         """With probability epsilon the action is replaced by a uniform one (which may be the same).
@@ -250,6 +273,8 @@ class FiniteMDP:
                 arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
         if self.layout is not None:
             arrays["layout"] = self.layout
+        called = {"state_names": self.state_names, "action_names": self.action_names}
+        arrays |= {name: to_text(names) for name, names in called.items() if names is not None}
         return arrays
 
     @classmethod
@@ -273,6 +298,7 @@ class FiniteMDP:
                 float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
                 terminal_state=arrays["terminal_state"],
                 layout=arrays.get("layout"),
+                **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
             )
 
     @classmethod
@@ -283,7 +309,8 @@ class FiniteMDP:
         an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
         reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
         mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
-        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state.
+        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state. Names are the
+        environment's own: ``state_names``, ``action_names`` or ``get_action_meanings()``, else the module's constants (LEFT = 0).
 
         Raises
         ------
@@ -297,7 +324,7 @@ class FiniteMDP:
 
     def _arguments(self) -> dict[str, Any]:
         rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        same = ("transitions", "initial", "discount", "terminal_state", "layout")
+        same = ("transitions", "initial", "discount", "terminal_state", "layout", "state_names", "action_names")
         return {"rewards": rewards} | {name: getattr(self, name) for name in same}
 
     def _changed(self, **changes: Any) -> Self:
@@ -305,10 +332,10 @@ class FiniteMDP:
         return type(self)(**self._arguments() | changes)
 
 
-def name_move(matrix: sparse.csr_array, entry: int, n_actions: int) -> str:
-    """``s=3, a=1 -> s'=7`` for a stored entry of a matrix with rows s*A + a."""
+def name_move(matrix: sparse.csr_array, entry: int, n_actions: int, names: Names = NAMELESS) -> str:
+    """``s=3, a=1 -> s'=7`` for a stored entry of a matrix with rows s*A + a; names in place of numbers where there are some."""
     row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
-    return f"s={row // n_actions}, a={row % n_actions} -> s'={int(matrix.indices[entry])}"
+    return names.move(*divmod(row, n_actions), matrix.indices[entry])
 
 
 def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
