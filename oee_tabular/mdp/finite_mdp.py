@@ -310,7 +310,7 @@ class FiniteMDP:
         reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
         mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
         (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state. Names are the
-        environment's own: ``state_names``, ``action_names`` or ``get_action_meanings()``, else the module's constants (LEFT = 0).
+        environment's own: ``state_names``, ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
 
         Raises
         ------

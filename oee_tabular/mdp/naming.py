@@ -178,7 +178,9 @@ def nearest(item: Name, names: tuple[Name, ...]) -> str:
     return f" (they are {', '.join(map(repr, names[:5]))}{', ...' * (len(names) > 5)})"
 
 
-def renumbered(codes: IntArray, own: tuple[Name, ...], names: tuple[Name, ...] | None, size: int, name: str) -> IntArray:
+def renumbered(
+    codes: IntArray, own: tuple[Name, ...], names: tuple[Name, ...] | None, size: int, name: str
+) -> IntArray:
     """Numbers by a log's own names as numbers by an MDP's; ValueError with the first row whose name it has not."""
     lookup = {} if names is None else numbers_of(names)
     table = np.array([lookup.get(item, -1) for item in own], dtype=np.int64)
