@@ -67,7 +67,8 @@ def read_table(env: Any) -> Table:
         ],
         dtype=np.float64,
     ).T
-    moves = Outcomes(*(part.astype(np.int64) for part in outcomes[:3]), *outcomes[3:5], outcomes[5] > 0)
+    state, action, following = (part.astype(np.int64) for part in outcomes[:3])
+    moves = Outcomes(state, action, following, outcomes[3], outcomes[4], outcomes[5] > 0)
     built = build(
         moves, len(table[0]), np.array(base.initial_state_distrib, dtype=np.float64), _map_of(base, len(table)),
         state_names=_names(getattr(base, "state_names", None), len(table)),
