@@ -185,6 +185,7 @@ def plan_data_collection(
         model=source,
         solver=design.solver,
         status=status,
+        names=mdp.names,
     )
 
 
