@@ -107,7 +107,7 @@ def check_names(value: Any, name: str, size: int) -> tuple[Name, ...]:
 
 def plain(item: Any) -> Any:
     """A name without numpy's types: lists and arrays in it are tuples."""
-    if isinstance(item, np.generic):
+    if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and item.ndim == 0):
         return item.item()
     if isinstance(item, tuple | list | np.ndarray):
         return tuple(plain(part) for part in item)
