@@ -155,7 +155,7 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
     if len(bad):
         s, a = (int(i) for i in bad[0])
         raise ValueError(
-            f"target must pay the simulator's rewards (simulator.with_transitions makes such a target); at s={s}, a={a} it "
-            f"pays {target.rewards[s, a]:g} on average, with the simulator's rewards {paid[s, a]:g} "
-            f"({len(bad)} such state-action pairs in all)"
+            f"target must pay the simulator's rewards (simulator.with_transitions makes such a target); at "
+            f"{simulator.names.pair(s, a)} it pays {target.rewards[s, a]:g} on average, with the simulator's rewards "
+            f"{paid[s, a]:g} ({len(bad)} such state-action pairs in all)"
         )

@@ -57,7 +57,7 @@ def features_of(path: Path, simulator: FiniteMDP) -> tuple[Array, list[str]]:
     bad = np.argwhere(~np.isfinite(found))
     if bad.size:
         j, k = (int(i) for i in bad[0])
-        where = name_move(simulator.transitions, j, simulator.n_actions)
+        where = name_move(simulator.transitions, j, simulator.n_actions, simulator.names)
         raise ValueError(f"{str(path)!r} must be finite; feature {k} at {where} is {found[j, k]}")
     return found, [f"feature {k}" for k in range(found.shape[1])]
 
@@ -77,7 +77,7 @@ def tie_of(path: Path, simulator: FiniteMDP) -> NDArray[Any]:
     matrix = simulator.transitions
     absent = np.setdiff1d(np.arange(matrix.nnz), entry)
     if absent.size:
-        first = name_move(matrix, int(absent[0]), simulator.n_actions)
+        first = name_move(matrix, int(absent[0]), simulator.n_actions, simulator.names)
         raise ValueError(
             f"{str(path)!r} must have a key for every transition of the simulator; {absent.size} of {matrix.nnz} have none, "
             f"the first: {first}"
@@ -130,7 +130,7 @@ def _table(path: Path, simulator: FiniteMDP) -> tuple[list[_Column], IntArray]:
     entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
 
     def move(row: int) -> str:
-        return f"s={s[row]}, a={a[row]} -> s'={following[row]}"
+        return simulator.names.move(s[row], a[row], following[row])
 
     outside = np.flatnonzero(~stored)
     if outside.size:

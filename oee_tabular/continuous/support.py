@@ -73,6 +73,7 @@ def defensive_mixture(
     rewards = np.sum([share * part.mdp.rewards for share, part in zip(shares, every, strict=True)], axis=0)
     own = simulator.mdp
     mdp = FiniteMDP(matrix, rewards, own.initial, own.discount, layout=own.layout)
+    mdp = mdp.with_names(own.state_names, own.action_names)
     said = {"epsilon": weight, "others": [other.task.parameters() for other in others]}
     return replace(simulator, mdp=mdp, metadata=simulator.metadata | {"defensive": said})
 

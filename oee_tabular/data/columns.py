@@ -14,8 +14,6 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.data import files
 
-Apart = Callable[[NDArray[Any], NDArray[Any]], BoolArray]
-
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Log:
@@ -74,7 +72,7 @@ class Log:
         if columns["terminated"] is None:
             columns["terminated"] = np.zeros(n, dtype=np.bool_)
         if columns["episode"] is not None:
-            _check_episodes(columns, _episode_starts(columns["episode"]), self._apart)
+            _check_episodes(columns, _episode_starts(columns["episode"]), self)
         elif columns["truncated"] is None:
             columns["truncated"] = np.zeros(n, dtype=np.bool_)
         for name, column in columns.items():
@@ -89,6 +87,10 @@ class Log:
     def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
         """Row by row, whether a next state and the state that follows it differ."""
         raise NotImplementedError
+
+    def _shown(self, state: NDArray[Any]) -> Any:
+        """One row's state, as errors show it."""
+        return state.tolist()
 
     def __len__(self) -> int:
         return len(self.state)
@@ -236,7 +238,7 @@ def _episode_starts(episode: IntArray) -> IntArray:
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)
 
 
-def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray, apart: Apart) -> None:
+def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray, log: Log) -> None:
     """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
     episode, state, next_state = columns["episode"], columns["state"], columns["next_state"]
     terminated, truncated, timestep = columns["terminated"], columns["truncated"], columns["timestep"]
@@ -263,12 +265,12 @@ def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray, a
         )
     last = np.zeros(n, dtype=np.bool_)
     last[starts[1:] - 1] = True
-    broken = np.flatnonzero(~last[:-1] & apart(next_state[:-1], state[1:]))
+    broken = np.flatnonzero(~last[:-1] & log._apart(next_state[:-1], state[1:]))
     if broken.size:
         row = int(broken[0])
         raise ValueError(
             f"next_state[{row}] must be the state of row {row + 1}, the next of episode {episode[row]}; "
-            f"it is {next_state[row].tolist()}, and state[{row + 1}] is {state[row + 1].tolist()} "
+            f"it is {log._shown(next_state[row])}, and state[{row + 1}] is {log._shown(state[row + 1])} "
             f"({broken.size} such rows in all)"
         )
     for name, flags in (("terminated", terminated), ("truncated", truncated)):

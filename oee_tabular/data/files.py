@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from oee_tabular import _files
 from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
+from oee_tabular.mdp.naming import from_text, to_text
 
 TABLES = (".csv", ".parquet")
 COLUMNS = (
@@ -43,8 +44,16 @@ class Format:
         return label in COLUMNS
 
     def flat(self, columns: Columns) -> Columns:
-        """The columns of a table, each (n,)."""
-        return columns
+        """The columns of a table, each (n,); tuples as texts."""
+        return {name: _texts(column) if column.dtype.hasobject else column for name, column in columns.items()}
+
+    def stored(self, columns: Columns) -> Columns:
+        """The columns of an npz: names as texts."""
+        return {name: to_text(column) if column.dtype.hasobject else column for name, column in columns.items()}
+
+    def read(self, arrays: Columns) -> Columns:
+        """The columns of a log, of those of an npz."""
+        return {name: _objects(array, name) if array.dtype.kind == "U" else array for name, array in arrays.items()}
 
     def gathered(self, flat: Columns, name: str) -> Columns:
         """The columns of a log, of those of the table ``name``."""
@@ -78,7 +87,7 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
     if name.startswith("minari:") or suffix == "":
         form.save_data_set(log, name)
     elif suffix == ".npz":
-        _files.save_npz(name, form.kind, log.columns())
+        _files.save_npz(name, form.kind, form.stored(log.columns()))
     elif suffix in TABLES:
         import pandas as pd
 
@@ -98,6 +107,7 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
     if suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
         columns.pop(_files.KIND)
+        columns = form.read(columns)
         labels = list(columns)
     elif suffix in TABLES:
         frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, form.known)
@@ -112,6 +122,17 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
     form.require(columns, labels, name)
     warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=3)
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def _texts(names: NDArray[Any]) -> NDArray[Any]:
+    return np.array([str(item) for item in names], dtype=object)
+
+
+def _objects(stored: NDArray[Any], name: str) -> NDArray[Any]:
+    names = from_text(stored, name)
+    array = np.empty(len(names), dtype=object)
+    array[:] = names
+    return array
 
 
 def _refuse_missing(frame: Any, columns: Columns, name: str) -> None:
@@ -134,6 +155,8 @@ def _save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
     require_module("minari", "minari")
     starts = log.episode_starts
+    if log.state_names is not None or log.action_names is not None:
+        raise ValueError("log must be in numbers to be a Minari data set; this one has names: log.numbered(simulator)")
     if starts is None or log.reward is None:
         lacking = "episodes" if starts is None else "rewards"
         raise ValueError(f"log must have {lacking} to be a Minari data set; this one has none")

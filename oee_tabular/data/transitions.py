@@ -7,7 +7,7 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.frames import episode_columns, frame_columns, is_frame
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number, renumbered, worded
 
 if TYPE_CHECKING:
     from oee_tabular.data.counted import TransitionCounts
@@ -29,7 +32,10 @@ class Transitions(Log):
 
     Parameters
     ----------
-    state, action, next_state : (n,) integers from 0
+    state, action, next_state : (n,) integers from 0, or names
+        Names are texts, or tuples of texts and numbers, none of which reads as a number. They are numbered in the order
+        in which they first stand there (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
+        which ``Problem`` and ``transition_ratio`` do by themselves.
     reward : (n,) finite numbers, optional
     terminated : (n,) booleans, optional
         The move ended the task. Default: none did.
@@ -43,6 +49,7 @@ class Transitions(Log):
     truncated : (n,) booleans, optional
         The recording stopped after this move although the task went on. Default: the last row of every episode that
         did not terminate.
+    state_names, action_names : names of the numbers in state and next_state, in action; None: they are a simulator's numbers
 
     Raises
     ------
@@ -62,6 +69,31 @@ class Transitions(Log):
     state: IntArray
     action: IntArray
     next_state: IntArray
+    state_names: tuple[Name, ...] | None
+    action_names: tuple[Name, ...] | None
+
+    def __init__(
+        self,
+        state: Any,
+        action: Any,
+        next_state: Any,
+        reward: Any = None,
+        *,
+        state_names: Any = None,
+        action_names: Any = None,
+        **columns: Any,
+    ) -> None:
+        (states, following), called = _coded({"state": state, "next_state": next_state}, state_names, "state_names")
+        (actions,), acts = _coded({"action": action}, action_names, "action_names")
+        object.__setattr__(self, "state_names", called)
+        object.__setattr__(self, "action_names", acts)
+        super().__init__(states, actions, following, reward, **columns)
+        for column, names in (("state", called), ("next_state", called), ("action", acts)):
+            if names is not None and (bad := np.flatnonzero(getattr(self, column) >= len(names))).size:
+                raise ValueError(
+                    f"{column}[{bad[0]}] must have a name, of which there are {len(names)}; it is "
+                    f"{getattr(self, column)[bad[0]]}"
+                )
 
     @staticmethod
     def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
@@ -71,6 +103,92 @@ class Transitions(Log):
     @staticmethod
     def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
         return np.asarray(following != state)
+
+    def _shown(self, state: NDArray[Any]) -> Any:
+        return state.tolist() if self.state_names is None else worded(self.state_names, state)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns that the log has, in the order of the file formats; names where it has names."""
+        found = super().columns()
+        for column, names in (
+            ("state", self.state_names),
+            ("action", self.action_names),
+            ("next_state", self.state_names),
+        ):
+            if names is not None:
+                found[column] = _as_objects(names)[found[column]]
+        return found
+
+    @classmethod
+    def from_frame(cls, frame: Any, *, simulator: FiniteMDP | None = None, **column_names: Any) -> Self:
+        """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is not looked at.
+
+        Parameters
+        ----------
+        frame : data frame, one move a row
+        simulator : FiniteMDP, optional
+            Names of states and actions are matched to its names at once; otherwise the log keeps them (``numbered``).
+        column_names : what the frame calls a column, by the name that it has here: ``state="from", next_state="to"``; by
+            default the same. Several, ``state=["row", "column"]``, make tuples of their values: names.
+            Episodes may be texts. Columns that a log has no use for are left out.
+
+        Raises
+        ------
+        ValueError
+            No data frame; columns that it has not (with those that it has); a row without a value; a name that the simulator
+            has not (with the nearest); and what the constructor raises.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> frame = pd.DataFrame({"place": ["hall", "hall"], "action": ["go", "stay"], "to": ["dock", "hall"]})
+        >>> log = Transitions.from_frame(frame, state="place", next_state="to")
+        >>> log.state_names, log.next_state.tolist()
+        (('hall', 'dock'), [1, 0])
+        """
+        log = cls(**frame_columns(frame, column_names))
+        return log if simulator is None else log.numbered(simulator, "frame")
+
+    @classmethod
+    def from_episodes(cls, episodes: Any, *, simulator: FiniteMDP | None = None) -> Self:
+        """A log from episodes as lists of (state, action, reward) steps; states and actions are numbers or names.
+
+        Parameters
+        ----------
+        episodes : list of episodes, each a list of steps
+            A step is (state, action, reward): it led to the next step's state. An episode ends with its last state,
+            (state,), or (state, terminated) where that says whether the task was over; without it nothing says where the
+            last step led, and it is left out with a warning. Steps may also be (state, action, reward, next_state) or
+            (state, action, reward, next_state, terminated).
+        simulator : FiniteMDP, optional; names are matched to its names
+
+        Examples
+        --------
+        >>> Transitions.from_episodes([[("hall", "go", -1.0), ("door", "go", 5.0), ("dock", True)]])
+        Transitions(2 transitions in 1 episodes of 2 to 2 steps: 1 terminated, 0 truncated;
+                    3 named states, 1 named actions; rewards -1 to 5)
+        """
+        log = cls(**episode_columns(episodes))
+        return log if simulator is None else log.numbered(simulator, "episodes")
+
+    def numbered(self, simulator: FiniteMDP, name: str = "log") -> Self:
+        """The log in the numbers of ``simulator``'s states and actions, matched by their names; itself where it has none.
+
+        Raises ValueError with the first row whose name the simulator has not, and the nearest that it has.
+        """
+        if self.state_names is None and self.action_names is None:
+            return self
+        _checks.instance(simulator, FiniteMDP, "simulator")
+        columns = super().columns()
+        matched = (
+            ("state", self.state_names, simulator.state_names, simulator.n_states),
+            ("action", self.action_names, simulator.action_names, simulator.n_actions),
+            ("next_state", self.state_names, simulator.state_names, simulator.n_states),
+        )
+        for column, own, names, size in matched:
+            if own is not None:
+                columns[column] = renumbered(columns[column], own, names, size, f"{name}.{column}")
+        return type(self)(**columns)
 
     def __repr__(self) -> str:
         return f"Transitions({self.describe()})"
@@ -128,6 +246,10 @@ class Transitions(Log):
         With ``discount`` each move counts discount**timestep, the paper's discounted d (needs timesteps).
         Raises ValueError where a state or action is outside the given numbers.
         """
+        if self.state_names is not None or self.action_names is not None:
+            raise ValueError(
+                "log must be in a simulator's numbers to be counted; its states or actions have names: log.numbered(simulator)"
+            )
         weights = np.ones(len(self))
         if discount is not None:
             if self.timestep is None:
@@ -181,7 +303,11 @@ class Transitions(Log):
         if facts["episodes"] is not None:
             text += f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
         text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
-        text += f"; states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}"
+        called = (("states", self.state_names, "largest_state"), ("actions", self.action_names, "largest_action"))
+        text += "; " + ", ".join(
+            f"{word} 0..{facts[largest]}" if names is None else f"{len(names)} named {word}"
+            for word, names, largest in called
+        )
         if self.reward is not None:
             text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
         return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
@@ -239,3 +365,56 @@ def _distinct(numbers: IntArray) -> int:
         seen[numbers] = True
         return int(seen.sum())
     return len(np.unique(numbers))
+
+
+def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
+    """A log in the simulator's numbers: Transitions, a data frame, or a list of episodes; ValueError for anything else."""
+    if isinstance(value, list | tuple):
+        return Transitions.from_episodes(value, simulator=simulator)
+    if not isinstance(value, Transitions) and is_frame(value):
+        return Transitions.from_frame(value, simulator=simulator)
+    return _checks.instance(value, Transitions, name, "Transitions").numbered(simulator, name)
+
+
+def _coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
+    texts = {column: _names_in(value, column) for column, value in columns.items()}
+    found = {column: items for column, items in texts.items() if items is not None}
+    if not found:
+        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
+        return list(columns.values()), None if given is None else check_names(given, name, size)
+    if len(found) < len(columns) or given is not None:
+        numbers = ", ".join(column for column in columns if column not in found) or name
+        raise ValueError(f"{next(iter(found))} must hold numbers where {numbers} is given in numbers; it holds names")
+    first: dict[Name, int] = {}
+    codes = [
+        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
+    ]
+    return list(codes), check_names(list(first), name, len(first))
+
+
+def _names_in(value: Any, name: str) -> list[Any] | None:
+    """The items of a column of names; None for a column of anything else, which its own reader judges."""
+    if isinstance(value, list | tuple):
+        items, told = list(value), (str, tuple)
+    else:
+        array = _checks.as_array(value, name)
+        if array.dtype.kind not in "UO" or array.ndim != 1:
+            return None
+        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
+    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
+        return None
+    names = [plain(item) for item in items]
+    odd = [isinstance(item, str) and reads_as_number(item) for item in names]
+    if all(odd):
+        return None
+    for k, item in enumerate(names):
+        if not is_name(item) or odd[k]:
+            raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {item!r:.80}")
+    return names
+
+
+def _as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
+    array = np.empty(len(names), dtype=object)
+    array[:] = names
+    return array

@@ -33,6 +33,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.policy_forms import is_policy_by_state
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.ratio.support import refuse_unsupported
@@ -184,6 +185,7 @@ def plan_data_collection(
         model=source,
         solver=design.solver,
         status=status,
+        names=mdp.names,
     )
 
 
@@ -245,7 +247,7 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
 
 
 def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
-    if not isinstance(policies, Mapping):
+    if not isinstance(policies, Mapping) or is_policy_by_state(policies, mdp):
         return {"policy": check_policy(policies, mdp, name="policies")}
     if not policies:
         raise ValueError("policies must have at least one policy; it has none")

@@ -10,6 +10,7 @@ from scipy import special
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.programs import evaluate
+from oee_tabular.mdp.naming import NAMELESS, Names
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Plan:
     costs : name -> (S, A) c_x, squared units of J
     optimistic : (S, A) where c_x is the largest plausible variance, the model having none
     restart : probability of starting again after a move; None for free sampling
+    names : what states and actions are called
     model, solver, status : what variances were evaluated at, what solved the program, "ok" or what is wrong
 
     Examples
@@ -101,6 +103,7 @@ class Plan:
     model: str
     solver: str
     status: str = "ok"
+    names: Names = NAMELESS
 
     @property
     def inefficiency(self) -> float:
@@ -180,9 +183,14 @@ class Plan:
         )
         flat = self.distribution.reshape(-1)
         top = [divmod(int(k), self.distribution.shape[1]) for k in np.argsort(-flat, kind="stable")[:5]]
-        lines.append("most of it: " + ", ".join(f"s={s}, a={a} {100 * self.distribution[s, a]:.1f}%" for s, a in top))
+        lines.append(
+            "most of it: " + ", ".join(f"{self.names.pair(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in top)
+        )
         if self.next_pairs:
-            lines.append("next (s, a), one move each: " + ", ".join(str(pair) for pair in self.next_pairs))
+            lines.append(
+                "next (s, a), one move each: "
+                + ", ".join(f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs)
+            )
         if self.unvisited:
             lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
         if self.optimistic.any():

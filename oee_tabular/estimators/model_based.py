@@ -135,8 +135,9 @@ class ModelBased(ExactLimit):
             data = np.where(defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)])
             rewards = sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
         return FiniteMDP(
-            matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state, layout=base.layout
-        )
+            matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state, layout=base.layout,
+            state_names=base.state_names, action_names=base.action_names,
+        )  # fmt: skip
 
 
 def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:

@@ -295,7 +295,7 @@ def coverage(problem: Problem, model: Model, policy: Array, counts: Array) -> di
     missed = np.where(visited, 0.0, alive)
     first = [divmod(int(k), model.n_actions) for k in np.argsort(-missed, axis=None, kind="stable")[:3]]
     return {
-        "unseen": "; ".join(f"s={s}, a={a}" for s, a in first if missed[s, a] > 0),
+        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in first if missed[s, a] > 0),
         "coverage": share,
         "fallback_share": 1.0 - share,
         "effective_sample_size": seen**2 / spread if spread > 0 else 0.0,

@@ -13,6 +13,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
 from oee_tabular.data import TransitionCounts, Transitions
+from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
     NO_HORIZON,
     Finding,
@@ -53,7 +54,9 @@ class Problem:
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target; or counts of its moves: ``TransitionCounts``, or a sparse (S*A, S) matrix
+    log : Transitions of the target, a data frame of them (``Transitions.from_frame``), or episodes as lists of steps
+        (``Transitions.from_episodes``); names of states and actions are matched to the simulator's. Or counts of its moves:
+        ``TransitionCounts``, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities
@@ -129,9 +132,12 @@ class Problem:
         if sparse.issparse(self.log):
             moves = _supported(checked_counts(self.log, self.simulator), self.simulator)
             object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
-        _checks.instance(self.log, (Transitions, TransitionCounts), "log", "Transitions")
-        if self.episodes is not None:
-            _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
+        for name in ("log", "episodes"):
+            given = getattr(self, name)
+            if not (isinstance(given, TransitionCounts) and name == "log") and not (
+                given is None and name == "episodes"
+            ):
+                object.__setattr__(self, name, as_log(given, self.simulator, name))
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
         object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:
@@ -142,7 +148,9 @@ class Problem:
             object.__setattr__(self, "episodes", settle(self.episodes, self.simulator, "episodes"))
         check_simulator_data(self.simulator_data)
         if isinstance(self.simulator_data, Transitions):
-            settled = settle(self.simulator_data, self.simulator, "simulator_data")
+            settled = settle(
+                self.simulator_data.numbered(self.simulator, "simulator_data"), self.simulator, "simulator_data"
+            )
             object.__setattr__(self, "simulator_data", settled)
         if self.rewards == "log" and self.log.moves().reward_sum is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
@@ -256,8 +264,9 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     going_on = np.flatnonzero(log.terminated & ~simulator.absorbing()[arrival])
     if going_on.size:
         row = int(going_on[0])
+        where = simulator.names.state(arrival[row])
         raise ValueError(
-            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {arrival[row]}, every action "
+            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {where}, every action "
             f"leading back to it and paying 0; there it goes on or pays ({going_on.size} such rows). If the log's episodes "
             "were cut there (a time limit), mark them truncated instead; if the task is over there, make it so, "
             f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or name where termination leads "
@@ -324,7 +333,7 @@ def _conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewa
     moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
     k = int(differ[np.argmax(np.abs(far - expected)[differ])])
     example = (
-        f"s={log.state[k]}, a={log.action[k]} -> s'={log.next_state[k]} pays {far[k]:g} in the log, "
+        f"{simulator.names.move(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
         f"{expected[k]:g} in the simulator"
     )
     varies = bool((least[differ] < most[differ]).any())

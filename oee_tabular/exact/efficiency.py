@@ -262,7 +262,8 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
     if len(missing):
         s, a = (int(i) for i in missing[0])
         raise ValueError(
-            f"behavior_policy must take every action that the policy takes; in state {s} it never takes action {a} "
+            f"behavior_policy must take every action that the policy takes; in state {mdp.names.state(s)} it never "
+            f"takes action {mdp.names.action(a)} "
             f"({len(missing)} such state-action pairs in all)"
         )
 

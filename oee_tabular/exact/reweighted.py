@@ -17,6 +17,7 @@ from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.naming import NAMELESS, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class ReweightedModel:
     transitions : csr (S*A, S), zeta * P; nonnegative, rows of any sum
     rewards : (S, A) of a step: sum_s' zeta P r(s, a, s'), or the simulator's r(s, a)
     reward_data : r(s, a, s') aligned with ``transitions.data``, or None
-    initial, discount, terminal_state, layout : the simulator's
+    initial, discount, terminal_state, layout, names : the simulator's
 
     Examples
     --------
@@ -50,6 +51,7 @@ class ReweightedModel:
     discount: float
     terminal_state: IntArray
     layout: Array | None = None
+    names: Names = NAMELESS
 
 
 MODELS = (FiniteMDP, ReweightedModel)
@@ -91,7 +93,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     zeta, _ = align(canonical(checked(values, "ratio"), drop_zeros=False), mdp.transitions)
     bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
     if bad.size:
-        where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions)
+        where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)
         raise ValueError(f"ratio must be finite and nonnegative; at {where} it is {zeta[bad[0]]}")
     kernel = on_pattern(mdp.transitions, zeta * mdp.transitions.data)
     rewards = mdp.rewards
@@ -107,4 +109,5 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
         mdp.discount,
         mdp.terminal_state,
         mdp.layout,
+        mdp.names,
     )

@@ -153,7 +153,8 @@ def estimands(settings: Cell, stream: Stream) -> list[Row]:
 def with_next_rewards_averaged(simulator: FiniteMDP) -> FiniteMDP:
     """The same MDP paying r(s, a) = sum_s' P r(s, a, s'): a product estimator then weighs r_t without the last ratio."""
     return FiniteMDP(on_pattern(simulator.transitions, simulator.transitions.data), simulator.rewards, simulator.initial,
-                     simulator.discount, layout=simulator.layout)  # fmt: skip
+                     simulator.discount, layout=simulator.layout, state_names=simulator.state_names,
+                     action_names=simulator.action_names)  # fmt: skip
 
 
 ESTIMANDS = Experiment(

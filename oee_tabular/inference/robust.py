@@ -21,6 +21,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular._threads import dot
 from oee_tabular.exact import evaluate_policy, state_values
 from oee_tabular.inference.ambiguity import Evidence, anytime_radius, independent_radius, l1_radius, reached_rows
+from oee_tabular.mdp.naming import names_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +126,6 @@ def contradicted_rows(evidence: Evidence, confidence: float, kind: str) -> IntAr
 
 def describe_rows(evidence: Evidence, rows: Any) -> str:
     """The first rows, as (s, a) with their counts."""
-    n_actions = evidence.model.n_actions
-    named = ", ".join(f"(s={r // n_actions}, a={r % n_actions}, n={evidence.n[r]:g})" for r in rows[:5])
+    n_actions, names = evidence.model.n_actions, names_of(evidence.model)
+    named = ", ".join(f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})" for r in rows[:5])
     return named + ("" if len(rows) <= 5 else f" and {len(rows) - 5} more")

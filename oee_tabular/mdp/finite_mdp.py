@@ -16,13 +16,23 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, checked, checked_rows, find, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, checked_rows, row_of_entry, row_sums
+from oee_tabular.mdp.arrays import (
+    canonical_table,
+    name_move,
+    reward_table,
+    stored_shape,
+    terminal_states,
+    transition_rows,
+)
 from oee_tabular.mdp.layout import check_layout
+from oee_tabular.mdp.made import Made
+from oee_tabular.mdp.naming import Name, Names, check_names, from_text, start_law, to_text
 
 KIND = "finite_mdp"
 
 
-class FiniteMDP:
+class FiniteMDP(Made):
     """A finite Markov decision process, checked when it is made and immutable afterwards.
 
     Parameters
@@ -34,7 +44,7 @@ class FiniteMDP:
         r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
         In a sparse one an absent entry is 0 on the support and undefined elsewhere.
     initial : (S,) array
-        Distribution mu_0 of the first state.
+        Distribution mu_0 of the first state; or one state, by number or name, or a mapping state -> probability.
     discount : float in [0, 1]
         gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states that pay nothing;
         the functions that evaluate say so when it is not.
@@ -43,6 +53,8 @@ class FiniteMDP:
         leads. By default s itself.
     layout : (S,) or (S, c) array, optional
         Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``).
+    state_names, action_names : S, A texts or tuples of texts and numbers, optional
+        What the states and the actions are called, each once; none reads as a number. Logs and policies may use them.
 
     Attributes
     ----------
@@ -50,7 +62,8 @@ class FiniteMDP:
     transitions : csr_array of shape (S*A, S), without explicit zeros
     rewards : (S, A) expected reward
     transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
-    initial, discount, terminal_state, layout ((S, c) or None)
+    initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None)
+    names : both, as sentences word them (``mdp.naming``)
 
     Raises
     ------
@@ -68,12 +81,14 @@ class FiniteMDP:
 
     __slots__ = (
         "_reward_data",
+        "action_names",
         "discount",
         "initial",
         "layout",
         "n_actions",
         "n_states",
         "rewards",
+        "state_names",
         "terminal_state",
         "transition_rewards",
         "transitions",
@@ -88,6 +103,8 @@ class FiniteMDP:
     discount: float
     terminal_state: IntArray
     layout: Array | None
+    state_names: tuple[Name, ...] | None
+    action_names: tuple[Name, ...] | None
     _reward_data: Array | None
 
     def __init__(
@@ -99,26 +116,32 @@ class FiniteMDP:
         *,
         terminal_state: Any = None,
         layout: Any = None,
+        state_names: Any = None,
+        action_names: Any = None,
     ) -> None:
-        matrix, n_states, n_actions = _transition_rows(transitions)
-        table, expected = _reward_table(rewards, matrix, n_states, n_actions)
+        matrix, n_states, n_actions = transition_rows(transitions)
+        table, expected = reward_table(rewards, matrix, n_states, n_actions)
         data = None if table is None else _checks.freeze(align(table, matrix)[0])
         if data is not None:
             expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
         if terminal_state is None:
             terminal = np.arange(n_states, dtype=np.int64)
         else:
-            terminal = _terminal_states(terminal_state, n_states)
+            terminal = terminal_states(terminal_state, n_states)
+        called = None if state_names is None else check_names(state_names, "state_names", n_states)
+        start = start_law(initial, called, n_states)
         values = {
             "n_states": n_states,
             "n_actions": n_actions,
             "transitions": matrix,
             "rewards": _checks.freeze(expected),
             "transition_rewards": table,
-            "initial": _checks.freeze(_checks.distribution(initial, "initial", (n_states,))),
+            "initial": _checks.freeze(_checks.distribution(start, "initial", (n_states,))),
             "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
             "terminal_state": _checks.freeze(terminal),
             "layout": None if layout is None else check_layout(layout, n_states),
+            "state_names": called,
+            "action_names": None if action_names is None else check_names(action_names, "action_names", n_actions),
             "_reward_data": data,
         }
         for name, value in values.items():
@@ -155,6 +178,11 @@ class FiniteMDP:
         """r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)."""
         return self._reward_data
 
+    @property
+    def names(self) -> Names:
+        """How sentences word a state and an action: by name, or by number."""
+        return Names(self.state_names, self.action_names)
+
     def absorbing(self) -> _checks.BoolArray:
         """(S,) mask of the closed states that pay nothing: where an episode is over."""
         unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
@@ -174,7 +202,7 @@ class FiniteMDP:
         Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
         """
         try:
-            matrix, n_states, n_actions = _transition_rows(new)
+            matrix, n_states, n_actions = transition_rows(new)
         except ValueError as error:
             raise ValueError(f"new {error}") from None
         if (n_states, n_actions) != (self.n_states, self.n_actions):
@@ -186,7 +214,7 @@ class FiniteMDP:
         if self.transition_rewards is not None:
             _, defined = align(self.transition_rewards, matrix)
             if not defined.all():
-                moves = [name_move(matrix, k, n_actions) for k in np.flatnonzero(~defined)[:3]]
+                moves = [name_move(matrix, k, n_actions, self.names) for k in np.flatnonzero(~defined)[:3]]
                 raise ValueError(
                     f"new transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
                     f"the first: {'; '.join(moves)}"
@@ -205,6 +233,10 @@ class FiniteMDP:
     def with_layout(self, layout: Any) -> Self:
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
         return self._changed(layout=layout)
+
+    def with_names(self, state_names: Any = None, action_names: Any = None) -> Self:
+        """The same MDP with these names of its states and of its actions; None: with none."""
+        return self._changed(state_names=state_names, action_names=action_names)
 
     def with_action_noise(self, epsilon: float) -> Self:
         """With probability epsilon the action is replaced by a uniform one (which may be the same).
@@ -250,6 +282,8 @@ class FiniteMDP:
                 arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
         if self.layout is not None:
             arrays["layout"] = self.layout
+        called = {"state_names": self.state_names, "action_names": self.action_names}
+        arrays |= {name: to_text(names) for name, names in called.items() if names is not None}
         return arrays
 
     @classmethod
@@ -259,7 +293,7 @@ class FiniteMDP:
             path, KIND, hint="make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
         )
         with _files.parts_of(path, "a FiniteMDP"):
-            shape = _stored_shape(arrays["shape"])
+            shape = stored_shape(arrays["shape"])
 
             def matrix(name: str) -> sparse.csr_array:
                 data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
@@ -273,31 +307,34 @@ class FiniteMDP:
                 float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
                 terminal_state=arrays["terminal_state"],
                 layout=arrays.get("layout"),
+                **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
             )
 
-    @classmethod
-    def from_gymnasium(cls, env: Any, discount: float = 0.99) -> Self:
-        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
+    def with_support_of(self, log: Any, epsilon: float) -> Self:
+        """The same MDP in which the moves of ``log`` are possible: where some were not, P' = (1 - eps) P + eps U.
 
-        State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
-        an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
-        reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
-        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
-        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state.
+        U is uniform over those of the log's moves from (s, a) that P gives probability 0; other rows stay as they are. A
+        new move pays the log's mean reward for it, or r(s, a) where the log has none.
 
-        Raises
-        ------
-        ValueError
-            Without such a table (Blackjack), or where the dynamics are not in it: a fickle Taxi passenger, a wrapper that
-            changes actions, observations or rewards.
+        Parameters
+        ----------
+        log : Transitions, or counts of shape (S*A, S)
+        epsilon : in (0, 1)
+
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> line = oee.FiniteMDP([[[0.5, 0.5, 0]], [[0, 0, 1]], [[0, 0, 1]]], [1, 1, 0], 0, 0.9)
+        >>> line.with_support_of(oee.Transitions([0, 1], [0, 0], [2, 2]), 0.1).transitions.toarray().tolist()
+        [[0.45, 0.45, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.gymnasium_table import read_table
+        from oee_tabular.mdp.sampled import supporting
 
-        return cls(**vars(read_table(env)), discount=discount)
+        return self._changed(**supporting(self, log, epsilon))
 
     def _arguments(self) -> dict[str, Any]:
         rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        same = ("transitions", "initial", "discount", "terminal_state", "layout")
+        same = ("transitions", "initial", "discount", "terminal_state", "layout", "state_names", "action_names")
         return {"rewards": rewards} | {name: getattr(self, name) for name in same}
 
     def _changed(self, **changes: Any) -> Self:
@@ -305,101 +342,4 @@ class FiniteMDP:
         return type(self)(**self._arguments() | changes)
 
 
-def name_move(matrix: sparse.csr_array, entry: int, n_actions: int) -> str:
-    """``s=3, a=1 -> s'=7`` for a stored entry of a matrix with rows s*A + a."""
-    row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
-    return f"s={row // n_actions}, a={row % n_actions} -> s'={int(matrix.indices[entry])}"
-
-
-def _transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
-    """Checked rows, number of states, number of actions; sums are named transitions[s, a]."""
-    if sparse.issparse(transitions):
-        if transitions.ndim != 2 or transitions.shape[1] == 0 or transitions.shape[0] % transitions.shape[1]:
-            raise ValueError(f"transitions must have shape (S*A, S) when sparse; it has shape {transitions.shape}")
-        n_states = int(transitions.shape[1])
-        rows = checked(transitions, "transitions")
-    else:
-        dense = _checks.float_array(transitions, "transitions", ndim=3)
-        if dense.shape[0] != dense.shape[2]:
-            raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
-        _checks.require_nonnegative(dense, "transitions")
-        dense = _checks.scaled_if_single(dense, transitions)
-        n_states = dense.shape[0]
-        rows = dense.reshape(dense.shape[0] * dense.shape[1], n_states)
-    if n_states == 0 or rows.shape[0] == 0:
-        raise ValueError(f"transitions must have at least one state and one action; it has shape {transitions.shape}")
-    n_actions = rows.shape[0] // n_states
-    raw = sparse.csr_array(rows, dtype=np.float64)
-    bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
-    if bad.size:
-        rule = "nonnegative" if np.isfinite(raw.data[bad[0]]) else "finite"
-        where = name_move(raw, int(bad[0]), n_actions)
-        raise ValueError(f"transitions must be {rule}; at {where} it is {raw.data[bad[0]]}")
-    matrix = canonical(raw, drop_zeros=True)
-    _checks.require_sums_to_one(row_sums(matrix).reshape(n_states, n_actions), "transitions")
-    return matrix, n_states, n_actions
-
-
-def _reward_table(
-    rewards: Any, matrix: sparse.csr_array, n_states: int, n_actions: int
-) -> tuple[sparse.csr_array | None, Array]:
-    """The csr of r(s, a, s') where it is defined (None for r(s, a)), and r(s, a)."""
-    if not sparse.issparse(rewards):
-        array = _checks.float_array(rewards, "rewards", ndim=(1, 2, 3))
-        shapes = {1: (n_states,), 2: (n_states, n_actions), 3: (n_states, n_actions, n_states)}
-        if array.shape != shapes[array.ndim]:
-            raise ValueError(f"rewards must have shape {shapes[array.ndim]}; it has shape {array.shape}")
-        if array.ndim < 3:
-            _checks.require_finite(array, "rewards")
-            expected = np.broadcast_to(array.reshape(n_states, -1), (n_states, n_actions)).copy()
-            return None, expected
-        if np.isinf(array).any():
-            first = tuple(np.argwhere(np.isinf(array))[0])
-            raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")
-        flat = array.reshape(-1, n_states)
-        on_support = find(matrix, *(index.astype(np.int64) for index in np.nonzero(np.isnan(flat))))[1]
-        if on_support.any():
-            row, column = (int(index[on_support][0]) for index in np.nonzero(np.isnan(flat)))
-            where = _checks.place("rewards", (row // n_actions, row % n_actions, column))
-            raise ValueError(f"{where} must be finite where the transition has a probability; it is nan")
-        rows, columns = np.nonzero(~np.isnan(flat))
-        return canonical_table(rows, columns, flat[rows, columns], flat.shape), np.empty(0)
-    if rewards.shape != (n_states * n_actions, n_states):
-        raise ValueError(
-            f"rewards must have shape {(n_states * n_actions, n_states)} when sparse; it has shape {rewards.shape}"
-        )
-    given = canonical(checked(rewards, "rewards"), drop_zeros=False)
-    bad = np.flatnonzero(~np.isfinite(given.data))
-    if bad.size:
-        where = name_move(given, int(bad[0]), n_actions)
-        raise ValueError(f"rewards must be finite; at {where} it is {given.data[bad[0]]}")
-    _, stored = align(given, matrix)
-    if stored.all():
-        return given, np.empty(0)
-    rows = np.concatenate([row_of_entry(given), row_of_entry(matrix)[~stored]])
-    columns = np.concatenate([given.indices, matrix.indices[~stored]])
-    data = np.concatenate([given.data, np.zeros(int((~stored).sum()))])
-    return canonical_table(rows, columns, data, given.shape), np.empty(0)
-
-
-def _stored_shape(stored: Any) -> tuple[int, int]:
-    """(S*A, S) from the (S, A) of a file."""
-    if stored.shape != (2,) or stored.dtype.kind not in "iu" or stored.min() < 1:
-        raise ValueError(f"shape must be two positive integers, states and actions; it is {stored.tolist()!r:.80}")
-    n_states, n_actions = stored.tolist()
-    return n_states * n_actions, n_states
-
-
-def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]) -> sparse.csr_array:
-    """A CSR with exactly these entries, explicit zeros included."""
-    return canonical(sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False)
-
-
-def _terminal_states(value: Any, n_states: int) -> IntArray:
-    array = _checks.as_array(value, "terminal_state")
-    if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
-        raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
-    bad = np.flatnonzero((array < 0) | (array >= n_states))
-    if bad.size:
-        raise ValueError(f"terminal_state[{bad[0]}] must be in 0..{n_states - 1}; it is {array[bad[0]]}")
-    return array.astype(np.int64)
+__all__ = ["KIND", "FiniteMDP", "canonical_table", "name_move"]

@@ -5,14 +5,16 @@ Gymnasium itself is not imported: the environment that is handed over brings wha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import sys
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical
+from oee_tabular.mdp.naming import Name, check_names
 
 # wrappers of Gymnasium that change neither actions nor observations nor rewards (a time limit is a horizon)
 _HARMLESS = {
@@ -35,6 +37,8 @@ class Table:
     initial: Array
     terminal_state: IntArray
     layout: Array | None
+    state_names: tuple[Name, ...] | None = None
+    action_names: tuple[Name, ...] | None = None
 
 
 def read_table(env: Any) -> Table:
@@ -53,7 +57,23 @@ def read_table(env: Any) -> Table:
             "env must have all its dynamics in the table P; a fickle Taxi passenger changes its destination outside it "
             f"(fickle_probability={base.fickle_probability:g}): use fickle_passenger=False"
         )
-    return _build(table, np.array(base.initial_state_distrib, dtype=np.float64), _map_of(base, len(table)))
+    outcomes = np.array(
+        [
+            (s, a, next_state, probability, reward, terminated)
+            for s in range(len(table))
+            for a in range(len(table[0]))
+            for probability, next_state, reward, terminated in table[s][a]
+            if probability > 0
+        ],
+        dtype=np.float64,
+    ).T
+    state, action, following = (part.astype(np.int64) for part in outcomes[:3])
+    moves = Outcomes(state, action, following, outcomes[3], outcomes[4], outcomes[5] > 0)
+    built = build(
+        moves, len(table[0]), np.array(base.initial_state_distrib, dtype=np.float64), _map_of(base, len(table)),
+        state_names=_names(getattr(base, "state_names", None), len(table)),
+    )  # fmt: skip
+    return replace(built, action_names=_action_names(base, len(table[0])))
 
 
 def _refuse_changing_wrappers(env: Any) -> None:
@@ -77,20 +97,45 @@ def _map_of(base: Any, n_states: int) -> Array | None:
     return None
 
 
-def _build(table: Any, initial: Array, layout: Array | None) -> Table:
-    n_own, n_actions = len(table), len(table[0])
-    outcomes = np.array(
-        [
-            (s * n_actions + a, next_state, probability, reward, terminated)
-            for s in range(n_own)
-            for a in range(n_actions)
-            for probability, next_state, reward, terminated in table[s][a]
-            if probability > 0
-        ],
-        dtype=np.float64,
-    )
-    row, to = outcomes[:, 0].astype(np.int64), outcomes[:, 1].astype(np.int64)
-    probability, reward, terminated = outcomes[:, 2], outcomes[:, 3], outcomes[:, 4] > 0
+def _names(given: Any, size: int) -> tuple[Name, ...] | None:
+    """An environment's own names where they are names for each."""
+    try:
+        return None if given is None else check_names(given, "names", size)
+    except ValueError:
+        return None
+
+
+def _action_names(base: Any, n_actions: int) -> tuple[Name, ...] | None:
+    """What an environment calls its actions; None where it does not say."""
+    meanings = getattr(base, "get_action_meanings", None)
+    given = getattr(base, "action_names", None if meanings is None else meanings())
+    if given is not None:
+        return _names(given, n_actions)
+    module = sys.modules.get(type(base).__module__)
+    constants = [(k, v) for k, v in vars(module).items() if k.isupper() and isinstance(v, int)] if module else []
+    numbered = sorted((v, k.lower()) for k, v in constants if 0 <= v < n_actions)
+    return tuple(k for _, k in numbered) if [v for v, _ in numbered] == list(range(n_actions)) else None
+
+
+class Outcomes(NamedTuple):
+    """What may follow: six columns, (n,) each; probabilities of a row (s, a) sum to 1."""
+
+    state: IntArray
+    action: IntArray
+    next_state: IntArray
+    probability: Array
+    reward: Array
+    terminated: BoolArray
+
+
+def build(
+    moves: Outcomes, n_actions: int, initial: Array, layout: Array | None = None,
+    state_names: tuple[Name, ...] | None = None,
+) -> Table:  # fmt: skip
+    """Rows of outcomes, those that terminate led to states that are over (``FiniteMDP.from_gymnasium`` says which)."""
+    n_own = len(initial)
+    row, to = moves.state * n_actions + moves.action, moves.next_state
+    probability, reward, terminated = moves.probability, moves.reward, moves.terminated
     entered_alive, entered_dead = np.zeros(n_own, dtype=bool), np.zeros(n_own, dtype=bool)
     entered_alive[to[~terminated]] = True
     entered_dead[to[terminated]] = True
@@ -114,4 +159,12 @@ def _build(table: Any, initial: Array, layout: Array | None) -> Table:
     rewards = sparse.csr_array((mean / transitions.data, transitions.indices, transitions.indptr), shape)
     if layout is not None:
         layout = np.concatenate([layout, layout[twins]])
-    return Table(transitions, rewards, np.concatenate([initial, np.zeros(len(twins))]), terminal_state, layout)
+    if state_names is not None:
+        state_names += tuple(_over(state_names[s]) for s in twins)
+    start = np.concatenate([initial, np.zeros(len(twins))])
+    return Table(transitions, rewards, start, terminal_state, layout, state_names)
+
+
+def _over(name: Name) -> Name:
+    """What the twin of a state is called, in which the episode is over."""
+    return (*name, "over") if isinstance(name, tuple) else f"{name} (over)"

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from oee_tabular import _checks
 from oee_tabular._sparse import row_sums
+from oee_tabular.mdp.policy_forms import changes_with_time
 
 SHORT = 10_000  # horizons up to here are followed as they stand
 FADED = 2.0**-200  # of a reward's weight; far below rounding, so that late and unlikely rewards are not lost either
@@ -83,7 +84,7 @@ def followed(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, ke
 def steps_of(horizon: Any, model: Rewarding, policy: Any = None, *, kept: float = 1.0) -> int:
     """A horizon as a positive int, as far as it is ``followed`` in ``model``; with a policy (T, S, A) to its end."""
     steps = _checks.positive_integer(horizon, "horizon")
-    if steps <= SHORT or (policy is not None and _checks.float_array(policy, "policy").ndim == 3):
+    if steps <= SHORT or changes_with_time(policy):
         return steps
     growth = max(1.0, float(row_sums(model.transitions).max()))
     rate = model.discount * (growth if growth > 1.0 + 2.0 * _checks.SUM_TOLERANCE else 1.0)

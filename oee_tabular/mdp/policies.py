@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.mdp.policy_forms import are_several, is_policy_by_state, policy_table
 
 
 class Sized(Protocol):
@@ -40,7 +42,10 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
 
     Parameters
     ----------
-    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single precision are scaled to sum to 1
+    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single precision are scaled to sum to 1.
+        Or (S,): an action a state, by number or name; a mapping state -> action, or its distribution ((A,), or a mapping
+        action -> probability), in which states that are over may be left out; a function of a state that returns such.
+        A function is given a state's name, or its number where there are no names
     mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
     name : what errors call the policy
     horizon : T; None: stationary policies only
@@ -56,12 +61,15 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     >>> mdp = oee.tasks.gridworld(2, slip=0.1)
     >>> check_policy([[1, 0, 0, 0]] * 4, mdp).shape
     (4, 4)
+    >>> check_policy([1, 1, 3, 0], mdp)[2].tolist(), check_policy(lambda state: [0.5, 0.5, 0, 0], mdp)[0].tolist()
+    ([0.0, 0.0, 0.0, 1.0], [0.5, 0.5, 0.0, 0.0])
     >>> check_policy([[0.5, 0.4, 0, 0]] * 4, mdp)
     Traceback (most recent call last):
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
     require_sized(mdp)
     _checks.instance(name, str, "name")
+    policy = policy_table(policy, mdp, name)
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
     shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
@@ -78,6 +86,19 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
         twins = (*array.shape[:-2], mdp.n_states - own, mdp.n_actions)
         array = np.concatenate([array, np.full(twins, 1.0 / mdp.n_actions)], axis=-2)
     return array
+
+
+def check_policies(policies: Any, mdp: Sized, *, name: str = "policies", alone: str = "policy") -> dict[str, Array]:
+    """Name -> (S, A) from a policy (called ``alone``), a list of them, or a mapping name -> policy; none: an empty one.
+
+    A mapping all of whose keys are states is one policy.
+    """
+    require_sized(mdp)
+    if isinstance(policies, Mapping) and not is_policy_by_state(policies, mdp):
+        return {str(key): check_policy(policy, mdp, name=f"{name} {str(key)!r}") for key, policy in policies.items()}
+    if are_several(policies, mdp):
+        return {f"policy {k}": check_policy(p, mdp, name=f"{name} 'policy {k}'") for k, p in enumerate(policies)}
+    return {alone: check_policy(policies, mdp, name=f"{name} {alone!r}")}
 
 
 def uniform_policy(mdp: Sized) -> Array:
@@ -102,7 +123,7 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
 
     Parameters
     ----------
-    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1
+    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1. One of them may be (S,) integers
     weight_of_a : float in [0, 1]
 
     Examples
@@ -111,7 +132,8 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     [[0.8, 0.2]]
     """
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
-    arrays = [_checks.float_array(p, n, ndim=(2, 3)) for p, n in ((policy_a, "policy_a"), (policy_b, "policy_b"))]
+    given = (policy_a, "policy_a", policy_b), (policy_b, "policy_b", policy_a)
+    arrays = [_checks.float_array(_beside(p, n, other), n, ndim=(2, 3)) for p, n, other in given]
     if arrays[0].shape != arrays[1].shape:
         raise ValueError(
             f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
@@ -120,6 +142,18 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
         _checks.require_nonnegative(array, name)
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
     return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
+
+
+def _beside(policy: Any, name: str, other: Any) -> Any:
+    """(S,) integers as (S, A), where the other policy is (S, A)."""
+    array = _checks.as_array(policy, name)
+    if array.ndim != 1 or array.dtype.kind not in "iu" or np.ndim(other) != 2:
+        return policy
+    n_actions = np.shape(other)[1]
+    bad = np.flatnonzero((array < 0) | (array >= n_actions))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {array[bad[0]]}")
+    return deterministic_policy(array.astype(np.int64), n_actions)
 
 
 def deterministic_policy(actions: IntArray, n_actions: int) -> Array:

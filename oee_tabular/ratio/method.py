@@ -16,6 +16,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.policy_forms import are_several
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
@@ -135,7 +136,7 @@ class Method:
         What the method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
-        log = log_or_counts if isinstance(log_or_counts, Transitions) else None
+        log = log_or_counts.numbered(simulator) if isinstance(log_or_counts, Transitions) else None
         values_of, horizon, behavior = (beside.pop(name, None) for name in ("values_of", "horizon", "behavior_policy"))
         if log is not None:
             counts = log.counts(simulator.n_states, simulator.n_actions, discount=beside.get("discount"))
@@ -174,7 +175,7 @@ class Method:
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
-    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and np.ndim(values_of[0]) == 2
+    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and are_several(values_of, simulator)
     given = list(values_of) if several else [values_of]
     names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))

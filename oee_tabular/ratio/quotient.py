@@ -171,7 +171,8 @@ def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -
     if given.log is not None and given.log.timestep is not None:
         steps = int(given.log.timestep.max()) + 1
     if isinstance(simulator_data, Transitions):
-        counts = simulator_data.counts(simulator.n_states, simulator.n_actions, discount=discount)
+        numbered = simulator_data.numbered(simulator, "simulator_data")
+        counts = numbered.counts(simulator.n_states, simulator.n_actions, discount=discount)
         return aligned_counts(counts, simulator)
     if simulator_data is not None:
         weighted = simulator.with_discount(1.0 if discount is None else discount)

@@ -49,7 +49,9 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     if bad.size == 0:
         return
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
-    named = "; ".join(f"{name_move(moves, int(k), simulator.n_actions)} ({moves.data[k]:g})" for k in heaviest)
+    named = "; ".join(
+        f"{name_move(moves, int(k), simulator.n_actions, simulator.names)} ({moves.data[k]:g})" for k in heaviest
+    )
     share = moves.data[bad].sum()
     probability = align(simulator.transitions, moves)[0][bad].max()
     faint = "0" if probability == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
@@ -70,17 +72,19 @@ def _ways_out(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
     for a in range(n_actions):
         someone |= find(simulator.transitions, start * n_actions + a, to)[1]
     noise = "simulator.with_action_noise(epsilon) (--action-noise)"
+    allow = "simulator.with_support_of(log, epsilon) gives every such move some"
     rest = "a mixture of simulator parameters, or states that tell such moves apart"
     if someone[bad].all():
-        return f"Ways out: {noise}, {rest}"
+        return f"Ways out: {noise}, {rest}. Or: {allow}"
     k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
     s, a, j = int(start[k]), int(action[k]), int(to[k])
     could = int(someone[bad].sum())
+    here, there = simulator.names.state(s), simulator.names.state(j)
     return (
-        f"No action leads from {s} to {j} in the simulator, so that action noise does not help"
+        f"No action leads from {here} to {there} in the simulator, so that action noise does not help"
         + (f" (it would with {could} of the {bad.size})" if could else "")
         + f". If the target can do this, give it some probability, P[{s}, {a}] *= 0.99; P[{s}, {a}, {j}] += 0.01; if it is a "
-        f"fault of the log, leave those rows out; else {rest}"
+        f"fault of the log, leave those rows out; else {rest}. Or: {allow}"
     )
 
 
@@ -135,7 +139,7 @@ def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> s
     ):
         if not fine.all():
             k = int(np.flatnonzero(~fine)[0])
-            where = name_move(matrix, k, simulator.n_actions)
+            where = name_move(matrix, k, simulator.n_actions, simulator.names)
             raise ValueError(f"{name} must be {rule}; at {where} there is {matrix.data[k]:g}")
     return matrix
 

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from oee_tabular import _checks
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
-from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report.quoting import LIKELIHOOD, quoted, sentences, way
 from oee_tabular.report.results import Report, Result, headline
 from oee_tabular.report.sureness import Sureness, how_sure, ranked
@@ -38,7 +37,8 @@ def evaluate(
     Parameters
     ----------
     problem : Problem
-    policies : (S, A) array, a list of them, or a mapping name -> array
+    policies : a policy in any of its forms (``mdp.check_policy``: (S, A), (S,) actions, by state, a function), a list of such,
+        or a mapping name -> policy
     estimators : names, estimators, or a mapping name -> estimator; None: the simulator, off-environment evaluation, the
         model-based baseline, and importance sampling where the log allows it
     confidence : level of the intervals
@@ -90,10 +90,9 @@ def evaluate(
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if normalized and problem.simulator.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
-    named_policies = {
-        name: check_policy(policy, problem.simulator, name=f"policy {name!r}")
-        for name, policy in _named(policies).items()
-    }
+    named_policies = check_policies(policies, problem.simulator, name="policy")
+    if not named_policies:
+        raise ValueError("policies must hold at least one; it is empty")
     chosen, left_out = _chosen(problem, estimators, target)
     truth = {}
     if target is not None:
@@ -157,18 +156,6 @@ def _noted(
         for r in results
     }
     return (*general, *(sentence for sentence, _ in told)), notes
-
-
-def _named(policies: Any) -> dict[str, Any]:
-    if isinstance(policies, Mapping):
-        found = {str(name): policy for name, policy in policies.items()}
-    elif isinstance(policies, list | tuple) and (not policies or np.ndim(policies[0]) >= 2):
-        found = {f"policy {k}": policy for k, policy in enumerate(policies)}
-    else:
-        found = {"policy": policies}
-    if not found:
-        raise ValueError("policies must hold at least one; it is empty")
-    return found
 
 
 def _chosen(

@@ -17,6 +17,7 @@ from oee_tabular._checks import Array, BoolArray, positive_integer
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.inference.changes import RowChanges, row_changes
+from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import detect_grid
 from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
@@ -61,6 +62,7 @@ class Portrait:
     visits: Mapping[str, Visits]
     changes: RowChanges
     grid: tuple[int, int] | None
+    names: Names = NAMELESS
 
     @property
     def never(self) -> int:
@@ -75,9 +77,9 @@ class Portrait:
     def where(self, state: int) -> str:
         """A state in words."""
         if self.grid is None:
-            return f"state {state}"
+            return f"state {self.names.state(state)}"
         row, column = divmod(state, self.grid[1])
-        return f"state {state} (row {row}, column {column})"
+        return f"state {self.names.state(state)} (row {row}, column {column})"
 
 
 def portray(
@@ -101,7 +103,7 @@ def portray(
             time = time / total if total > 0 else time
             visits[name] = Visits(time, np.where(changes.counts > 0, 0.0, time).sum(axis=1))
     shape = detect_grid(simulator) if grid is None else _grid(grid, simulator.n_states)
-    return Portrait(changes.counts, over, visits, changes, shape)
+    return Portrait(changes.counts, over, visits, changes, shape, simulator.names)
 
 
 def _grid(grid: Any, n_states: int) -> tuple[int, int]:
@@ -130,6 +132,11 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
     rows = [
         {
             "state": s,
+            "names": (
+                portrait.names.state(s),
+                portrait.names.action(a),
+                portrait.names.state(changes.next_state[s, a]),
+            ),
             "cell": None if portrait.grid is None else divmod(s, portrait.grid[1]),
             "action": a,
             "moves": int(changes.counts[s, a]),
@@ -207,7 +214,10 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
     seen = 1.0 - np.divide(visits.unseen, time, out=np.zeros_like(time), where=time > 0)
     bars = min(20, max(1, int((time > 0).sum())))
     return plots.figure_svg(
-        lambda ax: plots.plot_states(time, portrait.counts.sum(axis=1), ax, seen=np.clip(seen, 0.0, 1.0)),
+        lambda ax: plots.plot_states(
+            time, portrait.counts.sum(axis=1), ax, seen=np.clip(seen, 0.0, 1.0),
+            names=None if portrait.names.states is None else [portrait.names.state(s) for s in range(len(time))],
+        ),
         name=name, size=(WIDTH, 1.1 + 0.25 * bars), title=title, description=description,
     )  # fmt: skip
 

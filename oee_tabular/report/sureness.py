@@ -16,6 +16,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
+from oee_tabular.mdp.naming import names_of
 
 LARGEST = 2_000_000  # reachable moves beyond which the likelihood interval is left out: it takes minutes
 
@@ -220,7 +221,8 @@ def _next(evidences: Sequence[Evidence], confidence: float) -> str:
     k = int(np.argmax(gain))
     why = f"{first.n[k]:.4g} moves so far, {100 * share[k]:.0f}% of the variance" if first.n[k] else "never recorded"
     state, action = divmod(k, first.model.n_actions)
-    return f"What would help most: moves of action {action} in state {state} ({why})."
+    names = names_of(first.model)
+    return f"What would help most: moves of action {names.action(action)} in state {names.state(state)} ({why})."
 
 
 def as_records(sureness: Sureness, scale: float) -> list[dict[str, Any]]:

@@ -181,7 +181,11 @@ def _renamed(mdp: FiniteMDP, states: IntArray, actions: IntArray) -> FiniteMDP:
         rewards = mdp.transition_rewards.toarray().reshape(shape)[index]
     layout = None if mdp.layout is None else mdp.layout[back_s]
     renamed = mdp.transitions.toarray().reshape(shape)[index]
-    return FiniteMDP(renamed, rewards, mdp.initial[back_s], mdp.discount, layout=layout)
+    called = (
+        None if names is None else [names[k] for k in back]
+        for names, back in ((mdp.state_names, back_s), (mdp.action_names, back_a))
+    )
+    return FiniteMDP(renamed, rewards, mdp.initial[back_s], mdp.discount, layout=layout).with_names(*called)
 
 
 def _table(table: Array, states: IntArray, actions: IntArray) -> Array:

@@ -187,7 +187,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
     wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
     if wrong.size:
         k = int(wrong[0])
-        where = name_move(target.transitions, k, target.n_actions)
+        where = name_move(target.transitions, k, target.n_actions, target.names)
         raise ValueError(
             f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
         )

@@ -1,0 +1,173 @@
+"""Logs as people have them: data frames of any library, and episodes as lists of steps."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular import _checks
+from oee_tabular.data.files import COLUMNS
+from oee_tabular.data.tables import SEPARATORS, meant
+
+REQUIRED = ("state", "action", "next_state")
+STEP = "(state, action, reward), (state, action, reward, next_state) or (state, action, reward, next_state, terminated)"
+
+
+def is_frame(value: object) -> bool:
+    """Whether ``value`` is a data frame of a library that narwhals knows, eager or lazy."""
+    if isinstance(value, np.ndarray | Sequence | Mapping):
+        return False
+    import narwhals as nw
+
+    return bool(
+        isinstance(value, nw.DataFrame | nw.LazyFrame)
+        or nw.dependencies.is_into_dataframe(value)
+        or nw.dependencies.is_polars_lazyframe(value)
+    )
+
+
+def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of a log, by the constructor's names, of a data frame; ``column_names``: what it calls them.
+
+    Raises ValueError for what is no frame, for columns that it has not, and for rows without a value.
+    """
+    for field in column_names:
+        if field not in COLUMNS:
+            close = difflib.get_close_matches(field[:80], COLUMNS, n=1)
+            hint = f" (did you mean {close[0]}?)" if close else ""
+            raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
+    table = _eager(frame)
+    labels = [str(label) for label in table.columns]
+    taken = {field: _labels(field, given, labels) for field, given in column_names.items() if given is not None}
+    asked = {field: taken.get(field, [field]) for field in COLUMNS if field in taken or field in labels}
+    missing = [field for field in REQUIRED if field not in asked]
+    if missing:
+        shown = f"{', '.join(labels):.300}" or "none"
+        raise ValueError(
+            f"frame must have the columns {', '.join(REQUIRED)}; it has {shown}{_meant(missing, labels)} "
+            f"(say which it is: {missing[0]}='its name')"
+        )
+    used = {label for group in asked.values() for label in group}
+    _warn_resembling(
+        [label for label in labels if label not in used], [field for field in COLUMNS if field not in asked]
+    )
+    columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
+    if "episode" in columns:
+        columns["episode"] = _numbered(columns["episode"])
+    return columns
+
+
+def _eager(frame: Any) -> Any:
+    import narwhals as nw
+
+    if not is_frame(frame):
+        raise ValueError(f"frame must be a data frame (pandas, polars, arrow); got {type(frame).__name__}")
+    try:
+        table = nw.from_native(frame)
+        return table.collect() if isinstance(table, nw.LazyFrame) else table
+    except (nw.exceptions.NarwhalsError, ValueError) as error:
+        raise ValueError(f"frame must have columns that differ; {error}") from None
+
+
+def _labels(field: str, given: Any, labels: list[str]) -> list[str]:
+    """The frame's labels of one field: one, or several of which a name is made."""
+    group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
+    for label in group:
+        if label not in labels:
+            close = difflib.get_close_matches(str(label)[:80], labels, n=1)
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
+            shown = f"{', '.join(labels):.300}"
+            raise ValueError(f"{field} must be the name of a column of the frame, {shown}; it is {label!r:.80}{hint}")
+    if not group or (len(group) > 1 and field not in REQUIRED):
+        raise ValueError(f"{field} must be the name of one column; it is {given!r:.80}")
+    return group
+
+
+def _meant(missing: list[str], labels: list[str]) -> str:
+    return "" if any(mark in labels[0] for mark in SEPARATORS if len(labels) == 1) else meant(missing, labels)
+
+
+def _values(table: Any, label: str) -> NDArray[Any]:
+    """A column's values; ValueError for a row that has none."""
+    series = table[label]
+    absent = series.is_null().to_numpy()
+    values = np.asarray(series.to_numpy())
+    if values.dtype.kind == "f":
+        absent = absent | np.isnan(values)
+    rows = np.flatnonzero(absent)
+    if rows.size:
+        raise ValueError(f"column {label!r} of the frame must have a value in every row; row {rows[0]} has none")
+    return values
+
+
+def _joined(parts: list[NDArray[Any]]) -> Any:
+    """One column as it is, several as tuples."""
+    return parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
+
+
+def _numbered(episode: NDArray[Any]) -> NDArray[Any]:
+    """Episodes that have texts for numbers, in the order of their first rows."""
+    if episode.dtype.kind not in "OU" or not all(isinstance(item, str) for item in episode):
+        return episode
+    first: dict[str, int] = {}
+    return np.array([first.setdefault(item, len(first)) for item in episode], dtype=np.int64)
+
+
+def _warn_resembling(rest: list[str], free: list[str]) -> None:
+    """Columns that are left out and look like one of a log's that was not found."""
+    pairs = [(label, difflib.get_close_matches(label[:80].lower(), free, n=1, cutoff=0.8)) for label in rest]
+    near = [f"{label!r:.80} (is it {close[0]}? Then {close[0]}={label!r:.80})" for label, close in pairs if close]
+    if near:
+        _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
+
+
+def episode_columns(episodes: Any) -> dict[str, Any]:
+    """The columns of a log, of a list of episodes, each a list of steps; ``Transitions.from_episodes`` has the forms."""
+    given = _checks.collection(episodes, "episodes", "a list of episodes, each a list of steps")
+    rows: list[tuple[Any, ...]] = []
+    cut = 0
+    for k, episode in enumerate(given):
+        steps = _checks.collection(episode, f"episodes[{k}]", "a list of steps")
+        moves, lost = _moves_of(steps, f"episodes[{k}]")
+        rows += [(*move, k) for move in moves]
+        cut += lost
+    if not rows:
+        raise ValueError(
+            "episodes must have at least one move whose next state is known; they have none (end an episode with its last "
+            "state: [..., (state, action, reward), (state,)])"
+        )
+    if cut:
+        _checks.warn(
+            f"the last moves of {cut} episodes are left out, since nothing says where they led; end an episode with its "
+            "last state, (state,) or (state, terminated), to keep them"
+        )
+    state, action, reward, following, over, number = (list(column) for column in zip(*rows, strict=True))
+    return {
+        "state": state, "action": action, "next_state": following, "reward": reward, "terminated": over,
+        "episode": number,
+    }  # fmt: skip
+
+
+def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]], int]:
+    """(state, action, reward, next_state, terminated) of each move, and 1 where the last is not known to its end."""
+    parts = [_checks.collection(step, f"{name}[{t}]", f"a step, {STEP}") for t, step in enumerate(steps)]
+    if not parts:
+        return [], 0
+    short = len(parts[-1]) in (1, 2) and len(parts) > 1
+    body, last = (parts[:-1], parts[-1]) if short else (parts, None)
+    for t, part in enumerate(body):
+        if len(part) not in (3, 4, 5):
+            raise ValueError(f"{name}[{t}] must be a step, {STEP}; it has {len(part)} parts")
+    moves: list[tuple[Any, ...]] = []
+    for t, part in enumerate(body):
+        following = [body[t + 1][0]] if t + 1 < len(body) else [] if last is None else [last[0]]
+        led = list(part[3:4]) or following
+        if not led:
+            return moves, 1
+        over = part[4] if len(part) == 5 else t + 1 == len(body) and last is not None and len(last) == 2 and last[1]
+        moves.append((*part[:3], led[0], over))
+    return moves, 0

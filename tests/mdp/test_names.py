@@ -1,0 +1,243 @@
+"""Names of states and actions: checked, kept by whatever makes an MDP of the same states, found again, and spoken."""
+
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP
+from oee_tabular.continuous.support import frequencies
+from oee_tabular.estimators import ModelBased
+from oee_tabular.exact import reweight
+from oee_tabular.experiments.figure_1bcd import with_next_rewards_averaged
+from oee_tabular.mdp.naming import NAMELESS, Names, names_of, number_of, to_text, worded
+from oee_tabular.testing import case
+
+STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
+ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
+
+
+def three(form=2, **changes):
+    """hall -> room -> dock, where it is over."""
+    rewards = np.array([[-1.0, -1], [-1, -1], [0, 0]])
+    paid = rewards if form == 2 else np.where(ROWS > 0, rewards[:, :, None], np.nan)
+    return FiniteMDP(ROWS, paid, 0, 0.9, **{"state_names": STATES, "action_names": ACTIONS} | changes)
+
+
+def test_they_are_tuples_of_plain_python():
+    mdp = three(state_names=np.array(["a", "b", "c"]), action_names=[("x", np.int64(1)), ("y", [np.float64(0.5)])])
+    assert mdp.state_names == ("a", "b", "c")
+    assert mdp.action_names == (("x", 1), ("y", (0.5,)))
+    assert [type(name) for name in mdp.state_names] == [str] * 3
+    assert type(mdp.action_names[0][1]) is int
+    with pytest.raises(AttributeError, match="immutable"):
+        mdp.state_names = None
+
+
+@pytest.mark.parametrize("form", [2, 3])
+def test_what_is_made_of_the_same_states_keeps_them(form, tmp_path):
+    mdp = three(form)
+    mdp.save(tmp_path / "mdp.npz")
+    log = oee.Transitions([0, 0, 1], [0, 1, 0], [1, 0, 2])
+    others = {
+        "transitions": mdp.with_transitions(mdp.transitions),
+        "rewards": mdp.with_rewards([1.0, 2.0, 0.0]),
+        "discount": mdp.with_discount(0.5),
+        "layout": mdp.with_layout([0, 1, 2]),
+        "noise": mdp.with_action_noise(0.1),
+        "support": mdp.with_support_of(oee.Transitions([0], [0], [2]), 0.1),
+        "file": FiniteMDP.load(tmp_path / "mdp.npz"),
+        "pickle": pickle.loads(pickle.dumps(mdp)),
+        "model": ModelBased().model(oee.Problem(mdp, log)),
+        "zeta": oee.transition_ratio(log, mdp).target_model(mdp),
+        "frequencies": three().with_transitions(frequencies(log.counts(3, 2), 2)),
+        "averaged": with_next_rewards_averaged(mdp),
+    }
+    for name, other in others.items():
+        assert (other.state_names, other.action_names) == (STATES, ACTIONS), name
+    assert reweight(mdp, 1.1 * (mdp.transitions > 0)).names == Names(STATES, ACTIONS)
+    assert mdp.with_names().names == NAMELESS
+    assert mdp.with_names(action_names=["a", "b"]).names == Names(None, ("a", "b"))
+
+
+def test_a_file_without_names_has_none_and_a_broken_one_says_so(tmp_path):
+    path, bare = tmp_path / "mdp.npz", three().with_names()
+    bare.save(path)
+    assert not {"state_names", "action_names"} & set(np.load(path).files)
+    assert FiniteMDP.load(path).names == NAMELESS
+    for broken, text in (
+        (np.arange(3), r"mdp\.npz': state_names must be texts; it has int64 of shape \(3,\)$"),
+        (np.array(["hall", "x", "y"]), r"mdp\.npz': state_names must be names as JSON; it has 'hall'$"),
+        (np.array(['"a"', '"a"', '"b"']), r"mdp\.npz': state_names must differ; state_names\[1\] is 'a', as state_names\[0\]"),
+        (np.array(['"a"', '"b"']), r"mdp\.npz': state_names must have 3 names, one for each; it has 2$"),
+    ):  # fmt: skip
+        np.savez(path, oee_tabular_kind=np.array("finite_mdp"), **bare.arrays(), state_names=broken)
+        with pytest.raises(ValueError, match=text):
+            FiniteMDP.load(path)
+
+
+def test_texts_that_files_might_trim_survive(tmp_path):
+    odd = ("a\0", 'say "x"', "ü\u2028x")
+    three(state_names=odd).save(tmp_path / "m.npz")
+    assert FiniteMDP.load(tmp_path / "m.npz").state_names == odd
+    assert to_text(STATES).tolist() == ['"hall"', '["room", 1]', '"dock"']
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["a", "b"], r"state_names must have 3 names, one for each; it has 2$"),
+        (["a", "b", "a"], r"state_names must differ; state_names\[2\] is 'a', as state_names\[0\] is$"),
+        (["(0, 1)", "b", (0, 1)], r"state_names must differ; state_names\[2\] is \(0, 1\), as state_names\[0\] is$"),
+        (["a", "b", 3], r"state_names\[2\] must be a text, or a tuple of texts and numbers; it is 3$"),
+        (["a", "b", ()], r"state_names\[2\] must be a text, or a tuple"),
+        (["a", "b", (float("nan"),)], r"state_names\[2\] must be a text, or a tuple"),
+        (["a", "b", ("x", None)], r"state_names\[2\] must be a text, or a tuple"),
+        (["a", "07", "c"], r"state_names\[1\] must not read as a number, .*; it is '07' \(write 's07'\)$"),
+        (["a", "b", "nan"], r"state_names\[2\] must not read as a number"),
+        (["a", "b", ""], r"state_names\[2\] must not be empty, nor begin or end with a blank; it is ''$"),
+        (["a", " b", "c"], r"state_names\[1\] must not be empty, nor begin or end with a blank; it is ' b'$"),
+        ("abc", r"state_names must be a sequence of texts or tuples; got str$"),
+        (7, r"state_names must be a sequence of texts or tuples; got int$"),
+    ],
+)
+def test_bad_names(names, text):
+    with pytest.raises(ValueError, match=rf"^{text}"):
+        three().with_names(names)
+    with pytest.raises(ValueError, match=r"^action_names must have 2 names, one for each; it has 3$"):
+        three(action_names=["a", "b", "c"])
+
+
+def test_a_first_state():
+    for initial, law in (
+        ("hall", [1, 0, 0]), (("room", 1), [0, 1, 0]), (2, [0, 0, 1]), (np.int64(1), [0, 1, 0]), (np.array(0), [1, 0, 0]),
+        ({"hall": 0.25, ("room", 1): 0.5, 2: 0.25}, [0.25, 0.5, 0.25]), ((0.5, 0.0, 0.5), [0.5, 0, 0.5]),
+        ([0, 1, 0], [0, 1, 0]), ("('room', 1)", [0, 1, 0]),
+    ):  # fmt: skip
+        mdp = FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES)
+        assert_array_equal(mdp.initial, law)
+    for initial, text in (
+        ("hal", r"initial must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
+        (3, r"initial must be in 0\.\.2; it is 3$"),
+        (-1, r"initial must be in 0\.\.2; it is -1$"),
+        ({"hall": 0.5}, r"initial must sum to 1"),
+        ({"hall": 1.5}, r"initial\['hall'\] must be in \[0, 1\]; it is 1\.5$"),
+        ({"x": 1.0}, r"initial's state must be one of the MDP's names; it is 'x' \(they are 'hall'"),
+        (True, r"initial must have shape \(3,\)"),
+        (0.5, r"initial must have shape \(3,\)"),
+    ):
+        with pytest.raises(ValueError, match=f"^{text}"):
+            FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES)
+    with pytest.raises(
+        ValueError, match=r"^initial must be a number in 0\.\.2, since the MDP has no names here; it is 'hall'"
+    ):
+        FiniteMDP(ROWS, [0, 0, 0], "hall", 0.9)
+
+
+def test_gymnasium_s_own_names():
+    lake = FiniteMDP.from_gymnasium(gymnasium.make("FrozenLake-v1"))
+    assert (lake.action_names, lake.state_names) == (("left", "down", "right", "up"), None)
+    assert FiniteMDP.from_gymnasium(gymnasium.make("CliffWalking-v1")).action_names == ("up", "right", "down", "left")
+    assert FiniteMDP.from_gymnasium(gymnasium.make("Taxi-v4")).names == NAMELESS
+
+
+class Door:
+    """State 1 is entered alive and by termination: it gets a twin."""
+
+    P = {
+        0: {0: [(0.5, 1, 1.0, False), (0.5, 1, 2.0, True)], 1: [(1.0, 0, 0.0, False)]},
+        1: {0: [(1.0, 1, 0.0, False)], 1: [(1.0, 0, 0.0, False)]},
+    }
+    initial_state_distrib = (1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("facts", "states", "actions"),
+    [
+        ({"state_names": ["in", ("at", "door")]}, ("in", ("at", "door"), ("at", "door", "over")), None),
+        ({"state_names": ["in", "door"], "action_names": ["a", "b"]}, ("in", "door", "door (over)"), ("a", "b")),
+        ({"get_action_meanings": lambda self: ["NOOP", "FIRE"]}, None, ("NOOP", "FIRE")),
+        ({"action_names": ["a", "a"], "state_names": ["only one"]}, None, None),
+    ],
+)
+def test_an_environment_that_has_names(facts, states, actions):
+    mdp = FiniteMDP.from_gymnasium(type("Named", (Door,), facts)())
+    assert mdp.terminal_state.tolist() == [0, 2]
+    assert (mdp.state_names, mdp.action_names) == (states, actions)
+
+
+def test_other_numbers_of_the_states_take_them_along():
+    pair = case("ragged")
+    names = [f"s{k}" for k in range(pair.simulator.n_states)]
+    order = np.roll(np.arange(len(names)), 1)
+    named = type(pair)(**vars(pair) | {"simulator": pair.simulator.with_names(names)})
+    renamed = named.relabelled(order, np.arange(pair.simulator.n_actions)).simulator
+    assert [renamed.state_names[k] for k in order] == names
+
+
+def test_a_number_or_a_name():
+    assert [number_of(item, STATES, 3, "x") for item in ("dock", ("room", 1), ["room", 1], "('room', 1)", 2)] == [
+        2,
+        1,
+        1,
+        1,
+        2,
+    ]
+    for item, text in (
+        (True, r"x must be a name or a number; it is True$"),
+        (1.0, r"x must be a name or a number; it is 1\.0$"),
+        ("dok", r"x must be one of the simulator's names; it is 'dok' \(did you mean 'dock'\?\)$"),
+        (("room", 2), r"x must be one of .*\('room', 2\) \(did you mean \('room', 1\)\?\)$"),
+    ):
+        with pytest.raises(ValueError, match=f"^{text}"):
+            number_of(item, STATES, 3, "x")
+    with pytest.raises(ValueError, match=r"\(they are 's0', 's1', 's2', 's3', 's4', \.\.\.\)$"):
+        number_of("quux", tuple(f"s{k}" for k in range(6)), 6, "x")
+    assert (worded(STATES, 3), worded(STATES, -1), worded(None, 1)) == ("3", "-1", "1")
+    assert names_of(object()) == names_of(type("T", (), {"names": ["x"]})()) == NAMELESS
+
+
+# ---------------------------------------------------------------- sentences
+
+
+def test_sentences_speak_names():
+    mdp = three()
+    moves = [("hall", "go", ("room", 1))] * 6 + [(("room", 1), "go", "dock")] * 3 + [("hall", "go", "hall")] * 4
+    log = oee.Transitions(*zip(*moves, strict=True), np.full(13, -2.0))
+    problem = oee.Problem(mdp, log)
+    assert "s=hall, a=go -> s'=('room', 1) pays -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
+    report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
+    assert "What would help most: moves of action go in state hall (10 moves" in report.sureness.sentences[-1]
+    plan = oee.plan_data_collection(problem, ["go"] * 3, n=10)
+    assert "most of it: s=('room', 1), a=go" in str(plan)
+    assert "next (s, a), one move each: (('room', 1), go), (" in str(plan)
+    assert "('room', 1)" in report.to_html()
+    unseen = oee.evaluate(problem, {"run": ["stay"] * 3}, estimators=["oee"], seed=0)
+    assert "s=hall, a=stay" in str(unseen.records()) + " ".join(unseen.warnings)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda: oee.Problem(three(), oee.Transitions(["hall"], ["stay"], ["dock"])),
+            r"s=hall, a=stay -> s'=dock \(1\)\.",
+        ),
+        (
+            lambda: oee.Problem(three(), oee.Transitions([0], [1], [2])),
+            r"No action leads from hall to dock in the simulator",
+        ),
+        (
+            lambda: oee.Problem(three(), oee.Transitions([0], [0], [1], terminated=[1])),
+            r"over in state \('room', 1\), every",
+        ),
+        (lambda: three(3).with_transitions(ROWS[:, ::-1][[0, 0, 2]]), r"s=\('room', 1\), a=go -> s'=hall"),
+        (lambda: reweight(three(), -1.0 * three().transitions), r"at s=hall, a=go -> s'=hall it is"),
+    ],
+)
+def test_errors_speak_names(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
