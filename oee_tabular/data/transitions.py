@@ -76,15 +76,22 @@ class Transitions(Log):
         next_state: Any,
         reward: Any = None,
         *,
+        terminated: Any = None,
+        episode: Any = None,
+        timestep: Any = None,
+        behavior_probability: Any = None,
+        truncated: Any = None,
         state_names: Any = None,
         action_names: Any = None,
-        **columns: Any,
     ) -> None:
         (states, following), called = _coded({"state": state, "next_state": next_state}, state_names, "state_names")
         (actions,), acts = _coded({"action": action}, action_names, "action_names")
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
-        super().__init__(states, actions, following, reward, **columns)
+        super().__init__(
+            states, actions, following, reward, terminated=terminated, episode=episode, timestep=timestep,
+            behavior_probability=behavior_probability, truncated=truncated,
+        )  # fmt: skip
         for column, names in (("state", called), ("next_state", called), ("action", acts)):
             if names is not None and (bad := np.flatnonzero(getattr(self, column) >= len(names))).size:
                 raise ValueError(
@@ -278,12 +285,11 @@ def _coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], t
     """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
     texts = {column: _names_in(value, column) for column, value in columns.items()}
     found = {column: items for column, items in texts.items() if items is not None}
-    if not found:
+    if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
         size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
         return list(columns.values()), None if given is None else check_names(given, name, size)
-    if len(found) < len(columns) or given is not None:
-        numbers = ", ".join(column for column in columns if column not in found) or name
-        raise ValueError(f"{next(iter(found))} must hold numbers where {numbers} is given in numbers; it holds names")
+    if given is not None:
+        raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
     first: dict[Name, int] = {}
     codes = [
         np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
