@@ -308,13 +308,17 @@ def _names_in(value: Any, name: str) -> list[Any] | None:
         items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
     if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
         return None
-    names = [plain(item) for item in items]
-    odd = [isinstance(item, str) and reads_as_number(item) for item in names]
-    if all(odd):
+    names = [item if type(item) is str else plain(item) for item in items]
+    try:
+        distinct = dict.fromkeys(names)
+    except TypeError as error:
+        raise ValueError(f"{name} must be a column of names; {error}") from None
+    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and reads_as_number(item))]
+    if len(odd) == len(distinct):
         return None
-    for k, item in enumerate(names):
-        if not is_name(item) or odd[k]:
-            raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {item!r:.80}")
+    if odd:
+        k = names.index(odd[0])
+        raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
     return names
 
 
