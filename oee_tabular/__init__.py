@@ -28,7 +28,7 @@ __version__ = "0.1.0"
 # module -> its names at the top; imported on first use, so that "import oee_tabular" and "oee --help" stay quick
 _EXPORTS = {
     "bench": "",
-    "data": "ContinuousTransitions Transitions",
+    "data": "ContinuousTransitions TransitionCounts Transitions",
     "design": "plan_data_collection Plan",
     "estimators": "Problem Estimate",
     "exact": "policy_value state_values action_values occupancy optimal_policy Moments return_moments "
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
         testing,
         theory,
     )
-    from oee_tabular.data import ContinuousTransitions, Transitions
+    from oee_tabular.data import ContinuousTransitions, TransitionCounts, Transitions
     from oee_tabular.design import Plan, plan_data_collection
     from oee_tabular.estimators import Estimate, Problem
     from oee_tabular.exact import (
@@ -105,6 +105,7 @@ __all__ = [
     "Problem",
     "RatioFit",
     "Report",
+    "TransitionCounts",
     "TransitionRatio",
     "Transitions",
     "action_values",

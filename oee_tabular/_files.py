@@ -9,6 +9,7 @@ import re
 import uuid
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -23,6 +24,8 @@ KIND = "oee_tabular_kind"
 KINDS = {
     "finite_mdp": "FiniteMDP",
     "transitions": "log of numbered states (Transitions)",
+    "transition_counts": "counted log (TransitionCounts)",
+    "transition_counts_partial": "count that was stopped",
     "continuous_transitions": "log of continuous states (ContinuousTransitions)",
 }
 FORMULA = re.compile(
@@ -236,6 +239,18 @@ def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
 def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
     """What ``save_npz`` said the arrays are, None for other files."""
     return str(arrays[KIND]) if KIND in arrays else None
+
+
+def kind_of(path: str | os.PathLike[str]) -> str | None:
+    """What ``save_npz`` said that a file holds; None for other files. Reads that one name."""
+    name = local(path)
+    if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
+        return None
+    try:
+        with zipfile.ZipFile(name) as archive, archive.open(f"{KIND}.npy") as stream:
+            return str(_array(stream, archive.getinfo(f"{KIND}.npy").file_size, name))
+    except (KeyError, OSError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError):
+        return None  # what is wrong with it is said by who reads all of it
 
 
 def render(write: Callable[[IO[bytes]], object]) -> bytes:

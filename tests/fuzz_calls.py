@@ -8,7 +8,6 @@ says what it is about to do; where it dies or hangs another takes its place. Exi
 
 import argparse
 import dataclasses
-import importlib
 import inspect
 import multiprocessing
 import re
@@ -50,7 +49,9 @@ ALIASES = {  # words of the command line, which the same errors serve
 LEFT_OUT = [
     "Method",
     "SgdTrace",
+    "Basis",
     "Estimate",
+    "Finding",
     "Interval",
     "Moments",
     "Plan",
@@ -130,7 +131,8 @@ LEFT_OUT = [
 def functions(known):
     """Name -> function, of every public module but plots, with methods bound to valid objects."""
     found = {}
-    for module in (oee, *(importlib.import_module(f"oee_tabular.{m}") for m in oee._MODULES if m != "plots")):
+    parts = (getattr(oee, name) for name in oee.__all__ if name != "plots")
+    for module in (oee, *filter(inspect.ismodule, parts)):
         for name in module.__all__:
             if callable(getattr(module, name)) and name not in LEFT_OUT:
                 found[name] = getattr(module, name)

@@ -11,7 +11,7 @@ import oee_tabular as oee
 
 
 def test_no_hostile_value_does_harm():
-    counts, wrong = fuzz(seed=0, seconds=15.0)
+    counts, wrong = fuzz(seed=0, seconds=120.0, calls=1500)
     assert not wrong
     assert sum(counts.values()) > 100
 

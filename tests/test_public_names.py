@@ -6,18 +6,19 @@ import pytest
 
 NAMES = {
     "oee_tabular": """
-        ContinuousTransitions Estimate FiniteMDP Interval Moments Plan Problem RatioFit Report TransitionRatio
-        Transitions action_values bench check_assumptions data density_ratio density_ratio_samples
-        doubly_robust_moments efficiency_bound estimators evaluate exact inference interval mdp mix occupancy
-        optimal_policy plan_data_collection plots policy_is_moments policy_value ratio record_episodes report
-        return_moments sample_episodes sample_returns sample_transitions simulate state_values tasks testing
-        trajectory_efficiency_bound transition_ratio true_ratio uniform_policy weighted_return_moments
+        ContinuousTransitions Estimate FiniteMDP Interval Moments Plan Problem RatioFit Report
+        TransitionCounts TransitionRatio Transitions action_values bench check_assumptions data density_ratio
+        density_ratio_samples doubly_robust_moments efficiency_bound estimators evaluate exact
+        inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
+        policy_value ratio record_episodes report return_moments sample_episodes sample_returns sample_transitions
+        simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
+        weighted_return_moments
     """,
     "oee_tabular.bench": """
         Families Family League families garnet_worse league_of run tandem
     """,
     "oee_tabular.data": """
-        ContinuousTransitions Transitions
+        ContinuousTransitions TransitionCounts Transitions
     """,
     "oee_tabular.estimators": """
         DoublyRobust DualDice Estimate Estimator ImportanceSampling Magic Marginalized ModelBased OffEnvironment

@@ -53,7 +53,7 @@ def padded(problem: Problem, policy: Array) -> Padded:
 
     After its end an episode repeats its last state, takes action 0 with probability 1 under both policies and is paid 0.
     """
-    log = problem.log if problem.episodes is None else problem.episodes
+    log = problem.recorded
     starts, probability = log.episode_starts, log.behavior_probability
     if starts is None or log.timestep is None:
         raise ValueError("log must have episodes for importance sampling; it is a bag of moves")

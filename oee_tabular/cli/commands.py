@@ -61,7 +61,8 @@ Dask = Annotated[str | None, typer.Option(help="Address of a dask scheduler, to 
 def evaluate(
     simulator: Annotated[str | None, typer.Option(help=SIMULATOR_HELP)] = None,
     log: Annotated[
-        Path | None, typer.Option(help="Log of the target: .npz, .csv, .parquet, Minari folder or id.")
+        Path | None,
+        typer.Option(help="Log of the target: .npz (a log, or its counts), .csv, .parquet, Minari folder or id."),
     ] = None,
     policy: Policies = None,
     behavior: Annotated[str | None, typer.Option(help="Policy that recorded the log, as for --policy.")] = None,
@@ -84,6 +85,9 @@ def evaluate(
     confidence: Confidence = 0.95,
     guaranteed: Annotated[
         bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
+    ] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave likelihood intervals out, most of the time of large problems.")
     ] = False,
     grid: Annotated[str | None, typer.Option(help=GRID_HELP)] = None,
     outside: Annotated[str | None, typer.Option(help=OUTSIDE_HELP)] = None,
@@ -118,7 +122,7 @@ def evaluate(
     continuous = is_continuous(simulator)
     if not continuous:
         refuse_settings(settings)
-    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed}
+    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
     elif simulator is None or log is None:
@@ -199,6 +203,43 @@ def export(
     there = output.exists()
     saved.save(output)
     typer.echo(f"{output}{' (replaced)' * there}: {saved!r}")
+
+
+@app.command()
+def counts(
+    log: Annotated[
+        list[str], typer.Argument(help="Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.")
+    ],
+    output: Annotated[Path, typer.Option(help="The counts: .npz, for --log of evaluate and plan.")],
+    simulator: Annotated[
+        str | None, typer.Option(help="Whose states and actions there are; others are bad rows. As in evaluate.")
+    ] = None,
+    bad_rows: Annotated[
+        str, typer.Option(help="Rows that are none of a log: refuse the first, or drop and count them.")
+    ] = "refuse",
+    kept_moves: Annotated[
+        int, typer.Option(help="Moves of whole episodes to keep for importance sampling, drawn uniformly.")
+    ] = 500_000,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Count the moves of a log of any size. A count that was stopped goes on where it was."""
+    import sys
+
+    from oee_tabular import _files
+    from oee_tabular.data import Transitions
+
+    _files.new_file(output, "--output", overwrite=overwrite)
+    mdp = None if simulator is None else task_of(simulator, None).mdp
+    limits = {} if mdp is None else {"n_states": mdp.n_states, "n_actions": mdp.n_actions}
+    found = Transitions.open(
+        log, **limits, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
+        progress=sys.stderr.isatty(),
+    )  # fmt: skip
+    typer.echo(f"{output}: {found.describe()}")
+    for reason in found.recording.reasons:
+        typer.echo(f"dropped: {reason}")
 
 
 @app.command()

@@ -11,7 +11,7 @@ from oee_tabular.estimators.names import names
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
     from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.data import Transitions
+    from oee_tabular.data import TransitionCounts, Transitions
     from oee_tabular.estimators import Problem
     from oee_tabular.mdp import FiniteMDP
     from oee_tabular.report import Report
@@ -135,16 +135,23 @@ def sampled(
 
 def problem_of(task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any) -> Problem:
     """A problem from a task and the file of a log."""
-    from oee_tabular.data import Transitions
     from oee_tabular.estimators import Problem
 
     return Problem(
         task.mdp,
-        Transitions.load(log),
+        _log_of(log),
         horizon=horizon,
         behavior_policy=None if behavior is None else policy_of(behavior, task, "--behavior"),
         rewards=rewards,
     )
+
+
+def _log_of(path: Path) -> Transitions | TransitionCounts:
+    """A log, or the counts of one."""
+    from oee_tabular.data import TransitionCounts, Transitions
+    from oee_tabular.data.streaming import holds_counts
+
+    return TransitionCounts.load(path) if holds_counts(path) else Transitions.load(path)
 
 
 def from_files(
@@ -217,7 +224,7 @@ def described(file: str) -> str:
     """What a file or data set holds."""
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.log_files import holds_states
-    from oee_tabular.data import Transitions
+    from oee_tabular.data import TransitionCounts, Transitions
 
     path = Path(_files.local(file))
     if path.is_dir() and (path / "report.json").is_file():
@@ -236,6 +243,8 @@ def described(file: str) -> str:
         return _mdp(file, arrays)
     if kind == "transitions":
         return repr(Transitions.load(file))
+    if kind == "transition_counts":
+        return _counted(TransitionCounts.load(file))
     return "\n".join(_array(name, array) for name, array in arrays.items())
 
 
@@ -248,6 +257,10 @@ def _states(log: ContinuousTransitions) -> str:
     if log.behavior_probability is not None:
         lines.append("with behaviour probabilities")
     return "\n".join(lines)
+
+
+def _counted(log: TransitionCounts) -> str:
+    return "\n".join([repr(log), *(f"dropped: {reason}" for reason in log.recording.reasons)])
 
 
 def _mdp(file: str, arrays: dict[str, Any]) -> str:

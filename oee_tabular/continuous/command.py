@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.mdp.policies import policy_array
-
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -119,6 +117,8 @@ def recorded_states(
 
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; the expert where there are none."""
+    from oee_tabular.mdp.policies import policy_array
+
     found: dict[str, Any] = {}
     for text in specs or ["expert"]:
         name, equals, spec = text.partition("=")
@@ -138,6 +138,7 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
         return simulator.policy(spec, name)
     _refuse_arrays(spec, simulator, name)
     from oee_tabular.continuous.evaluation import as_function, as_table
+    from oee_tabular.mdp.policies import policy_array
 
     model = simulator.build()
     return as_function(as_table(policy_array(spec, name), model, spec), model)

@@ -93,7 +93,7 @@ def evaluate_continuous(
     horizon : number of rewards; None: the simulator's
     discount : in [0, 1]
     seed, facts : as in ``evaluate``
-    options : ``confidence``, ``normalized``, ``guaranteed`` of ``evaluate``
+    options : ``confidence``, ``normalized``, ``guaranteed``, ``quick`` of ``evaluate``
 
     Returns
     -------

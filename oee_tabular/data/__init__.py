@@ -6,12 +6,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _moved
+from oee_tabular.data.counted import TransitionCounts
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
 
-__all__ = ["ContinuousTransitions", "Transitions"]
+__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
 
 
 def __getattr__(name: str) -> Any:

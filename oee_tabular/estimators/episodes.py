@@ -75,7 +75,7 @@ def episode_estimate(
 
 def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
     """Policy importance sampling on the log's episodes with V and Q of ``model`` as control variates."""
-    log = problem.log if problem.episodes is None else problem.episodes
+    log = problem.recorded
     ratio = ImportanceSampling().ratios(problem, policy)
     starts, timestep = log.episode_starts, log.timestep
     assert starts is not None

@@ -176,6 +176,21 @@ def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
     return Finding("rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}")
 
 
+def rows_dropped(rows: int, reasons: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Rows of the log's files that are none of a log's, and were not counted."""
+    if not rows:
+        return ()
+    return (Finding("dropped", 0.0, f"{rows} bad rows of the log were not counted: {'; '.join(reasons)}."),)
+
+
+def episodes_sampled(kept: int, of: int) -> tuple[Finding, ...]:
+    """Importance sampling sees some of the log's episodes."""
+    if not 0 < kept < of:
+        return ()
+    text = f"Importance sampling sees a sample of {kept} of the log's {of} episodes; all others see every move."
+    return (Finding("sample", 0.0, text),)
+
+
 def behavior_contradicts(rows: int) -> tuple[Finding, ...]:
     """The policy that is said to have recorded the log did not."""
     text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."

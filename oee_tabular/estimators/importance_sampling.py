@@ -71,7 +71,7 @@ class ImportanceSampling(ExactLimit):
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
-        log = problem.log if problem.episodes is None else problem.episodes
+        log = problem.recorded
         starts, timestep = log.episode_starts, log.timestep
         if starts is None or timestep is None:
             raise ValueError(
@@ -147,7 +147,7 @@ class ImportanceSampling(ExactLimit):
 
     def ratios(self, problem: Problem, policy: Array) -> Array:
         """policy(a | s) / behaviour(a | s) of each row of the log (of ``problem.episodes`` where there are some)."""
-        log = problem.log if problem.episodes is None else problem.episodes
+        log = problem.recorded
         if log.episode_starts is None:
             raise ValueError(
                 "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"

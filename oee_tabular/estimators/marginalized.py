@@ -16,7 +16,7 @@ from oee_tabular.estimators.base import Estimate, without_divergence
 from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
-from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.problem import Problem, checked_policy, simulator_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import policy_kernel
@@ -129,8 +129,10 @@ def _rewards_of_rows(problem: Problem) -> Array:
     log, n_actions = problem.log, problem.simulator.n_actions
     rows = log.state * n_actions + log.action
     size = problem.simulator.n_states * n_actions
-    paid = np.bincount(rows, weights=problem.rewards_of(log), minlength=size)
-    number = np.bincount(rows, minlength=size)
+    moves = log.moves()
+    pay = simulator_rewards(problem.simulator, log) * moves.number if moves.reward_sum is None else moves.reward_sum
+    paid = np.bincount(rows, weights=pay, minlength=size)
+    number = np.bincount(rows, weights=moves.number, minlength=size)
     return np.divide(paid, number, out=np.zeros(size), where=number > 0)
 
 

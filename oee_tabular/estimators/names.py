@@ -138,7 +138,7 @@ def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> d
 def default_names(problem: Problem) -> tuple[list[str], list[str]]:
     """The estimators that this problem's data allow, and a sentence for each that they do not."""
     found, left_out = ["simulator", "oee", "model-based"], []
-    log = problem.log if problem.episodes is None else problem.episodes
+    log = problem.recorded
     if log.episode is None:
         left_out.append("Importance sampling is left out: the log has no episodes.")
     elif log.behavior_probability is None and problem.behavior_policy is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,9 +12,16 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, find
-from oee_tabular.data import Transitions
+from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
-from oee_tabular.estimators.findings import NO_HORIZON, Finding, behavior_contradicts, rewards_contradict
+from oee_tabular.estimators.findings import (
+    NO_HORIZON,
+    Finding,
+    behavior_contradicts,
+    episodes_sampled,
+    rewards_contradict,
+    rows_dropped,
+)
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.mdp.horizons import optional_steps
@@ -31,11 +38,12 @@ class RewardConflict:
     moves: int
     of_rows: int
     example: str
+    at_most: bool = False  # of moves that were counted, only the least and the largest reward are known
 
     def __str__(self) -> str:
         return (
-            f"the log's rewards contradict the simulator's in {self.rows} of {self.of_rows} transitions "
-            f"({self.moves} different moves; {self.example})"
+            f"the log's rewards contradict the simulator's in {'up to ' * self.at_most}{self.rows} of {self.of_rows} "
+            f"transitions ({self.moves} different moves; {self.example})"
         )
 
 
@@ -47,7 +55,8 @@ class Problem:
     ----------
     simulator : FiniteMDP
     log : Transitions of the target, a data frame of them (``Transitions.from_frame``), or episodes as lists of steps
-        (``Transitions.from_episodes``); names of states and actions are matched to the simulator's
+        (``Transitions.from_episodes``); names of states and actions are matched to the simulator's. Or counts of its moves:
+        ``TransitionCounts``, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities
@@ -59,7 +68,8 @@ class Problem:
         Whole episodes for importance sampling, where ``log`` is a draw of moves without episodes.
     counts : sparse (S*A, S) of nonnegative numbers, optional
         Counts of the target's moves in place of the log's, for the estimators that use counts (``Discretization.counts``
-        gives soft ones). Importance sampling and the paper's ratio of ratios keep using the log.
+        gives soft ones). Importance sampling and the paper's ratio of ratios keep using the log. Tests and intervals, which
+        need whole and independent moves, are for whole counts.
 
     Attributes
     ----------
@@ -67,6 +77,8 @@ class Problem:
     model : the simulator with the rewards that model-based values are to pay
     counts : csr (S*A, S) of the log's moves, or the given ones
     observed : what a ratio is fitted to: the log, or the counts where they were given
+    soft : whether the counts are no whole numbers
+    recorded : what has whole episodes, if anything has: ``episodes``, the log, or the sample beside its counts
     reward_conflict : RewardConflict or None
 
     Raises
@@ -87,7 +99,7 @@ class Problem:
     """
 
     simulator: FiniteMDP
-    log: Transitions
+    log: Transitions | TransitionCounts
     horizon: int | None = None
     behavior_policy: Any = None
     simulator_data: Any = None
@@ -117,9 +129,15 @@ class Problem:
 
     def _check(self) -> None:
         _checks.instance(self.simulator, FiniteMDP, "simulator")
+        if sparse.issparse(self.log):
+            moves = _supported(checked_counts(self.log, self.simulator), self.simulator)
+            object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
         for name in ("log", "episodes"):
-            if name == "log" or self.episodes is not None:
-                object.__setattr__(self, name, as_log(getattr(self, name), self.simulator, name))
+            given = getattr(self, name)
+            if not isinstance(given, TransitionCounts) and (name == "log" or given is not None):
+                object.__setattr__(self, name, as_log(given, self.simulator, name))
+        if self.episodes is not None:
+            _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
         object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:
@@ -134,14 +152,11 @@ class Problem:
                 self.simulator_data.numbered(self.simulator, "simulator_data"), self.simulator, "simulator_data"
             )
             object.__setattr__(self, "simulator_data", settled)
-        if self.rewards == "log" and self.log.reward is None:
+        if self.rewards == "log" and self.log.moves().reward_sum is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
         if self._counts is not None:
             matrix = checked_counts(self._counts, self.simulator)
-            if matrix.nnz == 0:
-                raise ValueError("counts must have at least one move; all are 0")
-            object.__setattr__(self, "_counts", matrix)
-            refuse_unsupported(self._counts, self.simulator, what="counts")
+            object.__setattr__(self, "_counts", _supported(matrix, self.simulator))
         else:
             refuse_unsupported(self.counts, self.simulator)
 
@@ -172,7 +187,19 @@ class Problem:
     @property
     def observed(self) -> Transitions | sparse.csr_array:
         """What a ratio is fitted to: the log, or the counts where they were given."""
-        return self.log if self._counts is None else self.counts
+        return self.log if self._counts is None and isinstance(self.log, Transitions) else self.counts
+
+    @cached_property
+    def soft(self) -> bool:
+        """Whether the counts are no whole numbers: tests and intervals need whole and independent moves."""
+        data = self.counts.data
+        return bool((data != np.floor(data)).any())
+
+    @property
+    def recorded(self) -> Any:
+        """What has whole episodes, if anything has: ``episodes``, the log, or the sample beside its counts."""
+        kept = self.log.sample if isinstance(self.log, TransitionCounts) else None
+        return self.episodes or kept or self.log
 
     @cached_property
     def model(self) -> FiniteMDP:
@@ -187,7 +214,7 @@ class Problem:
     @cached_property
     def behavior_conflict(self) -> int:
         """In how many rows the log's behaviour probability is not that of ``behavior_policy`` (0 where one is missing)."""
-        log = self.log if self.episodes is None else self.episodes
+        log = self.recorded
         if self.behavior_policy is None or log.behavior_probability is None:
             return 0
         given = self.behavior_policy[log.state, log.action]
@@ -200,6 +227,7 @@ class Problem:
         return (
             *(() if conflict is None else (rewards_contradict(conflict, log_pays=self.rewards == "log"),)),
             *behavior_contradicts(self.behavior_conflict),
+            *_of_counted(self.log),
             *((NO_HORIZON,) if endless else ()),
         )
 
@@ -214,7 +242,7 @@ def checked_policy(problem: object, policy: Any) -> Array:
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
-def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
+def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     """The log with terminated moves led to ``simulator.terminal_state``; errors for indices and for termination."""
     for column, limit in (
         ("state", simulator.n_states),
@@ -244,13 +272,12 @@ def settle(log: Transitions, simulator: FiniteMDP, name: str) -> Transitions:
             f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or name where termination leads "
             "with FiniteMDP(..., terminal_state=)"
         )
-    if np.array_equal(arrival, log.next_state):
-        return log
-    columns = log.columns() | {"next_state": arrival}
-    return Transitions(**columns)
+    if isinstance(log, TransitionCounts) and log.sample is not None:
+        log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
+    return log if np.array_equal(arrival, log.next_state) else log.led_to(arrival)
 
 
-def simulator_rewards(simulator: FiniteMDP, log: Transitions) -> Array:
+def simulator_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Array:
     """r(s, a, s') or r(s, a) of the simulator for each row of the log; its expected r(s, a) off its support."""
     expected = simulator.rewards[log.state, log.action]
     if simulator.transition_rewards is None:
@@ -260,12 +287,29 @@ def simulator_rewards(simulator: FiniteMDP, log: Transitions) -> Array:
     return np.where(stored, simulator.transition_rewards.data[position], expected)
 
 
-def _with_log_rewards(simulator: FiniteMDP, log: Transitions) -> FiniteMDP:
-    assert log.reward is not None
+def _supported(matrix: sparse.csr_array, simulator: FiniteMDP) -> sparse.csr_array:
+    """Counts that were given, of which there are some, where the simulator has probability."""
+    if matrix.nnz == 0:
+        raise ValueError("counts must have at least one move; all are 0")
+    refuse_unsupported(matrix, simulator, what="counts")
+    return matrix
+
+
+def _of_counted(log: Transitions | TransitionCounts) -> tuple[Finding, ...]:
+    """What was left out of a log that was counted."""
+    if isinstance(log, Transitions):
+        return ()
+    kept = 0 if log.sample is None else log.sample.n_episodes or 0
+    return (*rows_dropped(*log.recording[-2:]), *episodes_sampled(kept, log.recording.episodes))
+
+
+def _with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> FiniteMDP:
+    moves = log.moves()
+    assert moves.reward_sum is not None
     shape = simulator.transitions.shape
     rows = log.state * simulator.n_actions + log.action
-    total = canonical_table(rows, log.next_state, log.reward, shape)
-    seen = canonical_table(rows, log.next_state, np.ones(len(log)), shape)
+    total = canonical_table(rows, log.next_state, moves.reward_sum, shape)
+    seen = canonical_table(rows, log.next_state, moves.number, shape)
     matrix = simulator.transitions
     paid, known = align(total, matrix)
     often, _ = align(seen, matrix)
@@ -276,18 +320,21 @@ def _with_log_rewards(simulator: FiniteMDP, log: Transitions) -> FiniteMDP:
     return simulator.with_rewards(sparse.csr_array((data, matrix.indices, matrix.indptr), shape=shape))
 
 
-def _conflict(simulator: FiniteMDP, log: Transitions) -> RewardConflict | None:
-    if log.reward is None:
+def _conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:
+    number, _, least, most = log.moves()
+    if least is None or most is None:
         return None
     expected = simulator_rewards(simulator, log)
     scale = max(1.0, float(np.abs(expected).max()))
-    differ = np.flatnonzero(np.abs(log.reward - expected) > 1e-6 * scale)
+    far = np.where(np.abs(least - expected) > np.abs(most - expected), least, most)
+    differ = np.flatnonzero(np.abs(far - expected) > 1e-6 * scale)
     if differ.size == 0:
         return None
     moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
-    k = int(differ[np.argmax(np.abs(log.reward - expected)[differ])])
+    k = int(differ[np.argmax(np.abs(far - expected)[differ])])
     example = (
-        f"{simulator.names.move(log.state[k], log.action[k], log.next_state[k])} pays {log.reward[k]:g} in the log, "
+        f"{simulator.names.move(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
         f"{expected[k]:g} in the simulator"
     )
-    return RewardConflict(len(differ), moves.shape[1], len(log), example)
+    varies = bool((least[differ] < most[differ]).any())
+    return RewardConflict(round(float(number[differ].sum())), moves.shape[1], len(log), example, varies)

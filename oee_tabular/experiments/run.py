@@ -17,6 +17,7 @@ from typing import Any
 import joblib
 import numpy as np
 
+from oee_tabular._workers import client
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.store import Store, code_version
 from oee_tabular.testing.calls import one_thread
@@ -181,25 +182,10 @@ def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[int], Any]]:
         with joblib.parallel_config("loky", inner_max_num_threads=1) if jobs != 1 else contextlib.nullcontext():
             yield parallel
         return
-    with _client(dask) as client:
-        _check_workers(client)
+    with client(dask, CONNECT) as cluster:
+        _check_workers(cluster)
         with joblib.parallel_config("dask", pure=False):
             yield parallel
-
-
-@contextlib.contextmanager
-def _client(address: str) -> Iterator[Any]:
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise ImportError("--dask needs dask.distributed: pip install 'oee-tabular[dask]'") from error
-    try:
-        connect: Any = Client
-        client = connect(address, timeout=CONNECT, set_as_default=True)
-    except Exception as error:  # what is not a scheduler may answer anything
-        raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
-    with client:
-        yield client
 
 
 def _check_workers(client: Any) -> None:

@@ -46,6 +46,9 @@ def bootstrap_values(
     log = problem.log
     rows = log.state * problem.simulator.n_actions + log.action
     entry, _ = find(evidence.model.transitions, rows, log.next_state)
+    weight = log.moves().number
+    if (weight != np.floor(weight)).any():
+        raise ValueError("counts must be whole numbers to be resampled; some are not")
     n = len(log)
     size = len(evidence.phat)
     starts = log.episode_starts
@@ -58,7 +61,7 @@ def bootstrap_values(
             )
         episode = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     base = simulated_rows(evidence)
-    counts = np.bincount(entry, minlength=size).astype(np.float64)
+    counts = np.bincount(entry, weights=weight, minlength=size)
     values = np.empty(n_bootstrap)
     for b in range(n_bootstrap):
         if by == "episodes":

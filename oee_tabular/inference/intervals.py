@@ -140,7 +140,7 @@ def interval(
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
-    kind = ("anytime" if problem.log.episode is not None else "independent") if radius == "auto" else radius
+    kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
     diagnostics = _coverage(evidence)
     if evidence.has_box:
         wrong = contradicted_rows(evidence, level, kind)

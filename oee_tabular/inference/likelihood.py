@@ -15,22 +15,20 @@ NeurIPS 2020. [3] H. Walker and P. Ni, Anderson acceleration for fixed-point ite
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import stats
 
-from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.exact import policy_value, solve_policy_system
-from oee_tabular.inference.ambiguity import Evidence, reached_rows, simulated_rows
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular._checks import Array
+from oee_tabular.exact import policy_value
+from oee_tabular.inference.ambiguity import Evidence, simulated_rows
+from oee_tabular.inference.taken import Direction, Point, Taken
 
 SETTLED = 3e-8  # of the way from the frequencies' value: four iterations that move the end by less are the last
 CLOSE = 1e-2  # of it: an ascent that comes so near to a known end, by smaller steps, is on its way to the same rows
 SOLVED, DIRECTED = 1e-3, 1e-2  # of the last iteration's change: what sweeps may leave of V, and of d
-SWEEPS = 300  # at most: an exact solve costs about as much (random graphs of 10 000 states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,151 +46,6 @@ class ProfileEnd:
     iterations: int
     change: float
     promised: float
-
-
-class Chain(NamedTuple):
-    """The rows that the policy takes, as the kernels read them; states are numbered anew."""
-
-    first: IntArray
-    indptr: IntArray
-    seen: IntArray
-    column: IntArray
-    weight: Array
-    pay: Array
-    phat: Array
-    n: Array
-    initial: Array
-
-
-class Point(NamedTuple):
-    """Rows of the set, their J and V, and d (with a horizon: the gradient)."""
-
-    p: Array
-    value: float
-    values: Array
-    visits: Array
-    gradient: Array
-
-
-class Direction(NamedTuple):
-    """What rows are chosen by: the gradient of J, and r + gamma V in rows without data, which does not vanish unreached.
-
-    (With a horizon the latter only where the gradient does vanish: there the order changes in time.)
-    """
-
-    gradient: Array
-    order: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """An Evidence cut down to the rows that the policy reaches and takes."""
-
-    evidence: Evidence
-    entries: IntArray
-    chain: Chain
-    steps: int | None
-    _mixes: list[bool] = field(default_factory=lambda: [True, True])  # whether sweeps suffice for V, for d
-
-    @classmethod
-    def of(cls, evidence: Evidence) -> Taken:
-        """The rows that count in any model on the simulator's support."""
-        model = evidence.model
-        rows = np.flatnonzero(reached_rows(evidence))
-        states, first = np.unique(rows // model.n_actions, return_index=True)
-        lengths = np.diff(evidence.indptr)[rows]
-        indptr = np.concatenate([[0], np.cumsum(lengths)])
-        entries = np.arange(indptr[-1]) + np.repeat(evidence.indptr[rows] - indptr[:-1], lengths)
-        row, held = np.repeat(np.arange(len(rows)), lengths), evidence.phat[entries] > 0.0
-        entries = entries[np.lexsort((~held, row))]
-        number = np.zeros(model.n_states, dtype=np.int64)
-        number[states] = np.arange(len(states))
-        pay = (
-            model.rewards.reshape(-1)[np.repeat(rows, lengths)]
-            if model.reward_data is None
-            else model.reward_data[entries]
-        )
-        chain = Chain(
-            np.append(first, len(rows)),
-            indptr,
-            indptr[:-1] + np.bincount(row, held, len(rows)).astype(np.int64),
-            number[model.transitions.indices[entries]],
-            evidence.policy.reshape(-1)[rows],
-            np.asarray(pay, dtype=np.float64),
-            evidence.phat[entries],
-            evidence.n[rows],
-            model.initial[states],
-        )
-        return cls(evidence, entries, chain, optional_steps(evidence.horizon, model, kept=model.n_states))
-
-    @property
-    def discount(self) -> float:
-        """gamma."""
-        return self.evidence.model.discount
-
-    @cached_property
-    def finest(self) -> float:
-        """Of V: what sweeps can reach at all."""
-        return float(1e-13 * np.abs(self.chain.pay).max(initial=0.0) / (1.0 - self.discount))
-
-    @cached_property
-    def metric(self) -> Array:
-        """(entries,) by which steps of a direction are weighed: how far the rows follow them."""
-        return np.asarray(
-            np.sqrt(self.chain.phat / np.repeat(np.maximum(self.chain.n, 1.0), np.diff(self.chain.indptr)))
-        )
-
-    @cached_property
-    def seen(self) -> BoolArray:
-        """(entries,) those of rows with data."""
-        return np.repeat(self.chain.n > 0, np.diff(self.chain.indptr))
-
-    def _solved(self, p: Array, near: Array, tolerance: float, transpose: bool) -> Array:
-        """V, or transposed d, by sweeps from one near by; exactly once those have failed."""
-        from oee_tabular.inference import _profile as kernel
-
-        gamma, n = self.discount, len(self.chain.initial)
-        indptr, column, value, paid = kernel.kernel_of(self.chain, p)
-        b = self.chain.initial if transpose else paid
-        if self._mixes[transpose]:
-            found, sweeps = near.copy(), kernel.sweep_visits if transpose else kernel.sweep_values
-            self._mixes[transpose] = bool(sweeps(indptr, column, value, b, gamma, found, tolerance, SWEEPS))
-            if self._mixes[transpose]:
-                return found
-        matrix = sparse.csr_array((value, column, indptr), shape=(n, n))
-        matrix.sum_duplicates()
-        return np.asarray(solve_policy_system(matrix, b, gamma, transpose=transpose).x)
-
-    def valued(self, p: Array, near: Point | None, tolerance: float = 0.0) -> Point:
-        """J, and V from that of a point near by, to ``tolerance``; without a horizon d is left to ``direction``."""
-        from oee_tabular.inference import _profile as kernel
-
-        chain, gamma, n = self.chain, self.discount, len(self.chain.initial)
-        if self.steps is not None:
-            to_go, gradient = np.empty((self.steps + 1, n)), np.empty(len(p))
-            kernel.flows(chain, p, gamma, self.steps, to_go, gradient)
-            return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient)
-        values = self._solved(p, np.zeros(n) if near is None else near.values, max(tolerance, self.finest), False)
-        visits = np.full(n, 1.0 / ((1.0 - gamma) * n)) if near is None else near.visits
-        return Point(p, float(chain.initial @ values), values, visits, np.zeros(0))
-
-    def direction(self, point: Point, sign: float, tolerance: float) -> tuple[Point, Direction]:
-        """Where J rises (sign 1) or falls (-1) at the point, which is returned with its d."""
-        chain, gamma = self.chain, self.discount
-        ahead = chain.pay + gamma * point.values[chain.column]
-        if self.steps is not None:
-            starts = chain.indptr[:-1]
-            flat = np.maximum.reduceat(point.gradient, starts) == np.minimum.reduceat(point.gradient, starts)
-            order = np.where(np.repeat(flat, np.diff(chain.indptr)), ahead, point.gradient)
-            return point, Direction(sign * point.gradient, sign * order)
-        visits = self._solved(point.p, point.visits, tolerance, True)
-        weight = np.repeat(np.maximum(visits, 0.0), np.diff(chain.first)) * chain.weight
-        starts, lengths = chain.indptr[:-1], np.diff(chain.indptr)
-        ahead -= np.repeat(
-            np.add.reduceat(chain.phat * ahead, starts), lengths
-        )  # a constant in a row counts for nothing
-        gradient = np.repeat(weight, lengths) * ahead
-        return point._replace(visits=visits), Direction(sign * gradient, sign * ahead)
 
 
 def profile_end(evidence: Evidence, confidence: float, sign: float, *, most: int = 200) -> ProfileEnd:

@@ -10,7 +10,7 @@ import functools
 import math
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,13 +37,12 @@ class Trained:
 
 
 class Perceptron(eqx.Module):  # type: ignore[misc]
-    """g on cells. The first layer is one table an input: a one-hot vector times a matrix is a row of it."""
+    """f on cells. The first layer is one table an input: a one-hot vector times a matrix is a row of it."""
 
     tables: list[jax.Array]
     bias: jax.Array
     rest: list[eqx.nn.Linear]
     activation: str = eqx.field(static=True)
-    span: tuple[float, float] = eqx.field(static=True)
 
     def __init__(self, network: Network, training: Training, key: jax.Array):
         n_states, n_actions = training.sizes
@@ -61,18 +60,99 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
         if self.rest:  # g = 1 at the start
             self.rest[-1] = jax.tree.map(jnp.zeros_like, self.rest[-1])
         self.activation = network.activation
-        self.span = (math.log(training.lower), math.log(training.upper))
 
-    def log_ratio(self, places: jax.Array | None, cells: tuple[jax.Array, ...]) -> jax.Array:
-        """log g at the cells."""
+    def __call__(self, places: jax.Array | None, cells: tuple[jax.Array, ...]) -> jax.Array:
+        """f at the cells."""
         h = self.bias
         for k, (table, index) in enumerate(zip(self.tables, cells, strict=True)):
             h = h + (table if places is None or k == 1 else places @ table)[index]
         for layer in self.rest:
             h = jax.vmap(layer)(getattr(jax.nn, self.activation)(h))
+        return h[:, 0]
+
+
+class Batch(NamedTuple):
+    """The cells of an iteration, what p and q they have; of rows: which of the batch's rows each is in, and its P there."""
+
+    index: Any
+    p: Any
+    q: Any
+    row: Any = None
+    known: Any = None
+
+
+class Boxed(eqx.Module):  # type: ignore[misc]
+    """log g = log nu + (log mu - log nu) sigmoid(f + c), cell by cell; batches are draws of p and draws of q."""
+
+    p: jax.Array
+    q: jax.Array
+    span: tuple[float, float] = eqx.field(static=True)
+
+    def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
+        """log g from f on the batch."""
         low, high = self.span
         start = math.log(-low / high) if low < 0.0 < high else 0.0
-        return low + (high - low) * jax.nn.sigmoid(h[:, 0] + start)
+        return low + (high - low) * jax.nn.sigmoid(f + start)
+
+    def whole(self) -> Batch:
+        """Every cell with its shares."""
+        return Batch(jnp.arange(len(self.p)), self.p, self.q)
+
+    def batch(self, drawn: jax.Array) -> Batch:
+        """N draws of p, then N of q."""
+        size = len(drawn) // 2
+        of_p = jnp.asarray(np.repeat([1.0 / size, 0.0], size))
+        return Batch(drawn, of_p, of_p[::-1])
+
+    def sides(self) -> tuple[Any, ...]:
+        """What a batch draws from."""
+        return self.p, self.q
+
+
+class Rowwise(eqx.Module):  # type: ignore[misc]
+    """log zeta = f - log sum_s' P exp f in each row; batches are draws of p, each with the whole of its row."""
+
+    p: jax.Array
+    q: jax.Array
+    known: jax.Array
+    row: jax.Array
+    indptr: jax.Array
+    widest: int = eqx.field(static=True)
+
+    def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
+        """log zeta from f on the batch."""
+        top = jax.lax.stop_gradient(jax.ops.segment_max(f, batch.row, num_segments=len(f)))[batch.row]
+        total = jax.ops.segment_sum(batch.known * jnp.exp(f - top), batch.row, num_segments=len(f))
+        return f - top - jnp.log(total[batch.row])
+
+    def whole(self) -> Batch:
+        """Every cell with its shares."""
+        return Batch(jnp.arange(len(self.p)), self.p, self.q, self.row, self.known)
+
+    def batch(self, drawn: jax.Array) -> Batch:
+        """The rows of N draws; narrow ones repeat their first cell without weight."""
+        begin, end = self.indptr[self.row[drawn]], self.indptr[self.row[drawn] + 1]
+        index = begin[:, None] + jnp.arange(self.widest)
+        inside = index < end[:, None]
+        p = jnp.where(index == drawn[:, None], 1.0 / len(drawn), 0.0)
+        index = jnp.where(inside, index, begin[:, None])
+        known = jnp.where(inside, self.known[index], 0.0)
+        row = jnp.repeat(jnp.arange(len(drawn)), self.widest)
+        return Batch(index.ravel(), p.ravel(), known.ravel() / len(drawn), row, known.ravel())
+
+    def sides(self) -> tuple[Any, ...]:
+        """What a batch draws from."""
+        return (self.p,)
+
+
+def _program(training: Training) -> Boxed | Rowwise:
+    """From f to the ratio, and what a batch is."""
+    p, q = jnp.asarray(training.p), jnp.asarray(training.q)
+    if training.rows is None:
+        return Boxed(p, q, (math.log(training.lower), math.log(training.upper)))
+    rows = training.rows
+    row, indptr = jnp.asarray(rows.spread(np.arange(len(rows)))), jnp.asarray(rows.indptr)
+    return Rowwise(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
 
 
 @functools.lru_cache(maxsize=16)
@@ -83,29 +163,36 @@ def _optimizer(name: str, step_size: float, n_iterations: int) -> optax.Gradient
 
 @eqx.filter_jit  # type: ignore[untyped-decorator]
 def _iterate(
-    model: Any, state: Any, optimizer: Any, places: Any, cells: Any, ridge: Any, toward: Any, batches: Any
-) -> Any:
-    """The iterations of ``batches`` (each indices of cells with weights), and the risk of each batch."""
+    model: Any, state: Any, optimizer: Any, places: Any, cells: Any, program: Any, ridge: Any, toward: Any, draws: Any,
+    count: int,
+) -> Any:  # fmt: skip
+    """``count`` iterations, on the cells that ``draws`` (count, ...) say, or on all; and the risk of each batch."""
     moving, fixed = eqx.partition(model, eqx.is_array)
 
-    def risk(moving: Any, index: Any, p: Any, q: Any) -> Any:
-        log_g = eqx.combine(moving, fixed).log_ratio(places, tuple(column[index] for column in cells))
+    def risk(moving: Any, batch: Batch) -> Any:
+        f = eqx.combine(moving, fixed)(places, tuple(column[batch.index] for column in cells))
+        log_g = program.log_ratio(f, batch)
         g = jnp.exp(log_g)
-        return jnp.sum(q * (g + ridge / 2 * (g - toward) ** 2) - p * log_g)
+        return jnp.sum(batch.q * (g + ridge[batch.index] / 2 * (g - toward) ** 2) - batch.p * log_g)
 
-    def step(carry: Any, batch: Any) -> Any:
+    def step(carry: Any, drawn: Any) -> Any:
         moving, state = carry
-        value, slope = jax.value_and_grad(risk)(moving, *batch)
+        value, slope = jax.value_and_grad(risk)(moving, program.whole() if drawn is None else program.batch(drawn))
         change, state = optimizer.update(slope, state)
         return (optax.apply_updates(moving, change), state), value
 
-    (moving, state), values = jax.lax.scan(step, (moving, state), batches)
+    (moving, state), values = jax.lax.scan(step, (moving, state), draws, length=count)
     return eqx.combine(moving, fixed), state, values
 
 
 @eqx.filter_jit  # type: ignore[untyped-decorator]
-def _ratio(model: Any, places: Any, cells: Any) -> Any:
-    return jnp.exp(model.log_ratio(places, cells))
+def _outputs(model: Any, places: Any, cells: Any) -> Any:
+    return model(places, cells)
+
+
+@eqx.filter_jit  # type: ignore[untyped-decorator]
+def _ratio(program: Any, f: Any) -> Any:
+    return jnp.exp(program.log_ratio(f, program.whole()))
 
 
 @functools.cache
@@ -135,48 +222,45 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     state = optimizer.init(eqx.filter(model, eqx.is_array))
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
-    draw = _batches(network, training, generator)
+    program, ridge = _program(training), jnp.asarray(training.ridge)
+    draw = _draws(network, program, generator)
     watch = _Watch(network, training)
     done = 0
     bar = tqdm(total=network.n_iterations, desc="training", disable=None, delay=1.0, leave=False)
-    watch.look(0, _everywhere(model, places, cells))
+    watch.look(0, _everywhere(model, places, cells, program, training))
     while done < network.n_iterations and not watch.over:
         count = min(EVERY, network.n_iterations - done)
         model, state, values = _iterate(
-            model, state, optimizer, places, cells, training.ridge, training.toward, draw(count)
+            model, state, optimizer, places, cells, program, ridge, training.toward, draw(count), count
         )
         watch.refuse_divergence(done, np.asarray(values))
         done += count
-        watch.look(done, _everywhere(model, places, cells))
+        watch.look(done, _everywhere(model, places, cells, program, training))
         bar.update(count)
     bar.close()
     return watch.found()
 
 
-def _everywhere(model: Perceptron, places: Any, cells: tuple[Any, ...]) -> Array:
+def _everywhere(model: Perceptron, places: Any, cells: tuple[Any, ...], program: Any, training: Training) -> Array:
     """g on all cells."""
     parts = [
-        np.asarray(_ratio(model, places, tuple(column[low : low + _AT_ONCE] for column in cells)))
+        _outputs(model, places, tuple(column[low : low + _AT_ONCE] for column in cells))
         for low in range(0, len(cells[0]), _AT_ONCE)
     ]
-    return np.asarray(np.clip(np.concatenate(parts), *np.exp(model.span)))
+    return np.asarray(np.clip(np.asarray(_ratio(program, jnp.concatenate(parts))), training.lower, training.upper))
 
 
-def _batches(network: Network, training: Training, generator: np.random.Generator) -> Any:
-    """count -> (index, p, q), each (count, draws): N draws of each side, or every cell with its shares."""
-    n = len(training.p)
+def _draws(network: Network, program: Boxed | Rowwise, generator: np.random.Generator) -> Any:
+    """count -> (count, draws): the cells of N draws from each side; None where every iteration has them all."""
     if network.batch_size is None:
-        whole = tuple(jnp.asarray(x)[None] for x in (np.arange(n), training.p, training.q))
-        return lambda count: tuple(jnp.repeat(x, count, axis=0) for x in whole)
+        return lambda count: None
     size = network.batch_size
-    sums = [np.cumsum(weights) for weights in (training.p, training.q)]
-    of_p = np.repeat([1.0 / size, 0.0], size)
+    sums = [np.cumsum(np.asarray(weights)) for weights in program.sides()]
+    last = len(sums[0]) - 1
 
     def draw(count: int) -> Any:
         drawn = [np.searchsorted(s, generator.random((count, size)) * s[-1], side="right") for s in sums]
-        index = np.minimum(np.concatenate(drawn, axis=1), n - 1)
-        p, q = (jnp.asarray(np.broadcast_to(side, index.shape)) for side in (of_p, of_p[::-1]))
-        return jnp.asarray(index), p, q
+        return jnp.asarray(np.minimum(np.concatenate(drawn, axis=1), last))
 
     return draw
 

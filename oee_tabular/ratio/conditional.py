@@ -8,7 +8,7 @@ zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean unde
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.method import Given, Method, Population
+from oee_tabular.ratio.network import Network, check_network, fit_rows
 from oee_tabular.ratio.prior.centre import fit_centre
 from oee_tabular.ratio.prior.library import values_in
 from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
@@ -62,10 +63,15 @@ class Conditional(Method):
     ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function gets the count n_sa of each row that
         has one, and "evidence" or "loo" chooses kappa / n_sa on the data
     solver : "dual", or a cvxpy solver
+    functions : None (tables: one number an entry), or ``Network(layers, ...)``: zeta = exp f / sum_s' P exp f, f a network
+        trained by Algorithm 1 on the rows together, each with its share n_sa / n: the log's mean -log zeta, and the ridge.
+        Without a prior, a box or a solver; what it says of rows without data is the network's own
 
     Notes
     -----
-    Limit: the target's own rows where the data are, the prior's elsewhere; at rate n^-1/2. O(nnz) with "dual".
+    Limit: the target's own rows where the data are, the prior's elsewhere; at rate n^-1/2; training is no part of it. O(nnz)
+    with "dual". Of a network ``gap`` is that of the mean over the log's moves, to the optimum over all rows, and ``details``
+    has ``trace``, ``kept`` and ``held_out_risk``.
 
     Examples
     --------
@@ -85,11 +91,14 @@ class Conditional(Method):
     ridge: Ridge = 0.0
     toward: float | None = 1.0
     solver: str = "dual"
+    functions: Network | None = None
 
     HEEDS: ClassVar = frozenset({"values_of", "horizon"})
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
+        if self.functions is not None:
+            self._check_network()
         if self.prior is None:
             plain = self.features is None and self.smoothness is None
             object.__setattr__(self, "prior", "average" if plain else "tilt")
@@ -98,6 +107,20 @@ class Conditional(Method):
             if getattr(self, name) is not None and self.prior != "tilt":
                 raise ValueError(f"{name} must be left out with prior {self.prior!r}, which does not use them")
         _checks.box(self.lower, self.upper, normalized=True)
+
+    def _check_network(self) -> None:
+        """A network has no prior, no box and no solver: a ValueError that names what is there."""
+        check_network(self.functions, solver=self.solver)
+        if self.prior is None:
+            object.__setattr__(self, "prior", "none")
+        if self.prior != "none":
+            raise ValueError(f"prior must be left out with functions=Network(...), which has none; got {self.prior!r}")
+        box = _checks.box(self.lower, self.upper, normalized=True)
+        if box != (0.0, np.inf):
+            raise ValueError(
+                "lower and upper must be left out with functions=Network(...), whose rows sum to 1 without a box; "
+                f"it is [{box.lower:g}, {box.upper:g}]"
+            )
 
     @property
     def uses(self) -> frozenset[str]:
@@ -111,7 +134,7 @@ class Conditional(Method):
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""
-        fitted = super().limit(population)
+        fitted = super(Conditional, replace(self, functions=None)).limit(population)
         plain = self.lower is None and self.upper is None and self.ridge == 0.0
         return _with_exact_rows(population, fitted) if plain else fitted
 
@@ -133,6 +156,10 @@ class Conditional(Method):
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         curvature = np.asarray(spread(lam) if self.toward is None else spread(lam) * q)
         program = dual.Coordinates(p, q, curvature, np.full(len(p), center))
+        details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
+        if self.functions is not None:
+            fit = fit_rows(self.functions, observed, program, rows, seed=given.seed)
+            return given.ratio(fit.ratio, "conditional", fit.gap, details | fit.details)
         if self.solver == "dual":
             found = dual.solve_rows(program, *box, rows.indptr)
             zeta, gaps, details["enclosure"] = found.ratio, found.gap, found.enclosure()
@@ -149,7 +176,6 @@ class Conditional(Method):
             share=np.divide(n_row, weight, out=np.zeros_like(n_row), where=known),
             parts=prior.parts,
         )
-        details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
         gap = float(max([gaps.max(), *(part.gap for part in prior.parts)]))
         return given.ratio(zeta, "conditional", gap, details, influence)
 

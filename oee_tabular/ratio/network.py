@@ -1,20 +1,24 @@
 """The paper's class of functions: g is a multilayer perceptron, trained on eq. 3.7 by Algorithm 1.
 
-Needs the extra ``neural`` (jax, equinox, optax), which is imported by ``fit_network`` alone.
+Either cell by cell, within a box (``Quotient``), or row by row with q = P known, each row's sum q g = 1 (``Conditional``).
+Needs the extra ``neural`` (jax, equinox, optax), which is imported where a network is trained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.mdp.layout import check_layout
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import dual
 from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.sgd import SgdTrace
 
 ACTIVATIONS = ("relu", "tanh", "gelu", "silu", "softplus")
@@ -23,10 +27,16 @@ OPTIMIZERS = ("adam", "sgd")
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A multilayer perceptron g_theta(s, a[, s']) within the box, and how Algorithm 1 trains it.
+    """A multilayer perceptron f_theta(s, a[, s']), the ratio that it stands for, and how Algorithm 1 trains it.
 
-        log g = log nu + (log mu - log nu) sigmoid(f_theta + c),   g = 1 where f = 0, as it is at the start,
-        theta <- theta - step d/d theta [mean of g over N draws of q - mean of log g over N draws of p].
+        ``Quotient``:     log g = log nu + (log mu - log nu) sigmoid(f_theta + c),   within the box,
+        ``Conditional``:  log zeta = f_theta - log sum_s' P exp f_theta,             each row of zeta P sums to 1;
+
+    g = 1 where f = 0, as it is at the start, and
+
+        theta <- theta - step d/d theta [mean of g over N draws of q - mean of log g over N draws of p],
+
+    where the rows of N moves, whole and known, stand for the draws of q in ``Conditional``: the log's mean -log zeta.
 
     Parameters
     ----------
@@ -50,9 +60,10 @@ class Network:
     Notes
     -----
     The risk is convex in g, not in theta: what training finds has no certificate in its class. The gap of its ``RatioFit`` is
-    to the optimum over all functions in the box, which contains the class. The same seed gives the same bits: one thread,
-    unless the process has used jax before, with its own. Cost: O(n_iterations batch_size sum of the products of consecutive
-    widths); about 0.5 ms an iteration for (64, 64) and batches of 128.
+    to the optimum over all functions in the box (or over all rows), which contain the class. The same seed gives the same
+    bits: one thread, unless the process has used jax before, with its own. Cost: O(n_iterations batch_size sum of the products
+    of consecutive widths), in ``Conditional`` times the simulator's widest row; about 0.5 ms an iteration for (64, 64) and
+    batches of 128.
 
     Examples
     --------
@@ -96,7 +107,8 @@ class Training:
     """What ``_neural.train`` gets: the cells, their weights (each side's sum to 1), and the risk's other terms.
 
     ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for one-hot states; ``sizes`` S and A.
-    ``p``, ``q`` : train on; ``held_p``, ``held_q`` : stop on, None without.
+    ``p``, ``q`` : train on; ``held_p``, ``held_q`` : stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which
+    sum P g = 1, whose cells are all there are and q their share of p times P; None: the box is all.
     """
 
     cells: tuple[IntArray, ...]
@@ -108,23 +120,37 @@ class Training:
     held_q: Array | None
     lower: float
     upper: float
-    ridge: float
+    ridge: Array
     toward: float
+    rows: Rows | None = None
 
     def risk(self, g: Array, p: Array, q: Array) -> float:
         """sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
         return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
 
 
-def check_network(
-    network: Any, *, lower: Any, upper: Any, ridge: Any, toward: Any, normalized: bool, solver: Any
-) -> None:
-    """What eq. 3.7 over a network can't have: a ValueError, at the making of the method."""
+class RowFit(NamedTuple):
+    """zeta on the simulator's entries; ``gap`` : its risk above the optimum over all rows, nats a move of the log."""
+
+    ratio: Array
+    gap: float
+    details: dict[str, Any]
+
+
+def check_network(network: Any, *, solver: Any) -> None:
+    """What no method can have with a network: a ValueError, at the making of the method."""
     _checks.instance(network, Network, "functions", "Network(...)")
-    if normalized:
-        raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
     if solver != "dual":
         raise ValueError(f"solver must be left out with functions=Network(...), which has its own; got {solver!r}")
+
+
+def check_boxed_network(
+    network: Any, *, lower: Any, upper: Any, ridge: Any, toward: Any, normalized: bool, solver: Any
+) -> None:
+    """Nor eq. 3.7 without rows."""
+    check_network(network, solver=solver)
+    if normalized:
+        raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
     box = _checks.box(lower, upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
         raise ValueError(
@@ -153,29 +179,18 @@ def fit_network(
     ``trace`` has excess and error against the optimum over all functions in the box; ``details`` the iteration kept and the
     held-out risk at each check.
     """
-    try:
-        from oee_tabular.ratio import _neural
-    except ImportError:
-        raise ImportError(
-            "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
-        ) from None
-    generator = _checks.generator(seed)
+    train, generator = _trainer(), _checks.generator(seed)
     best = density_ratio(p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False)
-    places = None if isinstance(network.inputs, str) else _standard(check_layout(network.inputs, sizes[0], "inputs"))
     (p_train, p_held), (q_train, q_held) = (
         _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
     )
-    lam = _checks.ridge(ridge, float(p.sum()))
+    lam = np.full(len(p), _checks.ridge(ridge, float(p.sum())))
+    places = _places(network, sizes[0])
     training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
-    found = _neural.train(network, training, generator)
+    found = train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
-    g, known = found.ratio, (p > 0) | (q > 0)
-    value = training.risk(g, pk, qk)
-    trace = SgdTrace(
-        found.iteration,
-        np.array([training.risk(each, pk, qk) - best.objective for each in found.checked]),
-        np.array([np.abs(each - best.ratio)[known].mean() for each in found.checked]),
-    )
+    g, value = found.ratio, training.risk(found.ratio, pk, qk)
+    risks = [training.risk(each, pk, qk) for each in found.checked]
     return replace(
         best,
         ratio=_checks.freeze(g),
@@ -184,9 +199,73 @@ def fit_network(
         gap=value - best.dual_bound,
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),
         status=f"trained for {found.iteration[-1]} iterations",
-        trace=trace,
+        trace=_trace(found, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
         details={"kept": found.kept, "held_out_risk": found.held_out},
     )
+
+
+def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Any) -> RowFit:
+    """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
+
+    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. ``details``:
+    the ``trace`` against the optimum over all rows, ``iterations``, the one kept, the held-out risk at each check.
+    """
+    train, generator = _trainer(), _checks.generator(seed)
+    p_train, p_held = _split(counts, "p", network.held_out, generator)
+
+    def of_rows(p: Array) -> Array:
+        return np.asarray(rows.spread(rows.sums(p)) * rows.weights)
+
+    p, share = counts / counts.sum(), rows.spread(rows.sums(counts)) / counts.sum()
+    training = Training(
+        (rows.spread(rows.state), rows.spread(rows.action), rows.arrival),
+        (rows.n_states, rows.n_actions),
+        _places(network, rows.n_states),
+        p_train,
+        of_rows(p_train),
+        p_held,
+        None if p_held is None else of_rows(p_held),
+        0.0,
+        np.inf,
+        program.curvature / rows.weights,
+        float(program.center[0]),
+        rows,
+    )
+    found = train(network, training, generator)
+    best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
+    weighted = program._replace(p=p, q=of_rows(p), curvature=share * program.curvature)
+    least = dual.objective(best.ratio, weighted)
+    bound = least - float(rows.sums(p) @ best.gap)
+    risks = [dual.objective(each, weighted) for each in found.checked]
+    details = {
+        "trace": _trace(found, risks, least, best.ratio, share > 0),
+        "iterations": int(found.iteration[-1]),
+        "kept": found.kept,
+        "held_out_risk": found.held_out,
+    }
+    return RowFit(found.ratio, max(dual.objective(found.ratio, weighted) - bound, 0.0), details)  # but for rounding
+
+
+def _trainer() -> Any:
+    """``_neural.train``: an ImportError in one sentence without the extra."""
+    try:
+        from oee_tabular.ratio import _neural
+    except ImportError:
+        raise ImportError(
+            "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+        ) from None
+    return _neural.train
+
+
+def _trace(found: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:
+    """Excess risk and error of each check against the optimum, ``least`` at ``ratio``; the error where something is known."""
+    errors = [np.abs(each - ratio)[known].mean() for each in found.checked]
+    return SgdTrace(found.iteration, np.array(risks) - least, np.array(errors))
+
+
+def _places(network: Network, n_states: int) -> Array | None:
+    """(S, c) standardised coordinates; None: one-hot."""
+    return None if isinstance(network.inputs, str) else _standard(check_layout(network.inputs, n_states, "inputs"))
 
 
 def _standard(places: Array) -> Array:

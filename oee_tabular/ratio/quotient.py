@@ -16,7 +16,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
-from oee_tabular.ratio.network import Network, check_network, fit_network
+from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
@@ -86,7 +86,7 @@ class Quotient(Method):
         _checks.box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
-            check_network(
+            check_boxed_network(
                 self.functions, lower=self.lower, upper=self.upper, ridge=self.ridge, toward=self.toward,
                 normalized=self.normalized, solver=self.solver,
             )  # fmt: skip

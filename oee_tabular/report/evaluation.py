@@ -30,6 +30,7 @@ def evaluate(
     target: FiniteMDP | None = None,
     facts: Mapping[str, Any] | None = None,
     guaranteed: bool = False,
+    quick: bool = False,
 ) -> Report:
     """Evaluate policies in the target by several estimators.
 
@@ -45,6 +46,7 @@ def evaluate(
     normalized : whether the report multiplies by (1 - discount)
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
     guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
+    quick : whether likelihood intervals, most of the time of large problems, are left out
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Returns
@@ -71,6 +73,8 @@ def evaluate(
     """
     _checks.boolean(normalized, "normalized")
     _checks.boolean(guaranteed, "guaranteed")
+    if _checks.boolean(quick, "quick") and guaranteed:
+        raise ValueError("guaranteed must be False where quick is True: it leaves intervals out")
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
@@ -99,7 +103,7 @@ def evaluate(
         stream = _checks.seed_sequence(seed, (i, j))
         raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
-    sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, scale=scale)
+    sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
     results = []
     for result in raw:
         likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]

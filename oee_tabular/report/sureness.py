@@ -55,14 +55,20 @@ class Sureness:
 
 
 def how_sure(
-    problem: Problem, policies: Mapping[str, Array], confidence: float, *, guaranteed: bool, scale: float
+    problem: Problem,
+    policies: Mapping[str, Array],
+    confidence: float,
+    *,
+    guaranteed: bool,
+    scale: float,
+    quick: bool = False,
 ) -> Sureness:
     """Likelihood intervals (and guaranteed ones) of every policy; distance, width and the next (s, a) in words.
 
     ``scale`` multiplies values in the sentences (1 - discount for normalised reports). ``ranking`` is left to ``ranked``, which
     needs the values.
     """
-    soft = problem.observed is not problem.log
+    soft = problem.soft
     if soft and guaranteed:
         raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
     evidences = {name: gather(problem, policy) for name, policy in policies.items()}
@@ -71,6 +77,8 @@ def how_sure(
     lacking = ""
     if endless:
         lacking = "at discount 1 they need a horizon"
+    elif quick:
+        lacking = "quick was asked for"
     elif (
         len(evidence.phat) > LARGEST
         and (moves := int(np.diff(evidence.indptr)[reached_rows(evidence)].sum())) > LARGEST

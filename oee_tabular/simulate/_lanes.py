@@ -15,7 +15,7 @@ from oee_tabular.simulate._rollout import philox
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MOVES, _FIRST = np.uint64(1), np.uint64(2)  # in the counter where logs have 0: other streams than theirs
 _FURTHER = np.uint64(2)  # added to it for the bits that decide where the first ones do not
-_NONE, _ONE, _TWO, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
+_NONE, _ONE, _TWO, _THREE, _PASS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 _PLACE, _SIZE = np.uint64(8), np.uint64(255)
 
 # what all episodes have in common: ``most``, ``start`` and ``over`` are the alias table's (``AliasTable``)
@@ -104,31 +104,40 @@ def lanes_of(begin, end, plan, slots, outcome):
     """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
 
     sums (4, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole; the largest that a reward
-    has. An episode that is over may take the rest of its pass: where it is, nothing is paid and weights stand still. What is
-    left of a horizon after whole passes is taken one trajectory at a time; so is a pass in which a word of 32 bits may not
-    have decided.
+    has. An episode that is over takes the rest of its pass: nothing is paid and weights stand still. So does one at its horizon,
+    where nothing is paid either (``discounts`` go on with zeros up to a multiple of four), and then its state and its weights
+    go back. A pass in which a word of 32 bits may not have decided is taken one trajectory at a time.
     """
     key, horizon, n_lanes, most, start, over, discounts, weighted, by_move = plan
     word, following, reward, factor, entry = slots
     sums, lengths, last, places, path = outcome
     record = len(path) > 0
-    words, codes = np.empty((4, n_lanes), np.uint64), np.empty((5, n_lanes), np.uint64)
+    words, codes = (
+        np.empty((4, n_lanes), np.uint64),
+        np.empty((5, n_lanes), np.uint64),
+    )  # codes: before and after each step
     held, before = np.empty((4, n_lanes)), np.empty((4, n_lanes))
-    t, trajectory = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
+    t, trajectory, now = np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64), np.empty(n_lanes, np.uint64)
     stopped, ends = np.empty(n_lanes, np.int64), np.zeros(n_lanes + 3, np.uint64)
     g, x, w, largest = held[0], held[1], held[2], held[3]
-    now = codes[0]  # the other rows: after each step of a pass
     lanes = Lanes(trajectory, t, now, held)
     near = _ONE << (most + _SHIFT)
-    active, waiting, n_stopped = 0, begin, 0
+    active, waiting, n_stopped, walked = 0, begin, 0, False
     while True:
         while n_stopped > 0 or (active < n_lanes and waiting < end):
             if n_stopped > 0:  # the last of them first: lanes behind it all go on
                 n_stopped -= 1
                 i = stopped[n_stopped]
                 j = trajectory[i]
-                if t[i] < horizon and (now[i] < over or t[i] == _NONE):  # a call has many arguments
-                    walk(plan, slots, lanes, i, horizon, places[j] if record else _NONE, path)
+                first = (t[i] - _ONE) & ~_THREE  # of the pass that it has just taken
+                if first + _PASS > horizon and not walked:
+                    t[i], now[i] = min(t[i], horizon), codes[horizon - first, i]
+                    if weighted:
+                        w[i], largest[i] = before[2, i], before[3, i]
+                        for k in range(t[i] - first):
+                            after = w[i] * factor[choose(codes[k, i], words[k, i], word, near)[0]]
+                            largest[i] = max(largest[i], after if by_move else w[i])
+                            w[i] = after if by_move or first + np.uint64(k) + _ONE < horizon else w[i]
                 sums[0, j], sums[1, j], sums[2, j], sums[3, j] = g[i], x[i], w[i], largest[i]
                 lengths[j], last[j] = t[i], now[i]
                 if waiting == end:
@@ -144,14 +153,11 @@ def lanes_of(begin, end, plan, slots, outcome):
             several = start & _SIZE > _NONE
             now[i] = following[settle(key, _FIRST, trajectory[i], t[i], start, word) if several else start >> _PLACE]
             waiting += 1
-            if t[i] + _PASS > horizon or now[i] >= over:
-                stopped[n_stopped] = i
-                n_stopped += 1
         if active == 0:
             return
         step_words(key, trajectory, t, words, active)
         for i in range(active):
-            before[0, i] = g[i]
+            before[0, i], codes[0, i] = g[i], now[i]
         if weighted:
             for i in range(active):
                 before[1, i], before[2, i], before[3, i] = x[i], w[i], largest[i]
@@ -187,17 +193,19 @@ def lanes_of(begin, end, plan, slots, outcome):
                     nearest = min(nearest, min(first, second))
                     between[i], there[i] = middle, following[slot]
                     g[i] = paid + next_scale[at] * reward[slot]
-        if nearest < near + near:
+        walked = nearest < near + near
+        if walked:
             for i in range(active):
                 g[i] = before[0, i]
                 if weighted:
                     x[i], w[i], largest[i] = before[1, i], before[2, i], before[3, i]
-                walk(plan, slots, lanes, i, t[i] + _PASS, places[trajectory[i]] if record else _NONE, path)
+                end_of_pass = min(t[i] + _PASS, horizon)
+                walk(plan, slots, lanes, i, end_of_pass, places[trajectory[i]] if record else _NONE, path)
         else:
             if record:
                 for i in range(active):
                     place = places[trajectory[i]] + t[i]
-                    for k in range(4):
+                    for k in range(min(_PASS, horizon - t[i])):
                         if k == 0 or codes[k, i] < over:
                             path[place + np.uint64(k)] = entry[choose(codes[k, i], words[k, i], word, near)[0]]
             for i in range(active):
@@ -206,7 +214,7 @@ def lanes_of(begin, end, plan, slots, outcome):
                 )
                 now[i] = codes[4, i]
         for i in range(active):
-            ends[i] = np.uint64(t[i] + _PASS > horizon) | np.uint64(now[i] >= over)
+            ends[i] = np.uint64(t[i] >= horizon) | np.uint64(now[i] >= over)
         for i in range(0, active, 4):  # few end in a pass
             if ends[i] | ends[i + 1] | ends[i + 2] | ends[i + 3]:
                 for j in range(i, min(i + 4, active)):

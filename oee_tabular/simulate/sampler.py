@@ -117,7 +117,8 @@ class Sampler:
 
         table, by_move = self.table, self.mdp.reward_data is not None
         draws = table.most, table.code[-1], table.over
-        plan = Plan(self.key, np.uint64(self.horizon), self.lanes, *draws, self.powers, weighted, by_move)
+        powers = np.append(self.powers, np.zeros(3))  # a pass has four steps
+        plan = Plan(self.key, np.uint64(self.horizon), self.lanes, *draws, powers, weighted, by_move)
         chunk = max(16 * self.lanes, -(-self.n // 64))  # long enough to keep lanes busy, short enough for a few threads
         returns(self.n, chunk, plan, table.slots, Outcome(sums, lengths, last, places, path))
 

@@ -104,3 +104,123 @@ def test_bad_calls(case):
         oee.Problem(SIMULATOR, LOG, counts=make())
     with pytest.raises(ValueError, match="guaranteed must be False where counts are given"):
         oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], guaranteed=True)
+
+
+# ---- whole counts, without a log
+
+
+WHOLE = oee.Problem(SIMULATOR, COUNTS, 20)
+PLAIN = oee.Problem(SIMULATOR, LOG, 20)
+
+
+@pytest.mark.parametrize("method", ["likelihood", "delta", "robust", "bootstrap"])
+def test_whole_counts_give_the_log_s_intervals(method):
+    """A bag of counts may be of episodes: the robust radius is theirs."""
+    ends = [oee.interval(problem, EXPERT, method=method, seed=0) for problem in (WHOLE, PLAIN)]
+    assert ends[0].lower == ends[1].lower
+    assert ends[0].upper == ends[1].upper
+
+
+def test_whole_counts_keep_tests_and_intervals_on():
+    report, plain = (oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0) for problem in (WHOLE, PLAIN))
+    assert report.results[0].estimate.interval == plain.results[0].estimate.interval
+    assert report.sureness.distance == plain.sureness.distance
+    beside = oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=COUNTS), EXPERT, estimators=["oee"], seed=0)
+    assert beside.sureness.distance == plain.sureness.distance
+    assert not WHOLE.soft
+
+
+def test_soft_counts_without_a_log_turn_them_off():
+    problem = oee.Problem(SIMULATOR, SOFT, 20)
+    assert problem.soft
+    assert oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0).sureness.intervals == {}
+    with pytest.raises(ValueError, match="counts must be whole numbers to be resampled; some are not"):
+        oee.interval(problem, EXPERT, method="bootstrap", seed=0)
+
+
+def test_what_needs_episodes_says_so():
+    with pytest.raises(ValueError, match="importance sampling needs whole episodes"):
+        ImportanceSampling()(WHOLE, EXPERT)
+    report = oee.evaluate(WHOLE, EXPERT, seed=0)
+    assert "Importance sampling is left out: the log has no episodes." in report.warnings
+    with pytest.raises(ValueError, match="log must have episodes to be resampled by episodes"):
+        oee.interval(WHOLE, EXPERT, method="bootstrap", resample="episodes", seed=0)
+    with pytest.raises(ValueError, match="rewards must be 'simulator' where the log has no reward column"):
+        oee.Problem(SIMULATOR, COUNTS, rewards="log")
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_counts_without_a_log(case):
+    make, text = BAD[case]
+    text = "log must be Transitions; got ndarray" if case == "an array" else text
+    with pytest.raises(ValueError, match=text):
+        oee.Problem(SIMULATOR, make())
+
+
+# ---- counts with rewards, terminations and a sample of episodes
+
+
+def counted(log, sample=None):
+    """Rows of a log as TransitionCounts, one a row: equal moves stand twice."""
+    moves = log.moves()
+    return oee.TransitionCounts(
+        log.state, log.action, log.next_state, moves.number, log.terminated, moves.reward_sum, moves.reward_min,
+        moves.reward_max, sample=sample,
+    )  # fmt: skip
+
+
+def paid(change):
+    columns = LOG.columns()
+    columns["reward"] = columns["reward"] + change(np.arange(len(LOG)))
+    return oee.Transitions(**columns)
+
+
+def test_rewards_that_contradict_are_seen_in_counts():
+    log = paid(lambda k: np.where(k == 7, 0.5, 0.0))
+    plain, problem = oee.Problem(SIMULATOR, log, 20), oee.Problem(SIMULATOR, counted(log), 20)
+    assert str(problem.reward_conflict) == str(plain.reward_conflict)
+    assert oee.Problem(SIMULATOR, counted(LOG), 20).reward_conflict is None
+    assert oee.Problem(SIMULATOR, COUNTS, 20).reward_conflict is None
+    one = oee.TransitionCounts([0], [0], [0], [9], [0], [4.0], [-1.0], [3.0])
+    zero = oee.FiniteMDP(SIMULATOR.transitions, np.zeros((9, 4)), SIMULATOR.initial, 0.9)
+    conflict = oee.Problem(zero, one).reward_conflict
+    assert str(conflict).startswith(
+        "the log's rewards contradict the simulator's in up to 9 of 9 transitions (1 different"
+    )
+    assert "pays 3 in the log, 0 in the simulator" in str(conflict)
+
+
+@pytest.mark.parametrize("estimator", [ModelBased(), OffEnvironment(), oee.estimators.Marginalized()])
+@pytest.mark.parametrize("rewards", ["log", "simulator"])
+def test_rewards_of_counts_are_the_log_s(estimator, rewards):
+    log = paid(lambda k: np.sin(k))
+    ours, plain = (oee.Problem(SIMULATOR, given, 20, rewards=rewards) for given in (counted(log), log))
+    assert_allclose(estimator(ours, EXPERT).value, estimator(plain, EXPERT).value, rtol=1e-12)
+
+
+def test_importance_sampling_sees_the_sample_beside_the_counts():
+    problem, plain = oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20), oee.Problem(SIMULATOR, LOG, 20)
+    assert ImportanceSampling()(problem, EXPERT).value == ImportanceSampling()(plain, EXPERT).value
+    assert problem.recorded is problem.log.sample
+    assert oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20, episodes=MORE).recorded is not LOG
+
+
+def test_terminated_moves_of_counts_are_led_to_the_terminal_state():
+    mdp = oee.FiniteMDP.from_gymnasium(__import__("gymnasium").make("CliffWalking-v1"), discount=0.9)
+    log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 20, 200, seed=0)
+    assert log.terminated.any()
+    ours, plain = oee.Problem(mdp, counted(log, sample=log)), oee.Problem(mdp, log)
+    assert abs(ours.counts - plain.counts).sum() == 0
+    assert np.array_equal(ours.log.sample.next_state, plain.log.next_state)
+    with pytest.raises(ValueError, match=r"log\.state\[0\] must be in 0\.\.8, the simulator's; it is 9"):
+        oee.Problem(SIMULATOR, oee.TransitionCounts([9], [0], [0], [1]))
+
+
+def test_what_was_left_out_is_told():
+    told = oee.data.counted.Recording(True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",))
+    log = oee.TransitionCounts([0], [0], [0], [7], recording=told, sample=LOG)
+    texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
+    assert texts == [
+        "4 bad rows of the log were not counted: a.csv: state[3] must be an integer; it is x.",
+        "Importance sampling sees a sample of 30 of the log's 300 episodes; all others see every move.",
+    ]

@@ -20,6 +20,7 @@ from oee_tabular.inference import ambiguity, likelihood, robust
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.statements import rectangular_program
+from oee_tabular.inference.taken import Taken
 
 
 def random_row(rng, box=True):
@@ -492,7 +493,7 @@ def test_no_member_of_the_profile_set_is_outside(rng):
     policy = rng.dirichlet(np.ones(2), 5)
     found = oee.interval(oee.Problem(simulator, log), policy)
     evidence = ambiguity.gather(oee.Problem(simulator, log), policy)
-    limit, taken = stats.chi2.ppf(0.95, 1) / 2, likelihood.Taken.of(evidence)
+    limit, taken = stats.chi2.ppf(0.95, 1) / 2, Taken.of(evidence)
     for _ in range(10):
         weights = rng.exponential(size=len(evidence.phat)) ** 4
         q = weights / np.add.reduceat(weights, evidence.indptr[:-1])[evidence.rows]

@@ -13,6 +13,7 @@ import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import _profile, likelihood
 from oee_tabular.inference.ambiguity import gather
+from oee_tabular.inference.taken import Direction, Taken
 
 LIMIT = stats.chi2.ppf(0.95, 1) / 2
 
@@ -37,7 +38,7 @@ def test_values_and_gradients_are_those_of_the_model(rng, horizon):
     """On the rows that the policy takes: J, and G up to a constant in each row."""
     problem, policy = problem_of(rng, horizon)
     evidence = gather(problem, policy)
-    taken = likelihood.Taken.of(evidence)
+    taken = Taken.of(evidence)
     model = evidence.with_rows(evidence.phat)
     for mixes in (True, False):
         taken._mixes[:] = [mixes, mixes]
@@ -56,10 +57,10 @@ def test_values_and_gradients_are_those_of_the_model(rng, horizon):
 def test_a_step_is_the_linear_program_s_optimum(rng):
     """max G P under sum n KL(phat || P) <= c, by Clarabel; states never seen get mass where that is best."""
     problem, policy = problem_of(rng, n=12)
-    taken = likelihood.Taken.of(gather(problem, policy))
+    taken = Taken.of(gather(problem, policy))
     chain = taken.chain
     gradient = rng.normal(size=len(chain.phat))
-    p, used, _ = likelihood._step(taken, likelihood.Direction(gradient, gradient), LIMIT, 0.0)
+    p, used, _ = likelihood._step(taken, Direction(gradient, gradient), LIMIT, 0.0)
     assert used <= LIMIT * (1 + 1e-12)
     row = np.repeat(np.arange(len(chain.n)), np.diff(chain.indptr))
     assert_allclose(np.bincount(row, p), 1.0, rtol=1e-12)
@@ -100,12 +101,12 @@ def test_ends_are_stationary():
 def test_sweeps_give_up_where_a_chain_mixes_slowly():
     """A cycle of 50 states at discount .999: sweeps would take tens of thousands; one that mixes takes a few."""
     simulator = oee.FiniteMDP(np.roll(np.eye(50), 1, axis=1)[:, None], np.arange(50.0), np.eye(50)[0], 0.999)
-    taken = likelihood.Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    taken = Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
     point = taken.valued(taken.chain.phat.copy(), None)
     assert not taken._mixes[0]
     assert_allclose(point.values, oee.state_values(simulator, np.ones((50, 1))), rtol=1e-12)
     mixing = oee.FiniteMDP(np.full((50, 1, 50), 0.02), np.arange(50.0), np.eye(50)[0], 0.999)
-    taken = likelihood.Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    taken = Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
     point = taken.valued(mixing.transitions.data, None)
     assert taken._mixes[0]
     assert_allclose(point.values, oee.state_values(mixing, np.ones((50, 1))), rtol=1e-9)

@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.ratio import Network, Quotient
-from oee_tabular.ratio.network import _split
+from oee_tabular.ratio import Conditional, Network, Quotient
+from oee_tabular.ratio.network import Training, _split
 
 trained = pytest.mark.skipif(find_spec("equinox") is None, reason="the extra neural is not installed")
 BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}
@@ -33,6 +33,12 @@ def fit(logs, *, data=None, seed=0, options=BOX, **network):
     simulator, te, tr = logs
     functions = Network(**{"layers": (16,), "n_iterations": 1500, "step_size": 0.01} | network)
     return Quotient(**options, data=tr if data is None else data, functions=functions).fit(te, simulator, seed=seed)
+
+
+def by_rows(logs, *, seed=0, options=None, **network):
+    simulator, te, _ = logs
+    functions = Network(**{"layers": (16,), "n_iterations": 1500, "step_size": 0.01} | network)
+    return Conditional(**options or {}, functions=functions).fit(te, simulator, seed=seed)
 
 
 def exact(logs, options=BOX):
@@ -120,14 +126,161 @@ def test_the_limit_is_the_exact_quotients(logs):
     assert values[0] == values[1]
 
 
+# ---- row by row, the simulator known ------------------------------------------------------------------------------------
+
+
+@trained
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"ridge": 0.5}, {"ridge": lambda n: 100.0 / n}, {"ridge": 0.5, "toward": None}, {"ridge": "evidence"}],
+)
+def test_a_full_batch_finds_the_rows_optimum(logs, options):
+    simulator, te, _ = logs
+    found = by_rows(logs, batch_size=None, held_out=0, activation="tanh", options=options)
+    best = Conditional(prior="none", **options).fit(te, simulator)
+    assert_allclose(found.values.data, best.values.data, rtol=0.01)
+    assert 0 <= found.gap < 1e-4
+    assert found.method == best.method
+    assert found.details["trace"].excess[0] > 5 * found.gap
+    assert found.details["trace"].excess[-1] == pytest.approx(found.gap, abs=1e-12)
+    assert found.details["kept"] == found.details["iterations"] == 1500
+
+
+@trained
+def test_the_gap_is_the_logs_mean_log_ratio_to_maximum_likelihood(logs):
+    simulator, te, _ = logs
+    found, best = by_rows(logs, n_iterations=200), Conditional(prior="none").fit(te, simulator)
+    counts = te.counts(3, 2).toarray().reshape(-1)
+    assert found.gap == pytest.approx(counts @ np.log(best.values.data / found.values.data) / 4000, abs=1e-12)
+    assert found.gap > 1e-4
+
+
+@pytest.fixture(scope="module")
+def ragged():
+    """A grid, whose rows have one to four moves, and 2000 moves of another; one state's rows are left out."""
+    simulator, target = (oee.tasks.gridworld(4, slip) for slip in (0.4, 0.1))
+    seen = np.ones((16, 4))
+    seen[5] = 0.0
+    return simulator, oee.sample_transitions(target, seen / seen.sum(), 2000, seed=0), target
+
+
+@trained
+@pytest.mark.parametrize("size", [None, 64])
+def test_rows_sum_to_one_whatever_their_width_and_the_logs_share(ragged, size):
+    simulator = ragged[0]
+    assert len(np.unique(np.diff(simulator.transitions.indptr))) > 1
+    found = by_rows(ragged, batch_size=size, n_iterations=200)
+    rows = np.add.reduceat(found.values.data * simulator.transitions.data, simulator.transitions.indptr[:-1])
+    assert_allclose(rows, 1.0, atol=1e-14)
+    assert found.row_sum_error < 1e-14
+    unseen = found.values.toarray().reshape(16, 4, 16)[5]
+    assert not found.visited[5].any()
+    assert np.abs(unseen[unseen > 0] - 1).max() > 0.01  # the network's word, not the prior's
+
+
+@trained
+@pytest.mark.parametrize("ridge", [0.0, 0.7])
+def test_the_draws_of_all_moves_have_the_whole_logs_risk(ragged, ridge):
+    """A batch with each move as often as the log has it, against sums over rows in numpy."""
+    from jax import enable_x64
+
+    from oee_tabular.mdp.rows import Rows
+    from oee_tabular.ratio import _neural
+
+    simulator, log, _ = ragged
+    rows = Rows.of(simulator)
+    counts, _ = rows.aligned(log.counts(16, 4))
+    p = counts / counts.sum()
+    f = np.random.default_rng(0).normal(0.0, 3.0, len(p))
+    zeta = np.exp(f) / rows.spread(rows.sums(rows.weights * np.exp(f)))
+    q = rows.spread(rows.sums(p)) * rows.weights
+    risk = q @ (zeta + ridge / 2 * (zeta - 1) ** 2) - p @ np.log(zeta)
+    with enable_x64(True):
+        training = Training(
+            (rows.arrival,), (16, 4), None, p, q, None, None, 0.0, np.inf, np.full(len(p), ridge), 1.0, rows
+        )
+        program = _neural._program(training)
+        drawn = np.repeat(np.arange(len(p)), counts.astype(int))
+        for batch in (program.whole(), program.batch(np.random.default_rng(1).permutation(drawn))):
+            log_z = np.asarray(program.log_ratio(f[batch.index], batch))
+            g = np.exp(log_z)
+            assert np.asarray(batch.q) @ (g + ridge / 2 * (g - 1) ** 2) - np.asarray(batch.p) @ log_z == pytest.approx(
+                risk, rel=1e-12
+            )
+        assert_allclose(np.asarray(_neural._ratio(program, f)), zeta, rtol=1e-12)
+    assert training.risk(zeta, p, q) == pytest.approx(risk, rel=1e-12)
+
+
+@trained
+def test_any_size_of_exponents_gives_rows_that_sum_to_one(ragged):
+    from jax import enable_x64
+
+    from oee_tabular.mdp.rows import Rows
+    from oee_tabular.ratio import _neural
+
+    rows = Rows.of(ragged[0])
+    p = rows.weights / len(rows)
+    with enable_x64(True):
+        training = Training((rows.arrival,), (16, 4), None, p, p, None, None, 0.0, np.inf, 0.0 * p, 1.0, rows)
+        f = np.random.default_rng(0).choice([-2000.0, 0.0, 2000.0], len(p))
+        zeta = np.asarray(_neural._ratio(_neural._program(training), f))
+    assert_allclose(rows.sums(zeta * rows.weights), 1.0, atol=1e-14)
+
+
+@trained
+def test_batches_of_rows_come_near_and_stop_on_held_out_moves(logs):
+    simulator, te, _ = logs
+    found, best = by_rows(logs, patience=4, n_iterations=20_000), Conditional(prior="none").fit(te, simulator)
+    held, trace = found.details["held_out_risk"], found.details["trace"]
+    assert found.gap < 0.1 * trace.excess[0]
+    assert len(held) == len(trace.iteration) < 201
+    assert np.argmin(held) == len(held) - 5
+    assert found.details["kept"] == trace.iteration[np.argmin(held)]
+    assert found.details["iterations"] == trace.iteration[-1]
+    assert np.abs(found.values.data - best.values.data).mean() == pytest.approx(trace.error[np.argmin(held)])
+    assert held[0] == pytest.approx(1.0)  # zeta = 1: log 1 is 0, and rows sum to 1
+
+
+@trained
+def test_coordinates_share_what_rows_of_a_grid_have_in_common(ragged):
+    simulator, log, target = ragged
+    places = np.stack(np.divmod(np.arange(16), 4), axis=1)
+    true = oee.true_ratio(target, simulator).values.data
+    network = by_rows(ragged, layers=(32,), activation="tanh", inputs=places, n_iterations=3000, batch_size=256)
+    errors = [np.abs(fit.values.data - true).mean() for fit in (network, Conditional(prior="none").fit(log, simulator))]
+    assert errors[0] < 0.8 * errors[1]
+
+
+@trained
+def test_the_limit_of_rows_is_the_targets(ragged):
+    simulator, log, target = ragged
+    pi = oee.uniform_policy(simulator)
+    estimator = oee.estimators.OffEnvironment(ratio=Conditional(functions=Network((4,), n_iterations=100)))
+    assert estimator.limit(simulator, target, pi) == pytest.approx(oee.policy_value(target, pi), rel=1e-12)
+    found = estimator(oee.Problem(simulator, log), pi, seed=0).value
+    model = Conditional(functions=Network((4,), n_iterations=100)).fit(log, simulator, seed=0).target_model(simulator)
+    assert np.isfinite(found)
+    assert_allclose(model.transitions.sum(axis=1), 1.0, atol=1e-14)
+
+
+@trained
+def test_a_name_with_functions_is_the_object_with_them(logs):
+    simulator, te, _ = logs
+    network = Network((8,), n_iterations=100)
+    named = oee.transition_ratio(te, simulator, functions=network, seed=3)
+    assert_array_equal(named.values.data, Conditional(functions=network).fit(te, simulator, seed=3).values.data)
+    other = oee.transition_ratio(te, simulator, functions=network, seed=4)
+    assert (named.values.data != other.values.data).all()
+
+
 BITS = """
 import numpy as np, oee_tabular as oee
-from oee_tabular.ratio import Network, Quotient
+from oee_tabular.ratio import Conditional, Network, Quotient
 mdp = oee.tasks.gridworld(6, 0.3)
 log = oee.sample_transitions(mdp, np.full((36, 4), 1 / 144), 3000, seed=0)
-fit = Quotient(0.1, 10.0, normalized=False, functions=Network((64, 64), batch_size=512, n_iterations=200)).fit(
-    log, mdp, seed=0)
-print(fit.values.data.tobytes().hex())
+network = Network((64, 64), batch_size=512, n_iterations=200)
+for method in (Quotient(0.1, 10.0, normalized=False, functions=network), Conditional(functions=network)):
+    print(method.fit(log, mdp, seed=0).values.data.tobytes().hex())
 """
 
 
@@ -150,30 +303,33 @@ def test_another_seed_gives_another_network(logs):
 @trained
 @pytest.mark.parametrize("step_size", [100.0, 1e300])
 def test_a_diverging_training_names_its_step_and_its_risk(logs, step_size):
-    text = (
-        r"^training must not diverge; at iteration \d+ the risk is (nan|[\d.]+), at the start it was 1: give a smaller "
-    )
-    with pytest.raises(RuntimeError, match=text + re.escape(f"step_size than {step_size:g}")):
-        fit(logs, step_size=step_size, optimizer="sgd")
+    text = r"^training must not diverge; at iteration \d+ the risk is (nan|[\d.e+]+), at the start it was 1: give a smaller "
+    for way in (fit, by_rows):
+        with pytest.raises(RuntimeError, match=text + re.escape(f"step_size than {step_size:g}")):
+            way(logs, step_size=step_size, optimizer="sgd")
 
 
 def test_without_the_extra_everything_imports_and_a_network_is_one_sentence():
     code = (
         "import sys; sys.modules['equinox'] = sys.modules['jax'] = None\n"
         "import oee_tabular as oee\n"
-        "from oee_tabular.ratio import Network, Quotient\n"
+        "from oee_tabular.ratio import Conditional, Network, Quotient\n"
         "mdp = oee.tasks.gridworld(2, 0.3)\n"
-        "try: Quotient(normalized=False, functions=Network()).fit(mdp.transitions * 100, mdp)\n"
-        "except ImportError as error: print(error)"
+        "for method in (Quotient(normalized=False, functions=Network()), Conditional(functions=Network())):\n"
+        "    try: method.fit(mdp.transitions * 100, mdp)\n"
+        "    except ImportError as error: print(error)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.strip() == (
-        "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
-    )
+    sentence = "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+    assert said.splitlines() == [sentence, sentence]
 
 
 def quotient(**options):
     return lambda: Quotient(**BOX | {"functions": Network()} | options)
+
+
+def rows(**options):
+    return lambda: Conditional(**{"functions": Network()} | options)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +352,13 @@ def quotient(**options):
         (quotient(upper=np.inf), r"^lower and upper must be a box with 0 < lower .*; it is \[0\.2, inf\]$"),
         (quotient(lower=None), r"^lower and upper must be a box .*; it is \[0, 5\]$"),
         (quotient(toward=None, ridge=1.0), r"^toward must be a number with functions"),
+        (rows(functions="mlp"), r"^functions must be a Network\(\.\.\.\); got str$"),
+        (rows(solver="CLARABEL"), r"^solver must be left out with functions=.*; got 'CLARABEL'$"),
+        (rows(prior="tilt"), r"^prior must be left out with functions=.*; got 'tilt'$"),
+        (rows(features=[1.0]), r"^features must be left out with prior 'none'"),
+        (rows(smoothness=1.0), r"^smoothness must be left out with prior 'none'"),
+        (rows(upper=5.0), r"^lower and upper must be left out with functions=.*; it is \[0, 5\]$"),
+        (rows(lower=0.1), r"^lower and upper must be left out with functions=.*; it is \[0\.1, inf\]$"),
     ],
 )
 def test_bad_options(call, text):
@@ -212,14 +375,18 @@ def test_bad_options(call, text):
     ],
 )  # fmt: skip
 def test_bad_data(logs, options, text):
-    with pytest.raises(ValueError, match=text):
-        fit(logs, **options)
+    for way in (fit, by_rows):
+        with pytest.raises(ValueError, match=text):
+            way(logs, **options)
 
 
 @trained
 def test_weighted_moves_can_not_be_held_out(logs):
     simulator = logs[0]
     log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 50, 20, seed=0)
-    method = Quotient(**BOX, functions=Network((4,), n_iterations=100))
-    with pytest.raises(ValueError, match=r"^held_out must be 0 where the log's moves are weighted"):
-        method.fit(log, simulator, discount=0.9, seed=0)
+    network = Network((4,), n_iterations=100)
+    for method in (Quotient(**BOX, functions=network), Conditional(functions=network)):
+        with pytest.raises(ValueError, match=r"^held_out must be 0 where the log's moves are weighted"):
+            method.fit(log, simulator, discount=0.9, seed=0)
+    whole = Conditional(functions=Network((4,), n_iterations=100, held_out=0))
+    assert whole.fit(log, simulator, discount=0.9, seed=0).row_sum_error < 1e-14

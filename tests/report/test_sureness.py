@@ -103,3 +103,18 @@ def test_where_there_are_no_likelihood_intervals_it_is_said(monkeypatch):
     monkeypatch.setattr(sureness, "LARGEST", 10)
     text = report(TARGET, 400).sureness.sentences[1]
     assert text == "There are no likelihood intervals: the reachable moves are 232, more than 10."
+
+
+def test_quick_leaves_the_likelihood_intervals_out():
+    pair = oee.testing.case("ragged")
+    problem = pair.problem(300, seed=0)
+    report = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0, quick=True)
+    full = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0)
+    assert report.sureness.intervals == {}
+    assert "There are no likelihood intervals: quick was asked for." in report.sureness.distance
+    assert report.sureness.distance[0] == full.sureness.distance[0]
+    assert report.results[0].estimate.diagnostics["model_value"] == full.results[0].estimate.diagnostics["model_value"]
+    with pytest.raises(ValueError, match="guaranteed must be False where quick is True"):
+        oee.evaluate(problem, pair.policy, quick=True, guaranteed=True)
+    with pytest.raises(ValueError, match="quick must be True or False; got 1"):
+        oee.evaluate(problem, pair.policy, quick=1)

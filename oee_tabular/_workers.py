@@ -1,0 +1,50 @@
+"""Work in several processes: on this machine through joblib, or on a dask cluster by its scheduler's address."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+CONNECT = 5.0  # seconds to wait for a dask scheduler
+
+
+@contextlib.contextmanager
+def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
+    """A client of the scheduler at ``address``; an OSError where none answers within ``seconds``."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ImportError("--dask needs dask.distributed: pip install 'oee-tabular[dask]'") from error
+    try:
+        connect: Any = Client
+        found = connect(address, timeout=seconds, set_as_default=True)
+    except Exception as error:  # what is not a scheduler may answer anything
+        raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
+    with found:
+        yield found
+
+
+def each(
+    function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], *, jobs: int, dask: str | None
+) -> Iterator[Any]:
+    """``function(*call)`` of each call, in the order of the calls; an error is raised in its place."""
+    if dask is None and (jobs == 1 or len(calls) < 2):
+        for call in calls:
+            yield function(*call)
+        return
+    import joblib
+
+    with contextlib.ExitStack() as stack:
+        if dask is not None:
+            cluster = stack.enter_context(client(dask))
+            if not cluster.scheduler_info()["workers"]:
+                raise RuntimeError(
+                    "the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1"
+                )
+            stack.enter_context(joblib.parallel_config("dask", pure=False))
+        else:
+            stack.enter_context(joblib.parallel_config("loky", inner_max_num_threads=1))
+        most = -1 if dask is not None or jobs == -1 else min(jobs, len(calls))
+        parallel = joblib.Parallel(n_jobs=most, return_as="generator", batch_size=1)
+        yield from parallel(joblib.delayed(function)(*call) for call in calls)

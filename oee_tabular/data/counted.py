@@ -1,0 +1,261 @@
+"""A log as counts: each different move once, how often it was seen and what it paid; what stays of logs beyond memory.
+
+Counts are sufficient for values, ratios, tests and intervals. For what needs whole episodes (importance sampling) a sample of
+them can stand beside the counts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from oee_tabular import _checks, _files, _printing
+from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._sparse import canonical, checked, row_of_entry
+from oee_tabular.data.columns import integers
+from oee_tabular.data.transitions import Moves, Transitions, counts_of
+
+KIND = "transition_counts"
+
+
+class Recording(NamedTuple):
+    """How counted moves were recorded, and what was left out of them.
+
+    ``by_episodes``: whether moves may depend on those before them. ``broken``: episodes with a bad row, which no sample has.
+    ``dropped``: rows left out, with the first of each kind in words.
+    """
+
+    by_episodes: bool = True
+    episodes: int = 0
+    shortest: int = 0
+    longest: int = 0
+    truncated: int = 0
+    broken: int = 0
+    files: int = 0
+    dropped: int = 0
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TransitionCounts:
+    """Different moves of a log and how often each was seen; checked when made and immutable.
+
+    ``Transitions.open`` counts files of any size; ``Problem`` takes the result in place of a log.
+
+    Parameters
+    ----------
+    state, action, next_state : (K,) integers from 0
+    count : (K,) positive numbers; whole ones are counts of independent moves, on which tests and intervals rest
+    terminated : (K,) booleans, optional; one move may stand twice, ended and not
+    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of what the moves of a row paid
+    recording : how they were recorded; a bag of counts is taken for the moves of episodes, of which bounds hold for both
+    sample : Transitions, optional: whole episodes of the log, drawn uniformly, for importance sampling
+
+    Raises
+    ------
+    ValueError
+        Names the column, the row, the rule and the value found.
+
+    Examples
+    --------
+    >>> from oee_tabular import Transitions
+    >>> TransitionCounts([0, 1], [0, 0], [1, 2], [30, 12])
+    TransitionCounts(42 transitions, 2 different: 0 terminated, 0 truncated; states 0..2, actions 0..0)
+    """
+
+    state: IntArray
+    action: IntArray
+    next_state: IntArray
+    count: Array
+    terminated: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    reward_sum: Array | None = None
+    reward_min: Array | None = None
+    reward_max: Array | None = None
+    recording: Recording = field(default_factory=Recording)
+    sample: Transitions | None = None
+
+    # what a bag of moves has not
+    reward: ClassVar[None] = None
+    episode: ClassVar[None] = None
+    timestep: ClassVar[None] = None
+    episode_starts: ClassVar[None] = None
+    behavior_probability: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        columns: dict[str, NDArray[Any]] = {
+            name: integers(getattr(self, name), name) for name in ("state", "action", "next_state")
+        }
+        columns["count"] = _checks.float_array(self.count, "count", ndim=1)
+        columns["terminated"] = (
+            np.asarray(self.terminated, dtype=np.bool_)
+            if np.size(self.terminated)
+            else np.zeros(len(columns["state"]), dtype=np.bool_)
+        )
+        for name in ("reward_sum", "reward_min", "reward_max"):
+            if getattr(self, name) is not None:
+                columns[name] = _checks.float_array(getattr(self, name), name, ndim=1)
+                _checks.require_finite(columns[name], name)
+        lengths = {name: len(column) for name, column in columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"columns must have equal lengths; they have {lengths}")
+        if len({name in columns for name in ("reward_sum", "reward_min", "reward_max")}) > 1:
+            raise ValueError("reward_sum, reward_min and reward_max must be given together")
+        if lengths["state"] == 0:
+            raise ValueError("state must have at least one row; the log is empty")
+        bad = np.flatnonzero(~((columns["count"] > 0) & (columns["count"] <= 2.0**53)))
+        if bad.size:
+            raise ValueError(f"count[{bad[0]}] must be positive and at most 2**53; it is {columns['count'][bad[0]]:g}")
+        _checks.instance(self.recording, Recording, "recording")
+        if self.sample is not None:
+            _checks.instance(self.sample, Transitions, "sample", "Transitions")
+        for name, column in columns.items():
+            object.__setattr__(self, name, freeze(column))
+
+    @classmethod
+    def of(cls, matrix: Any, n_actions: int) -> Self:
+        """Counts that are given as a matrix, sparse of shape (S*A, S), row s*A + a."""
+        csr = canonical(checked(matrix, "counts"), drop_zeros=True)
+        if csr.nnz == 0:
+            raise ValueError("counts must have at least one move; all are 0")
+        state, action = np.divmod(row_of_entry(csr), n_actions)
+        return cls(state, action, csr.indices.astype(np.int64), csr.data)
+
+    def __len__(self) -> int:
+        """How many moves were counted."""
+        return round(float(self.count.sum()))
+
+    def __repr__(self) -> str:
+        return f"TransitionCounts({self.describe()})"
+
+    def _repr_html_(self) -> str:
+        rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value not in (None, ())]
+        return _printing.facts("TransitionCounts: a log, counted", rows)
+
+    @property
+    def by_episodes(self) -> bool:
+        """Whether moves may depend on those before them."""
+        return self.recording.by_episodes
+
+    def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
+        """How often each (s, a, s') was seen: csr of shape (S*A, S), row s*A + a; errors as of ``Transitions.counts``."""
+        if discount is not None:
+            raise ValueError("discount must be left out where counts are given: they have no timesteps")
+        return counts_of(self, self.count, n_states, n_actions)
+
+    def moves(self) -> Moves:
+        """The rows, with how many moves each stands for and what they paid."""
+        return Moves(self.count, self.reward_sum, self.reward_min, self.reward_max)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns that there are."""
+        names = ("state", "action", "next_state", "count", "terminated", "reward_sum", "reward_min", "reward_max")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    def led_to(self, next_state: IntArray) -> TransitionCounts:
+        """The same with other next states."""
+        return replace(self, next_state=next_state)
+
+    def summary(self) -> dict[str, Any]:
+        """What was counted, as plain numbers and words."""
+        told, paid = self.recording, self.reward_sum is not None
+        return {
+            "transitions": len(self),
+            "different": len(self.count),
+            "files": told.files or None,
+            "episodes": told.episodes or None,
+            "episode_length_min": told.shortest or None,
+            "episode_length_max": told.longest or None,
+            "terminated": round(float(self.count[self.terminated].sum())),
+            "truncated": told.truncated,
+            "largest_state": int(max(self.state.max(), self.next_state.max())),
+            "largest_action": int(self.action.max()),
+            "reward_min": float(np.min(self.reward_min)) if paid else None,  # type: ignore[arg-type]
+            "reward_max": float(np.max(self.reward_max)) if paid else None,  # type: ignore[arg-type]
+            "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
+            "broken_episodes": told.broken or None,
+            "rows_dropped": told.dropped or None,
+            "why": told.reasons,
+        }
+
+    def describe(self) -> str:
+        """The summary in one line."""
+        facts = self.summary()
+        text = f"{facts['transitions']} transitions, {facts['different']} different"
+        if facts["files"]:
+            text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
+        if facts["episodes"]:
+            text += f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
+        text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
+        text += f"; states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}"
+        if self.reward_sum is not None:
+            text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
+        if self.sample is not None:
+            text += f"; {facts['sampled_episodes']} whole episodes kept"
+        if facts["rows_dropped"]:
+            text += f"; {facts['rows_dropped']} bad rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+        return text
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write .npz, whole or not at all, with a checksum of what it holds."""
+        _files.save_npz(path, KIND, sealed(to_arrays(self)))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
+        """Read what ``save`` wrote; a ValueError that names the file where it is something else, or has changed since."""
+        arrays = _files.load_npz(path, KIND)
+        with _files.parts_of(path, "counts"):
+            return from_arrays(unsealed(arrays))
+
+
+def to_arrays(log: TransitionCounts) -> dict[str, NDArray[Any]]:
+    """The parts of counts as arrays."""
+    arrays: dict[str, NDArray[Any]] = log.columns() | {
+        "recording": np.array([int(value) for value in log.recording[:-1]]),
+        "reasons": np.array(log.recording.reasons, dtype=np.str_),
+    }
+    kept = {} if log.sample is None else log.sample.columns()
+    return arrays | {f"sample_{name}": column for name, column in kept.items()}
+
+
+def from_arrays(arrays: dict[str, NDArray[Any]]) -> TransitionCounts:
+    """Counts from their parts."""
+    known = ("state", "action", "next_state", "count", "terminated")
+    rewards = {name: arrays[name] for name in ("reward_sum", "reward_min", "reward_max") if name in arrays}
+    kept = {name.removeprefix("sample_"): column for name, column in arrays.items() if name.startswith("sample_")}
+    first, *numbers = arrays["recording"].tolist()
+    if len(numbers) != len(Recording._fields) - 2:
+        raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers) + 1}")
+    return TransitionCounts(
+        **{name: arrays[name] for name in known},
+        **rewards,
+        recording=Recording._make([bool(first), *numbers, tuple(arrays["reasons"].tolist())]),
+        sample=Transitions(**kept) if kept else None,
+    )
+
+
+def sealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """With a checksum (SHA-256) of names, types, shapes and bytes."""
+    return arrays | {"checksum": np.array(_checksum(arrays))}
+
+
+def unsealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Without the checksum; ValueError where it is another than that of the arrays."""
+    rest = {name: array for name, array in arrays.items() if name not in ("checksum", _files.KIND)}
+    if str(arrays["checksum"]) != _checksum(rest):
+        raise ValueError("the checksum must be that of the arrays; they have changed since they were counted")
+    return rest
+
+
+def _checksum(arrays: dict[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

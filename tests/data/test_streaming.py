@@ -1,0 +1,525 @@
+"""Logs larger than memory: files of any number and size become counts, whatever the batches, the processes and the stops."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import TransitionCounts, Transitions, _workers
+from oee_tabular.data import parts, streaming, tally
+
+pytest.importorskip("pyarrow")
+
+GRID = oee.tasks.gridworld(3, slip=0.3)
+UNIFORM = oee.uniform_policy(GRID)
+
+
+def logs(number=4, episodes=12):
+    return [oee.sample_episodes(GRID, UNIFORM, episodes, 9, seed=k) for k in range(number)]
+
+
+def written(folder, ending=".parquet", number=4, episodes=12):
+    folder.mkdir(exist_ok=True)
+    for k, log in enumerate(logs(number, episodes)):
+        log.save(folder / f"part-{k}{ending}")
+    return folder
+
+
+def same(one, other):
+    assert one.columns().keys() == other.columns().keys()
+    for name, column in one.columns().items():
+        assert_array_equal(column, getattr(other, name), err_msg=name)
+    assert one.recording == other.recording
+    assert (one.sample is None) == (other.sample is None)
+    for name, column in ({} if one.sample is None else one.sample.columns()).items():
+        assert_array_equal(column, getattr(other.sample, name), err_msg=name)
+
+
+# ---- what is counted
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv", ".npz"])
+def test_a_folder_is_the_log_of_its_files(tmp_path, ending):
+    found = Transitions.open(written(tmp_path / "a", ending))
+    whole = Transitions.concatenate(logs())
+    assert_array_equal(found.counts(9, 4).toarray(), whole.counts(9, 4).toarray())
+    for name in (
+        "state",
+        "action",
+        "next_state",
+        "reward",
+        "terminated",
+        "truncated",
+        "timestep",
+        "behavior_probability",
+    ):
+        assert_array_equal(getattr(found.sample, name), getattr(whole, name))
+    facts, plain = found.summary(), whole.summary()
+    for name in ("transitions", "episodes", "episode_length_min", "episode_length_max", "terminated", "truncated"):
+        assert facts[name] == plain[name], name
+    assert (facts["reward_min"], facts["reward_max"]) == (plain["reward_min"], plain["reward_max"])
+    assert_allclose(found.reward_sum.sum(), whole.reward.sum(), rtol=1e-12)
+    assert facts["files"] == 4
+
+
+def test_files_patterns_and_lists_name_the_same(tmp_path):
+    folder = written(tmp_path / "a")
+    one = Transitions.open(folder)
+    same(one, Transitions.open(str(folder / "*.parquet")))
+    same(one, Transitions.open([folder / f"part-{k}.parquet" for k in range(4)]))
+    same(one, Transitions.open(f"{tmp_path}/**/*.parquet"))
+    (folder / "_SUCCESS").write_text("")
+    (folder / ".hidden.csv").write_text("x")
+    (folder / "notes.txt").write_text("x")
+    same(one, Transitions.open(folder))
+
+
+def test_problems_take_it_in_place_of_the_log(tmp_path):
+    whole = Transitions.concatenate(logs())
+    ours, plain = (oee.Problem(GRID, log, 9) for log in (Transitions.open(written(tmp_path / "a")), whole))
+    policy = oee.tasks.gridworld_expert(3)
+    tables = [oee.evaluate(problem, policy, seed=0) for problem in (ours, plain)]
+    assert [r.estimator for r in tables[0].results] == [r.estimator for r in tables[1].results]
+    assert "pdis" in [r.estimator for r in tables[0].results]
+    for found, expected in zip(tables[0].results, tables[1].results, strict=True):
+        np.testing.assert_equal(found.estimate.value, expected.estimate.value)
+        assert found.estimate.interval == expected.estimate.interval
+    assert tables[0].warnings == tables[1].warnings
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_batches_change_nothing(tmp_path, ending, monkeypatch):
+    folder = written(tmp_path / "a", ending)
+    whole, some = Transitions.open(folder), Transitions.open(folder, kept_moves=60)
+    assert 0 < len(some.sample) <= 60 < len(whole.sample)
+    for rows, block in ((1, 100), (7, 200), (50, 1000)):
+        monkeypatch.setattr(parts, "BATCH", rows)
+        monkeypatch.setattr(parts, "_BLOCK", block)
+        same(Transitions.open(folder), whole)
+        same(Transitions.open(folder, kept_moves=60), some)
+
+
+def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path):
+    """As many as fit; their order is that of the files, and every episode comes first about as often as another."""
+    folder = written(tmp_path / "a", number=2, episodes=30)
+    keys = {}
+    for k, log in enumerate(logs(2, 30)):
+        salt = tally.Episodes(tally.Tally(parts.Part("", "", ("episode",)), f"part-{k}.parquet", tally.Limits())).salt
+        for e, key in enumerate(tally._mixed(np.arange(30), salt)):
+            keys[int(key)] = (k, e, log.select(log.episode == e))
+    order = sorted(keys)
+    for size in (5, 40, 100, 200):
+        fitting = np.cumsum([len(keys[key][2]) for key in order]) <= size
+        chosen = sorted((keys[key][:2], keys[key][2].state) for key, fits in zip(order, fitting, strict=True) if fits)
+        sample = Transitions.open(folder, kept_moves=size).sample
+        expected = np.concatenate([state for _, state in chosen]) if chosen else None
+        assert sample is None if expected is None else np.array_equal(sample.state, expected)
+    places = tally._mixed(np.arange(100_000), 12345).astype(np.float64) / 2.0**64
+    assert abs(places.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 1e5)
+    assert abs(np.corrcoef(places[:-1], places[1:])[0, 1]) < 5 / np.sqrt(1e5)
+
+
+def test_folders_name_columns_as_hive_does(tmp_path):
+    for action in range(2):
+        (tmp_path / f"action={action}" / "day=1").mkdir(parents=True)
+        frame = pd.DataFrame({"state": [0, 1], "next_state": [1, action]})
+        frame.to_parquet(tmp_path / f"action={action}" / "day=1" / "x.parquet", index=False)
+    found = Transitions.open(tmp_path)
+    assert_array_equal(found.columns()["action"], [0, 1, 0, 1])
+    assert_array_equal(found.next_state, [1, 1, 0, 1])
+    assert not found.by_episodes
+    assert found.sample is None
+
+
+def test_columns_that_a_log_does_not_know_are_named(tmp_path):
+    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_parquet(tmp_path / "l.parquet")
+    with pytest.warns(UserWarning, match="left out: battery"):
+        Transitions.open(tmp_path)
+
+
+def test_one_move_ended_and_not_and_rewards_that_vary(tmp_path):
+    pd.DataFrame(
+        {"state": [0, 0, 0], "action": 0, "next_state": 1, "reward": [1.0, -2.0, 5.0], "terminated": [0, 0, 1]}
+    ).to_csv(tmp_path / "l.csv", index=False)
+    found = Transitions.open(tmp_path / "l.csv")
+    assert_array_equal(found.count, [2, 1])
+    assert_array_equal(found.terminated, [False, True])
+    assert_array_equal(found.reward_sum, [-1.0, 5.0])
+    assert_array_equal(found.reward_min, [-2.0, 5.0])
+    assert_array_equal(found.reward_max, [1.0, 5.0])
+
+
+# ---- the kernels, against plain Python
+
+
+def test_the_table_grows_and_counts():
+    rng = np.random.default_rng(0)
+    keys = np.column_stack([rng.integers(0, 40, 20_000), rng.integers(0, 3, 20_000), rng.integers(0, 40, 20_000),
+                            rng.integers(0, 2, 20_000)])  # fmt: skip
+    keys[::97, 0] = 2**53 - 1
+    pay = rng.normal(size=20_000)
+    table = tally.Growing()
+    for k in range(0, 20_000, 3000):
+        sums = np.column_stack([np.ones(len(pay[k : k + 3000])), *[pay[k : k + 3000]] * 3])
+        table.add(tally.rows_of(keys[k : k + 3000], sums))
+    expected = {}
+    for key, reward in zip(map(tuple, keys.tolist()), pay, strict=True):
+        n, total, least, most = expected.get(key, (0, 0.0, np.inf, -np.inf))
+        expected[key] = (n + 1, total + reward, min(least, reward), max(most, reward))
+    key, sums = tally.in_order(*table.contents())
+    assert list(map(tuple, key.tolist())) == sorted(expected)
+    assert_array_equal(sums, [expected[one] for one in sorted(expected)])
+    assert len(key) <= 0.6 * len(table.table.key)
+
+
+# ---- rows that are none of a log
+
+
+def frame_of(**changes):
+    columns = {
+        "state": [0, 1, 2, 0, 1, 0, 1], "action": [0, 1, 0, 1, 0, 0, 0], "next_state": [1, 2, 3, 1, 2, 1, 2],
+        "reward": [0.0, 0.5, 1.0, -1.0, 0.0, 0.0, 0.0], "terminated": [0, 0, 1, 0, 0, 0, 0], "episode": [5, 5, 5, 6, 6, 7, 7],
+        "timestep": [0, 1, 2, 0, 1, 0, 1], "behavior_probability": [0.5] * 7, "truncated": [0, 0, 0, 0, 1, 0, 1],
+    }  # fmt: skip
+    frame = pd.DataFrame(columns)
+    for name, (row, value) in changes.items():
+        frame[name] = frame[name].astype(object)
+        frame.loc[row, name] = value
+    return frame
+
+
+VALUES = {
+    "negative": ("state", 4, -3, r"state\[4\] must be at least 0; it is -3"),
+    "outside": ("next_state", 4, 9, r"next_state\[4\] must be in 0\.\.8; it is 9"),
+    "action outside": ("action", 4, 4, r"action\[4\] must be in 0\.\.3; it is 4"),
+    "fraction": ("state", 4, 0.5, r"state\[4\] must be an integer; it is 0\.5"),
+    "huge": ("state", 4, 2**62, r"state\[4\] must be in 0\.\.8; it is 4611686018427387904"),
+    "beyond 64 bits": ("action", 4, 2**63 + 5, r"action\[4\] must be (in 0\.\.3|an integer); it is 92233720368547758"),
+    "infinite": ("reward", 4, np.inf, r"reward\[4\] must be finite; it is inf"),
+    "probability": ("behavior_probability", 4, 1.5, r"behavior_probability\[4\] must be in \[0, 1\]; it is 1\.5"),
+    "flag": ("terminated", 4, 7, r"terminated\[4\] must be a boolean \(or 0 or 1\); it is 7"),
+    "timestep": ("timestep", 4, -1, r"timestep\[4\] must be at least 0; it is -1"),
+    "missing": ("state", 4, None, r"state\[4\] must have a value; it has none"),
+    "no reward": ("reward", 4, None, r"reward\[4\] must have a value; it has none"),
+    "no episode": ("episode", 4, None, r"episode\[4\] must have a value; it has none"),
+    "episode fraction": ("episode", 4, 6.5, r"episode\[4\] must be an integer; it is 6\.5"),
+}
+WORDS = {
+    "word": ("state", 4, "x", r"state\[4\] must be an integer; it is x"),
+    "reward": ("reward", 4, "much", r"reward\[4\] must be finite; it is much"),
+    "flag": ("truncated", 4, "perhaps", r"truncated\[4\] must be a boolean"),
+    "date": ("episode", 4, "2020-01-01", r"episode\[4\] must be an integer; it is 2020-01-01"),
+}
+
+
+def bad_file(tmp_path, ending, name, row, value):
+    frame, path = frame_of(**{name: (row, value)}), tmp_path / f"bad{ending}"
+    frame_of().assign(episode=[1, 1, 1, 2, 2, 3, 3]).to_csv(tmp_path / "a.csv", index=False)
+    if ending == ".csv":
+        frame.to_csv(path, index=False)
+    else:
+        column = pd.array(frame[name].tolist(), dtype="Float64" if value is None or isinstance(value, float) else None)
+        big = isinstance(value, int) and value >= 2**63
+        frame.assign(**{name: np.array(frame[name], dtype=np.uint64) if big else column}).to_parquet(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+@pytest.mark.parametrize("case", [*VALUES, *(f"word: {word}" for word in WORDS)])
+def test_bad_rows_are_named_and_refused_or_counted(tmp_path, ending, case):
+    name, row, value, text = VALUES[case] if case in VALUES else WORDS[case.removeprefix("word: ")]
+    if case not in VALUES and ending == ".parquet":
+        pytest.skip("a column of words is refused by its type")
+    path = bad_file(tmp_path, ending, name, row, value)
+    with pytest.raises(ValueError, match=rf"'{re.escape(str(path))}': {text}.*bad_rows='drop'"):
+        Transitions.open(path, n_states=9, n_actions=4)
+    found = Transitions.open([path, tmp_path / "a.csv"], n_states=9, n_actions=4, bad_rows="drop")
+    assert found.recording.dropped == 1
+    assert len(found) == 13
+    assert re.search(text, found.recording.reasons[0])
+    assert found.recording.broken == 1 + (name == "episode")  # without a name it may be the next episode's
+    assert np.diff(found.sample.episode_starts).tolist() == ([3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2])
+    assert f"1 bad rows dropped, {found.recording.broken} episodes broken" in found.describe()
+
+
+@pytest.mark.parametrize("line", ["1,2", "1,0,2,0,0,6,1,0.5,1,9", '"1'])
+def test_lines_with_other_fields(tmp_path, line):
+    text = frame_of().to_csv(index=False).splitlines()
+    text.insert(5, line)
+    (tmp_path / "a.csv").write_text("\n".join(text) + "\n")
+    with pytest.raises(
+        ValueError, match=r"a\.csv': row 4 must have 9 fields, as the header has; it has \d+|a\.csv' must be"
+    ):
+        Transitions.open(tmp_path)
+    if line.startswith('"'):
+        return
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert (found.recording.dropped, len(found)) == (1, 7)
+    assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
+
+
+def test_numbers_of_rows_stay_right_behind_lost_lines_and_in_any_batch(tmp_path, monkeypatch):
+    text = frame_of().to_csv(index=False).splitlines()
+    text.insert(2, "1,2")
+    text[7] = text[7].replace("0,0,1", "x,0,1", 1)
+    (tmp_path / "a.csv").write_text("\n".join(text) + "\n")
+    for block in (2**20, 120, 100):
+        monkeypatch.setattr(parts, "_BLOCK", block)
+        found = Transitions.open(tmp_path, bad_rows="drop")
+        assert found.recording.dropped == 2
+        assert [reason.split("': ")[1][:16] for reason in found.recording.reasons] == [
+            "row 1 must have ",
+            "state[6] must be",
+        ]
+        assert len(found) == 6
+
+
+ORDER = {
+    "timestep": (
+        {"timestep": (4, 3)},
+        r"timestep\[4\] must be the number of the step in episode 6, in order from 0; it is 3",
+    ),
+    "apart": ({"state": (4, 0)}, r"state\[4\] must be the next_state of the row before, in episode 6; it is 0"),
+    "early": (
+        {"terminated": (3, 1)},
+        r"episode\[4\] must be another than that of the row before, which ended episode 6",
+    ),
+    "cut early": ({"truncated": (3, 1)}, r"episode\[4\] must be another than that of the row before, which ended"),
+}
+
+
+@pytest.mark.parametrize("case", ORDER)
+@pytest.mark.parametrize("rows", [1, 3, 100])
+def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case, rows, monkeypatch):
+    """Their moves are moves; the episode is none to be sampled."""
+    monkeypatch.setattr(parts, "BATCH", rows)
+    changes, text = ORDER[case]
+    frame_of(**changes).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
+    with pytest.raises(ValueError, match=text):
+        Transitions.open(tmp_path)
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert (len(found), found.recording.dropped, found.recording.broken) == (7, 0, 1)
+    assert re.search(text, found.recording.reasons[0])
+    assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
+
+
+@pytest.mark.parametrize("rows", [1, 2, 100])
+@pytest.mark.parametrize(
+    ("names", "row"), [([5, 5, 5, 6, 6, 5, 5], 5), ([5, 5, 5, 4, 4, 5, 5], 3), ([9, 9, 9, 2, 2, 9, 9], 5)]
+)
+def test_episodes_stand_together(tmp_path, rows, names, row, monkeypatch):
+    """Of names that grow by 1 the row is where they begin."""
+    monkeypatch.setattr(parts, "BATCH", rows)
+    frame_of().assign(episode=names).to_parquet(tmp_path / "a.parquet", index=False)
+    with pytest.raises(ValueError, match=rf"keep the rows .* together; {names[0]} begins again from row {row} on"):
+        Transitions.open(tmp_path)
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert len(found) == 7
+    assert found.sample is None
+    for fine in ([9, 9, 9, 2, 2, 5, 5], [1, 1, 1, 2, 2, 3, 3], [-1, -1, -1, 7, 7, 0, 0]):
+        frame_of().assign(episode=fine).to_parquet(tmp_path / "a.parquet", index=False)
+        assert Transitions.open(tmp_path).sample.n_episodes == 3
+
+
+# ---- files that are none of a log
+
+
+def test_files_that_are_none_are_named(tmp_path):
+    folder = written(tmp_path / "a")
+    with pytest.raises(FileNotFoundError):
+        Transitions.open(tmp_path / "none.parquet")
+    with pytest.raises(FileNotFoundError):
+        Transitions.open(f"{tmp_path}/*.none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(
+        ValueError, match=r"path must hold files in \.csv, \.parquet, \.npz; the folder .*empty' has none"
+    ):
+        Transitions.open(tmp_path / "empty")
+    with pytest.raises(ValueError, match=r"path must name each file once; .*part-0.parquet' is named twice"):
+        Transitions.open([folder, folder / "part-0.parquet"])
+    with pytest.raises(ValueError, match="path must name files"):
+        Transitions.open([])
+    (tmp_path / "x.txt").write_text("")
+    with pytest.raises(ValueError, match=r"path must end in .*x\.txt"):
+        Transitions.open(tmp_path / "x.txt")
+    with pytest.raises(ValueError, match="nothing is fetched"):
+        Transitions.open("s3://bucket/log.parquet")
+    frame_of().drop(columns="action").to_parquet(folder / "part-2.parquet", index=False)
+    with pytest.raises(ValueError, match=r"part-2\.parquet' must have the columns state, action, next_state; it has"):
+        Transitions.open(folder)
+    frame_of().drop(columns="truncated").to_parquet(folder / "part-2.parquet", index=False)
+    with pytest.raises(
+        ValueError, match=r"same columns; .*part-0\.parquet' has 'truncated', and .*part-2\.parquet' does not"
+    ):
+        Transitions.open(folder)
+    frame_of().astype({"action": str}).to_parquet(folder / "part-2.parquet", index=False)
+    with pytest.raises(
+        ValueError, match=r"column 'action' of .*part-2\.parquet' must hold integers; it holds (large_)?string"
+    ):
+        Transitions.open(folder)
+    (folder / "part-2.parquet").write_bytes(b"PAR1nothing")
+    with pytest.raises(ValueError, match=r"part-2\.parquet' must be a parquet table"):
+        Transitions.open(folder)
+    (tmp_path / "b.csv").write_text("")
+    with pytest.raises(ValueError, match=r"b\.csv' must have the columns state, action, next_state; it has none"):
+        Transitions.open(tmp_path / "b.csv")
+    (tmp_path / "b.csv").write_text("state,action,next_state\n")
+    with pytest.raises(ValueError, match="path must have at least one good row; of 1 files none has"):
+        Transitions.open(tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"bad_rows": "keep"}, r"bad_rows must be one of 'refuse', 'drop'; got 'keep'"),
+        ({"n_states": 0}, r"n_states must be a positive integer; it is 0"),
+        ({"n_actions": 1.5}, r"n_actions must be a positive integer; got 1\.5"),
+        ({"kept_moves": 0}, r"kept_moves must be a positive integer; it is 0"),
+        ({"jobs": 0}, r"jobs must be a positive integer; it is 0"),
+    ],
+)
+def test_bad_calls(tmp_path, options, text):
+    with pytest.raises(ValueError, match=text):
+        Transitions.open(written(tmp_path / "a", number=1), **options)
+
+
+# ---- processes, clusters, stops
+
+
+def test_processes_give_the_same_bytes(tmp_path):
+    folder = written(tmp_path / "a")
+    serial = Transitions.open(folder, kept_moves=100, output=tmp_path / "serial.npz")
+    same(serial, Transitions.open(folder, kept_moves=100, jobs=2, output=tmp_path / "two.npz"))
+    one, two = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("serial", "two"))
+    assert one["checksum"] == two["checksum"]
+
+
+def test_a_dask_cluster_gives_the_same_bits(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    folder = written(tmp_path / "a")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        found = Transitions.open(folder, dask=cluster.scheduler_address)
+    same(found, Transitions.open(folder))
+
+
+def test_a_scheduler_that_does_not_answer(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(_workers.client, "__wrapped__", None, raising=False)
+    start = time.perf_counter()
+    with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+        Transitions.open(written(tmp_path / "a", number=1), dask="tcp://127.0.0.1:9")
+    assert time.perf_counter() - start < 15
+
+
+def spoil(path):
+    data = bytearray(path.read_bytes())
+    data[8:200] = bytes(192)
+    path.write_bytes(data)
+
+
+def test_an_unreadable_part_is_named_and_the_rest_not_counted_twice(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    expected = Transitions.open(folder)
+    good = (folder / "part-2.parquet").read_bytes()
+    spoil(folder / "part-2.parquet")
+    with pytest.raises(ValueError, match=r"part-2\.parquet' must be a parquet table"):
+        Transitions.open(folder, output=output)
+    assert not output.exists()
+    told = json.loads(str(np.load(tmp_path / "c.partial.npz")["told"]))
+    assert list(told["files"]) == ["part-0.parquet", "part-1.parquet"]
+    (folder / "part-2.parquet").write_bytes(good)
+    same(Transitions.open(folder, output=output), expected)
+    same(TransitionCounts.load(output), expected)
+    assert not (tmp_path / "c.partial.npz").exists()
+    same(Transitions.open(output), expected)
+
+
+def test_a_stopped_count_goes_on_only_with_the_same(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    good = (folder / "part-2.parquet").read_bytes()
+    spoil(folder / "part-2.parquet")
+    with pytest.raises(ValueError, match="must be a parquet table"):
+        Transitions.open(folder, output=output)
+    (folder / "part-2.parquet").write_bytes(good)
+    with pytest.raises(
+        ValueError, match=r"settings must be those of the count that was stopped, .* delete .*c\.partial\.npz"
+    ):
+        Transitions.open(folder, output=output, n_states=9)
+    first = (folder / "part-0.parquet").read_bytes()
+    logs(5)[4].save(folder / "part-0.parquet")
+    with pytest.raises(ValueError, match=r"part-0\.parquet' must be as it was counted; it has changed since"):
+        Transitions.open(folder, output=output)
+    (folder / "part-0.parquet").unlink()
+    with pytest.raises(ValueError, match=r"files that were counted before the stop; 'part-0\.parquet' is gone"):
+        Transitions.open(folder, output=output)
+    (folder / "part-0.parquet").write_bytes(first)
+    arrays = dict(np.load(tmp_path / "c.partial.npz"))
+    arrays["sums"][0, 0] += 1
+    np.savez(tmp_path / "c.partial.npz", **arrays)
+    with pytest.raises(ValueError, match=r"c\.partial\.npz': the checksum must be that of the arrays"):
+        Transitions.open(folder, output=output)
+
+
+def test_bad_rows_that_stop_a_count_can_be_dropped_in_the_next(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    good = (folder / "part-3.parquet").read_bytes()
+    frame = pd.read_parquet(folder / "part-1.parquet").assign(reward=np.nan)
+    frame.to_parquet(folder / "part-1.parquet", index=False)
+    with pytest.raises(ValueError, match="must have a value|must be finite"):
+        Transitions.open(folder, output=output)
+    spoil(folder / "part-3.parquet")
+    with pytest.raises(ValueError, match="must be a parquet table"):
+        Transitions.open(folder, output=output, bad_rows="drop")
+    (folder / "part-3.parquet").write_bytes(good)
+    with pytest.raises(ValueError, match="bad_rows must be 'drop', as before the stop; it is 'refuse'; delete"):
+        Transitions.open(folder, output=output)
+    found = Transitions.open(folder, output=output, bad_rows="drop")
+    same(found, Transitions.open(folder, bad_rows="drop"))
+    assert found.recording.dropped == len(frame)
+
+
+KILLED = """
+import sys, time
+from oee_tabular import Transitions
+from oee_tabular.data import streaming, tally
+streaming.SECONDS, streaming.SHARE = 0.0, 1e9
+count = tally.count_part
+def slow(part, *rest):
+    if part.path.endswith("part-2.parquet"):
+        print("here", flush=True)
+        time.sleep(60)
+    return count(part, *rest)
+tally.count_part = slow
+Transitions.open(sys.argv[1], output=sys.argv[2])
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill -9 here")
+def test_kill_and_resume_counts_nothing_twice(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder), str(output)], stdout=subprocess.PIPE, env=dict(os.environ)
+    ) as process:
+        assert process.stdout.readline() == b"here\n"
+        process.kill()
+    assert not output.exists()
+    calls = []
+    count, tally.count_part = tally.count_part, lambda part, *rest: calls.append(part.path) or count(part, *rest)
+    try:
+        found = Transitions.open(folder, output=output)
+    finally:
+        tally.count_part = count
+    assert [path[-14:] for path in calls] == ["part-2.parquet", "part-3.parquet"]
+    same(found, Transitions.open(folder))
+    assert streaming.holds_counts(output)
