@@ -556,7 +556,7 @@ def test_files_that_hold_something_else(tmp_path):
     (tmp_path / "broken.parquet").write_bytes(b"no")
     (tmp_path / "no_columns.csv").write_text("s,a\n0,1\n")
     (tmp_path / "gap.csv").write_text("state,action,next_state\n0,1,2\n1,,2\n")
-    (tmp_path / "words.csv").write_text("state,action,next_state\n0,left,2\n")
+    (tmp_path / "words.csv").write_text("state,action,next_state\nhall,0,2\n")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "surplus.csv").write_text("state,action,next_state\n0,0,1,9\n")
     np.savez(tmp_path / "parts.npz", oee_tabular_kind=np.array("finite_mdp"), shape=np.array([2, 1]))
@@ -568,7 +568,7 @@ def test_files_that_hold_something_else(tmp_path):
         (Transitions.load, "broken.parquet", r"must be a parquet table"),
         (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),
         (Transitions.load, "gap.csv", r"column 'action' of .* must have a value in every row; row 1 has none"),
-        (Transitions.load, "words.csv", r"words.csv': action must hold integers"),
+        (Transitions.load, "words.csv", r"words.csv': state must hold integers"),
         (Transitions.load, "surplus.csv", r"must be a CSV table with a header; Length of header"),
         (
             FiniteMDP.load,

@@ -1,6 +1,9 @@
 """What a newcomer's own files run into: each was met by someone who had read the README alone."""
 
+import inspect
+
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -121,3 +124,81 @@ def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
         found = np.load(tmp_path / "next.npy")
         assert_allclose(found.sum() if free else found.sum(axis=1), 1.0)
         assert ("shares of the moves" in capsys.readouterr().out) == free
+
+
+# ---------------------------------------------------------------- a new user's own problem, as they would type it
+
+
+def navigation(slip):
+    """A grid of 4 x 4 with a goal, its states called by their row and column, its actions by where they lead."""
+    grid, words = oee.tasks.gridworld(4, slip=slip), ["north", "east", "south", "west"]
+    return [f"r{s // 4}c{s % 4}" for s in range(16)], words, grid
+
+
+def recorded():
+    """What a robot wrote down: one move a row, places and actions by name, and columns that nobody needs."""
+    places, words, target = navigation(0.1)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, horizon=40, seed=0)
+    return pd.DataFrame(
+        {
+            "when": pd.date_range("2026-01-01", periods=len(log), freq="s"),
+            "run": [f"run {k}" for k in log.episode],
+            "place": [places[s] for s in log.state],
+            "action": [words[a] for a in log.action],
+            "arrived": [places[s] for s in log.next_state],
+            "reward": log.reward,
+        }
+    )
+
+
+def a_navigation_grid():
+    places, words, grid = navigation(0.3)
+    moves, rewards, policy = grid.transitions, grid.transition_rewards, oee.tasks.gridworld_expert(4).argmax(axis=1)
+    table = recorded()
+    # theirs, from here on: arrays of the simulator, names, a DataFrame, a policy
+    simulator = oee.FiniteMDP(moves, rewards, places[0], 0.95, state_names=places, action_names=words)
+    log = oee.Transitions.from_frame(table, state="place", next_state="arrived", episode="run")
+    problem = oee.Problem(simulator, log, horizon=40)
+    return oee.interval(problem, {place: words[a] for place, a in zip(places, policy, strict=True)})
+
+
+def lines_of(function):
+    text = inspect.getsource(function).split("# theirs")[1]
+    return [line for line in text.splitlines()[1:] if line.strip()]
+
+
+def test_a_navigation_grid_with_places_in_a_data_frame():
+    """The interval is that of the same problem in numbers, holds the truth, and takes at most 8 lines."""
+    assert len(lines_of(a_navigation_grid)) <= 8
+    found = a_navigation_grid()
+    grid = navigation(0.3)[2]
+    target = navigation(0.1)[2]
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, horizon=40, seed=0)
+    expert = oee.tasks.gridworld_expert(4)
+    start = oee.FiniteMDP(grid.transitions, grid.transition_rewards, 0, 0.95)
+    same = oee.interval(oee.Problem(start, log, horizon=40), expert)
+    assert (found.lower, found.upper) == (same.lower, same.upper)
+    truth = oee.FiniteMDP(target.transitions, target.transition_rewards, 0, 0.95)
+    assert found.lower <= oee.policy_value(truth, expert, horizon=40) <= found.upper
+
+
+def test_what_a_navigation_grid_is_told_is_in_its_own_words():
+    places, words, grid = navigation(0.3)
+    simulator = grid.with_names(places, words)
+    table = recorded().rename(columns={"place": "state", "arrived": "next_state", "run": "episode"})
+    report = oee.evaluate(oee.Problem(simulator, table), {"north": lambda place: "north"}, estimators=["oee"], seed=0)
+    assert "What would help most: moves of action north in state r" in report.sureness.sentences[-1]
+    with pytest.raises(ValueError, match=r"it is 'r0c9' \(did you mean 'r0c"):
+        oee.Problem(simulator, table.drop(columns="episode").assign(state="r0c9"))
+    with pytest.raises(
+        ValueError, match=r"frame must have the columns state, action, next_state; it has when, run, place, "
+    ):
+        oee.Problem(simulator, recorded())
+
+
+def test_impossible_moves_are_allowed_in_a_line():
+    log = log_of([0, 0, 1, 2], [0, 0, 0, 0], [1, 2, 2, 3])
+    with pytest.raises(ValueError, match=r"simulator\.with_support_of\(log, epsilon\) gives every such move some"):
+        oee.Problem(dock(), log)
+    found = oee.interval(oee.Problem(dock().with_support_of(log, 0.01), log), [0, 0, 0, 0])
+    assert np.isfinite([found.lower, found.upper]).all()

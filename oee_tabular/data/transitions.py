@@ -79,15 +79,22 @@ class Transitions(Log):
         next_state: Any,
         reward: Any = None,
         *,
+        terminated: Any = None,
+        episode: Any = None,
+        timestep: Any = None,
+        behavior_probability: Any = None,
+        truncated: Any = None,
         state_names: Any = None,
         action_names: Any = None,
-        **columns: Any,
     ) -> None:
         (states, following), called = _coded({"state": state, "next_state": next_state}, state_names, "state_names")
         (actions,), acts = _coded({"action": action}, action_names, "action_names")
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
-        super().__init__(states, actions, following, reward, **columns)
+        super().__init__(
+            states, actions, following, reward, terminated=terminated, episode=episode, timestep=timestep,
+            behavior_probability=behavior_probability, truncated=truncated,
+        )  # fmt: skip
         for column, names in (("state", called), ("next_state", called), ("action", acts)):
             if names is not None and (bad := np.flatnonzero(getattr(self, column) >= len(names))).size:
                 raise ValueError(
@@ -313,6 +320,62 @@ class Transitions(Log):
         return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
 
 
+def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
+    """A log in the simulator's numbers: Transitions, a data frame, or a list of episodes; ValueError for anything else."""
+    if isinstance(value, list | tuple):
+        return Transitions.from_episodes(value, simulator=simulator)
+    if not isinstance(value, Transitions) and is_frame(value):
+        return Transitions.from_frame(value, simulator=simulator)
+    return _checks.instance(value, Transitions, name, "Transitions").numbered(simulator, name)
+
+
+def _coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
+    texts = {column: _names_in(value, column) for column, value in columns.items()}
+    found = {column: items for column, items in texts.items() if items is not None}
+    if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
+        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
+        return list(columns.values()), None if given is None else check_names(given, name, size)
+    if given is not None:
+        raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
+    first: dict[Name, int] = {}
+    codes = [
+        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
+    ]
+    return list(codes), check_names(list(first), name, len(first))
+
+
+def _names_in(value: Any, name: str) -> list[Any] | None:
+    """The items of a column of names; None for a column of anything else, which its own reader judges."""
+    if isinstance(value, list | tuple):
+        items, told = list(value), (str, tuple)
+    else:
+        array = _checks.as_array(value, name)
+        if array.dtype.kind not in "UO" or array.ndim != 1:
+            return None
+        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
+    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
+        return None
+    names = [item if type(item) is str else plain(item) for item in items]
+    try:
+        distinct = dict.fromkeys(names)
+    except TypeError as error:
+        raise ValueError(f"{name} must be a column of names; {error}") from None
+    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and reads_as_number(item))]
+    if len(odd) == len(distinct):
+        return None
+    if odd:
+        k = names.index(odd[0])
+        raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
+    return names
+
+
+def _as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
+    array = np.empty(len(names), dtype=object)
+    array[:] = names
+    return array
+
+
 class Moves(NamedTuple):
     """Of each row of a log: how many moves it stands for, the sum of their rewards, the least and the largest, (n,) each."""
 
@@ -365,56 +428,3 @@ def _distinct(numbers: IntArray) -> int:
         seen[numbers] = True
         return int(seen.sum())
     return len(np.unique(numbers))
-
-
-def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
-    """A log in the simulator's numbers: Transitions, a data frame, or a list of episodes; ValueError for anything else."""
-    if isinstance(value, list | tuple):
-        return Transitions.from_episodes(value, simulator=simulator)
-    if not isinstance(value, Transitions) and is_frame(value):
-        return Transitions.from_frame(value, simulator=simulator)
-    return _checks.instance(value, Transitions, name, "Transitions").numbered(simulator, name)
-
-
-def _coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
-    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
-    texts = {column: _names_in(value, column) for column, value in columns.items()}
-    found = {column: items for column, items in texts.items() if items is not None}
-    if not found:
-        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
-        return list(columns.values()), None if given is None else check_names(given, name, size)
-    if len(found) < len(columns) or given is not None:
-        numbers = ", ".join(column for column in columns if column not in found) or name
-        raise ValueError(f"{next(iter(found))} must hold numbers where {numbers} is given in numbers; it holds names")
-    first: dict[Name, int] = {}
-    codes = [
-        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
-    ]
-    return list(codes), check_names(list(first), name, len(first))
-
-
-def _names_in(value: Any, name: str) -> list[Any] | None:
-    """The items of a column of names; None for a column of anything else, which its own reader judges."""
-    if isinstance(value, list | tuple):
-        items, told = list(value), (str, tuple)
-    else:
-        array = _checks.as_array(value, name)
-        if array.dtype.kind not in "UO" or array.ndim != 1:
-            return None
-        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
-    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
-        return None
-    names = [plain(item) for item in items]
-    odd = [isinstance(item, str) and reads_as_number(item) for item in names]
-    if all(odd):
-        return None
-    for k, item in enumerate(names):
-        if not is_name(item) or odd[k]:
-            raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {item!r:.80}")
-    return names
-
-
-def _as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
-    array = np.empty(len(names), dtype=object)
-    array[:] = names
-    return array

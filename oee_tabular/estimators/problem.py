@@ -134,10 +134,10 @@ class Problem:
             object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
         for name in ("log", "episodes"):
             given = getattr(self, name)
-            if not (isinstance(given, TransitionCounts) and name == "log") and not (
-                given is None and name == "episodes"
-            ):
+            if not isinstance(given, TransitionCounts) and (name == "log" or given is not None):
                 object.__setattr__(self, name, as_log(given, self.simulator, name))
+        if self.episodes is not None:
+            _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
         object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
         if self.behavior_policy is not None:

@@ -7,6 +7,8 @@ import json
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -134,10 +136,28 @@ def reads_as_number(text: str) -> bool:
     return True
 
 
-def numbers_of(names: tuple[Name, ...]) -> dict[Hashable, int]:
-    """Name -> number; a tuple is found by its text as well, as files write it."""
-    found: dict[Hashable, int] = {str(item): k for k, item in enumerate(names)}
-    return found | {item: k for k, item in enumerate(names)}
+class _Same:
+    """A tuple of names as a key, by what it is and not by what it holds: found in O(1)."""
+
+    def __init__(self, names: tuple[Name, ...]) -> None:
+        self.names = names
+
+    def __hash__(self) -> int:
+        return id(self.names)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.names is other.names
+
+
+@lru_cache(maxsize=16)
+def _lookup(key: _Same) -> Mapping[Hashable, int]:
+    found: dict[Hashable, int] = {str(item): k for k, item in enumerate(key.names)}
+    return MappingProxyType(found | {item: k for k, item in enumerate(key.names)})
+
+
+def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
+    """Name -> number; a tuple is found by its text as well, as files write it. Made once for a tuple: O(1) from then on."""
+    return _lookup(_Same(names))
 
 
 def number_of(item: Any, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the simulator's") -> int:

@@ -160,7 +160,7 @@ def _row(choice: Any, mdp: Sized, names: Names, name: str) -> Array:
         for action, probability in choice.items():
             a = number_of(action, names.actions, mdp.n_actions, f"{name}'s action", "the MDP's")
             row[a] += _checks.number_in(probability, f"{name}[{action!r}]", 0.0, 1.0)
-    elif _is_number(given := plain(choice)) or (is_name(given) and _is_action(given, names)):
+    elif _is_number(given := plain(choice)) or (isinstance(choice, str | tuple) and _is_action(given, names)):
         row[number_of(given, names.actions, mdp.n_actions, name, "the MDP's")] = 1.0
     else:
         shape = np.shape(choice) if _depth(choice) else ()
@@ -177,4 +177,4 @@ def _row(choice: Any, mdp: Sized, names: Names, name: str) -> Array:
 
 def _is_action(given: Any, names: Names) -> bool:
     """A text is to be an action; a tuple where it is one's name, else it is probabilities."""
-    return isinstance(given, str) or given in numbers_of(names.actions or ())
+    return isinstance(given, str) or (is_name(given) and given in numbers_of(names.actions or ()))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.data import Transitions
+from oee_tabular.mdp.policy_forms import policy_table
 
 
 def record_episodes(
@@ -26,7 +28,7 @@ def record_episodes(
     Parameters
     ----------
     env : Gymnasium environment with discrete observations and actions
-    policy : (S, A)
+    policy : (S, A), or an action for each observation, a mapping, or a function of the observation (``mdp.check_policy``)
         Rows sum to 1; S at least the number of observations (twins of a FiniteMDP may follow).
     n_transitions, n_episodes : positive int
         Exactly one of them. With n_transitions the last episode is truncated where the log ends.
@@ -54,7 +56,7 @@ def record_episodes(
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
     n_states, n_actions = _sizes(env)
-    pi = _checks.float_array(policy, "policy", ndim=2)
+    pi = _checks.float_array(_table(policy, n_states, n_actions), "policy", ndim=2)
     if pi.shape[0] < n_states or pi.shape[1] != n_actions:
         raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
     _checks.require_nonnegative(pi, "policy")
@@ -105,6 +107,12 @@ def record_episodes(
         episode=numbers,
         behavior_probability=pi[states, actions],
     )
+
+
+def _table(policy: Any, n_states: int, n_actions: int) -> Any:
+    """A policy that is a function or a mapping of the observations, or an action for each, as (S, A)."""
+    numbered = SimpleNamespace(n_states=n_states, n_actions=n_actions, terminal_state=np.arange(n_states))
+    return policy_table(policy, numbered, "policy")
 
 
 def _sizes(env: Any) -> tuple[int, int]:

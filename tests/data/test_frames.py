@@ -1,0 +1,395 @@
+"""Logs as people have them: names, data frames of several libraries, episodes as lists of steps, and files of all these."""
+
+import pickle
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from numpy.testing import assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, Transitions
+
+STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
+ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
+MDP = FiniteMDP(ROWS, [-1.0, -1, 0], "hall", 0.9, state_names=STATES, action_names=ACTIONS)
+NUMBERS = replace(oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0), behavior_probability=None)
+
+
+def called(numbers, names):
+    return [names[k] for k in numbers]
+
+
+def frame():
+    columns = dict(NUMBERS.columns())
+    columns |= {"state": called(NUMBERS.state, STATES), "next_state": called(NUMBERS.next_state, STATES)}
+    return pd.DataFrame(columns | {"action": called(NUMBERS.action, ACTIONS)})
+
+
+NAMED = Transitions(**{name: frame()[name].tolist() for name in ("state", "action", "next_state")}, reward=NUMBERS.reward,
+                    episode=NUMBERS.episode, terminated=NUMBERS.terminated)  # fmt: skip
+
+
+def assert_same(one, other):
+    assert (one.state_names, one.action_names) == (other.state_names, other.action_names)
+    assert sorted(one.columns()) == sorted(other.columns())
+    for name, column in other.columns().items():
+        assert_array_equal(one.columns()[name], column, err_msg=name)
+
+
+# ---------------------------------------------------------------- names
+
+
+def test_names_are_numbered_in_their_order_and_matched_to_a_simulator_s():
+    log = Transitions(["b", "a", "c"], ["x", "y", "x"], ["a", "c", "b"])
+    assert (log.state_names, log.action_names) == (("b", "a", "c"), ("x", "y"))
+    assert log.state.tolist() == [0, 1, 2]
+    assert log.next_state.tolist() == [1, 2, 0]
+    assert_same(NAMED.numbered(MDP), NUMBERS)
+    assert NUMBERS.numbered(MDP) is NUMBERS
+
+
+def test_either_may_have_names_alone():
+    log = Transitions([0, 1], ["stay", "go"], [0, 2])
+    assert log.state_names is None
+    assert log.numbered(MDP).action.tolist() == [1, 0]
+    log = Transitions(["hall"], [1], [("room", 1)])
+    assert log.action_names is None
+    assert log.numbered(MDP).next_state.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    "make", [np.array, pd.Series, tuple, list, lambda x: np.array(x, dtype=object), pd.Categorical]
+)
+def test_whatever_holds_them(make):
+    log = Transitions(make(["a", "b"]), make(["x", "x"]), make(["b", "b"]))
+    assert (log.state_names, log.action.tolist()) == (("a", "b"), [0, 0])
+    assert all(type(name) is str for name in log.state_names)
+
+
+def test_tuples_and_what_reads_like_them():
+    log = Transitions([(0, 1), (1, 1)], [0, 0], [(1, 1), (0, 1)])
+    assert log.state_names == ((0, 1), (1, 1))
+    texts = Transitions(["hall", "('room', 1)"], [0, 0], ["('room', 1)", "dock"])
+    assert texts.numbered(MDP).next_state.tolist() == [1, 2]
+
+
+def test_names_follow_the_rows():
+    assert_same(NAMED.select(np.arange(len(NAMED))).numbered(MDP), NUMBERS.select(np.arange(len(NAMED))))
+    assert_same(NAMED.first(5).numbered(MDP), NUMBERS.first(5))
+    assert_same(NAMED.draw(7, seed=1).numbered(MDP), NUMBERS.draw(7, seed=1))
+    assert_same(
+        Transitions.concatenate([NAMED.first(9), NAMED]).numbered(MDP),
+        Transitions.concatenate([NUMBERS.first(9), NUMBERS]),
+    )
+    assert_same(replace(NAMED, reward=None).numbered(MDP), replace(NUMBERS, reward=None))
+    assert_same(pickle.loads(pickle.dumps(NAMED)), NAMED)
+    given = Transitions(NAMED.state, NAMED.action, NAMED.next_state, state_names=NAMED.state_names)
+    assert given.numbered(MDP.with_names(STATES)).state.tolist() == NUMBERS.state.tolist()
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "parquet"])
+def test_files_hold_them(ending, tmp_path):
+    NAMED.save(tmp_path / f"log.{ending}")
+    assert_same(Transitions.load(tmp_path / f"log.{ending}").numbered(MDP), NUMBERS)
+    if ending == "npz":
+        assert_same(Transitions.load(tmp_path / "log.npz"), NAMED)
+
+
+def test_a_data_set_of_minari_s_has_numbers(tmp_path):
+    with pytest.raises(
+        ValueError, match=r"^log must be in numbers to be a Minari data set; this one has names: log\.numbered"
+    ):
+        NAMED.save(tmp_path / "set")
+
+
+def test_the_command_takes_files_of_names(tmp_path, capsys):
+    MDP.save(tmp_path / "m.npz")
+    NAMED.save(tmp_path / "log.csv")
+    NUMBERS.save(tmp_path / "n.csv")
+    told = []
+    for log in ("log.csv", "n.csv"):
+        with pytest.raises(SystemExit) as ended:
+            oee_main(
+                [
+                    "evaluate",
+                    "--simulator",
+                    str(tmp_path / "m.npz"),
+                    "--log",
+                    str(tmp_path / log),
+                    "--policy",
+                    "uniform",
+                ]
+            )
+        assert not ended.value.code
+        told.append(
+            [line for line in capsys.readouterr().out.splitlines() if "log.csv" not in line and "n.csv" not in line]
+        )
+    assert told[0] == told[1]
+    assert "What would help most: moves of action go in state" in "\n".join(told[0])
+
+
+def oee_main(words):
+    from oee_tabular.cli import main
+
+    main(words)
+
+
+@pytest.mark.parametrize(
+    ("columns", "text"),
+    [
+        ((["a", "1"], [0, 0], ["a", "b"]), r"state\[1\] must be a name, as others of the column are; it is '1'$"),
+        ((["a", None], [0, 0], ["a", "b"]), r"state\[1\] must be a name, as others of the column are; it is None$"),
+        ((["a", "nan"], [0, 0], ["a", "b"]), r"state\[1\] must be a name"),
+        ((["1", "0"], [0, 0], [1, 0]), r"state must hold integers; it holds <U1$"),
+        (
+            (["a", "b"], [0, 0], [1, 0]),
+            r"state must hold integers; it holds <U1$",
+        ),
+        (
+            ([1, 0], [0, 0], ["a", "b"]),
+            r"next_state must hold integers; it holds <U1$",
+        ),
+        ((["a", "a "], [0, 0], ["a", "b"]), r"state_names\[1\] must not be empty, nor begin or end with a blank"),
+        (([(0, 1), (1, ())], [0, 0], ["a", "b"]), r"state\[1\] must be a name"),
+    ],
+)
+def test_bad_columns_of_names(columns, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        Transitions(*columns)
+
+
+def test_bad_names_of_numbers():
+    with pytest.raises(ValueError, match=r"^next_state\[0\] must have a name, of which there are 2; it is 2$"):
+        Transitions([0], [0], [2], state_names=["a", "b"])
+    with pytest.raises(ValueError, match=r"^action\[0\] must have a name, of which there are 1; it is 1$"):
+        Transitions([0], [1], [0], action_names=["a"])
+    with pytest.raises(ValueError, match=r"^state must hold numbers where state_names are given; it holds names$"):
+        Transitions(["a"], [0], ["b"], state_names=["a", "b"])
+    with pytest.raises(ValueError, match=r"^state_names must differ"):
+        Transitions([0], [0], [1], state_names=["a", "a"])
+
+
+def test_numbers_of_a_log_s_own_are_no_simulator_s():
+    """Counted as they stand, they would be taken for another's."""
+    with pytest.raises(
+        ValueError, match=r"^log must be in a simulator's numbers to be counted; .*: log\.numbered\(simulator\)$"
+    ):
+        NAMED.counts(3, 2)
+    zeta = [oee.transition_ratio(log, MDP).values.data for log in (NAMED, NUMBERS)]
+    assert_array_equal(*zeta)
+    paper = [
+        oee.transition_ratio(log, MDP, method="ratio_of_ratios", simulator_data=log).values.data
+        for log in (NAMED, NUMBERS)
+    ]
+    assert_array_equal(*paper)
+    problems = [oee.Problem(MDP, log, simulator_data=log, episodes=log) for log in (NAMED, NUMBERS)]
+    for part in ("log", "episodes", "simulator_data"):
+        assert_same(*(getattr(problem, part) for problem in problems))
+
+
+def test_names_that_the_simulator_has_not():
+    log = Transitions(["hall", "hal", "hall", "hal"], ["go"] * 4, ["hall"] * 4)
+    with pytest.raises(
+        ValueError,
+        match=r"^log\.state\[1\] must be one .* 'hal' \(did you mean 'hall'\?\); 2 such rows, of 1 name$",
+    ):
+        oee.Problem(MDP, log)
+    with pytest.raises(
+        ValueError, match=r"^log\.action\[0\] must be one of .*; it is 'jump' \(they are 'go', 'stay'\)$"
+    ):
+        oee.transition_ratio(Transitions([0], ["jump"], [0]), MDP)
+    with pytest.raises(
+        ValueError,
+        match=r"^log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names here; .*with_names",
+    ):
+        oee.Problem(MDP.with_names(), log)
+    with pytest.raises(ValueError, match=r"^episodes\.state\[1\] must be one of"):
+        oee.Problem(MDP, NUMBERS, episodes=log)
+    with pytest.raises(ValueError, match=r"^simulator must be a FiniteMDP; got int$"):
+        log.numbered(3)
+
+
+def test_episodes_that_do_not_follow_are_told_by_name():
+    with pytest.raises(
+        ValueError, match=r"^next_state\[0\] must be the state of row 1, .*; it is b, and state\[1\] is a "
+    ):
+        Transitions(["a", "a"], [0, 0], ["b", "a"], episode=[0, 0])
+
+
+def test_it_says_that_it_has_names():
+    assert "; 3 named states, 2 named actions; rewards" in repr(NAMED)
+    assert "; 2 named states, actions 0..1;" in repr(Transitions(["a"], [1], ["b"], [0.0]))
+
+
+# ---------------------------------------------------------------- frames
+
+
+def arrow(table):
+    columns = {name: table[name].tolist() for name in table.columns}
+    return pa.table(
+        {name: [str(x) for x in column] if isinstance(column[0], str) else column for name, column in columns.items()}
+    )
+
+
+def polars(table):
+    return pytest.importorskip("polars").DataFrame({name: table[name].tolist() for name in table.columns})
+
+
+@pytest.mark.parametrize("kind", [lambda table: table, arrow, polars, lambda table: polars(table).lazy()])
+def test_frames_of_any_library(kind):
+    plain = pd.DataFrame(NUMBERS.columns())
+    for table in (plain, plain.astype({"episode": str}), plain.assign(note="x")):
+        assert_same(Transitions.from_frame(kind(table)), NUMBERS)
+    texts = frame().assign(state=frame()["state"].map(str), next_state=frame()["next_state"].map(str))
+    assert_same(Transitions.from_frame(kind(texts), simulator=MDP), NUMBERS)
+    assert_same(oee.Problem(MDP, kind(texts)).log, NUMBERS)
+
+
+def test_an_index_is_not_looked_at():
+    shuffled = frame().set_index(pd.Index(np.arange(len(NUMBERS))[::-1]))
+    assert_same(Transitions.from_frame(shuffled, simulator=MDP), NUMBERS)
+    assert_same(Transitions.from_frame(shuffled), NAMED)
+
+
+def test_columns_by_their_names_there():
+    table = frame().rename(columns={"state": "from", "next_state": "to", "reward": "paid", "episode": "run"})
+    renamed = {"state": "from", "next_state": "to", "reward": "paid", "episode": "run"}
+    assert_same(Transitions.from_frame(table, simulator=MDP, **renamed), NUMBERS)
+    swapped = frame().rename(columns={"state": "next_state", "next_state": "state"})
+    assert_same(Transitions.from_frame(swapped, simulator=MDP, state="next_state", next_state="state"), NUMBERS)
+    nothing = Transitions.from_frame(frame(), simulator=MDP, reward=None)
+    assert_array_equal(nothing.reward, NUMBERS.reward)
+
+
+def test_several_columns_make_tuples():
+    table = pd.DataFrame({"x": [0, 0], "y": ["a", "b"], "u": [0, 1], "v": ["b", "b"], "action": [0, 0]})
+    log = Transitions.from_frame(table, state=["x", "y"], next_state=("u", "v"))
+    assert log.state_names == ((0, "a"), (0, "b"), (1, "b"))
+    assert log.next_state.tolist() == [1, 2]
+    grid = oee.tasks.gridworld(2, 0.1).with_names([(r, c) for r in range(2) for c in range(2)])
+    cells = pd.DataFrame({"r": [0.0, 1.0], "c": [0, 1], "r2": [0, 1], "c2": [1, 1], "action": [0, 0]})
+    log = Transitions.from_frame(cells, simulator=grid, state=["r", "c"], next_state=["r2", "c2"])
+    assert log.state.tolist() == [0, 3]  # 0.0 is 0
+
+
+BARE = pd.DataFrame({"state": [0, 0], "action": [0, 0], "next_state": [0, 0]})
+
+
+@pytest.mark.parametrize(
+    ("table", "columns", "text"),
+    [
+        (pd.DataFrame({"s": [0], "a": [0], "t": [0]}), {}, r"frame must have .*state; it has s, a, t \(say"),
+        (BARE.rename(columns={"state": "State"}), {}, r"frame must have .*; write state for 'State' \(say .*: state="),
+        (pd.DataFrame(), {}, r"frame must have the columns .*; it has none"),
+        (BARE.rename(columns={"state": "from"}), {"state": "form"}, r"state must be .*, from, .* \(did you mean 'from'\?\)$"),
+        (frame(), {"stat": "state"}, r"column_names must be of state, .*; got 'stat' \(did you mean state\?\)$"),
+        (frame(), {"state": 3}, r"state must be a column's name, or several; got int$"),
+        (frame(), {"state": []}, r"state must be the name of one column; it is \[\]$"),
+        (frame(), {"reward": ["reward", "episode"]}, r"reward must be the name of one column"),
+        (BARE.assign(reward=[0.0, np.nan]), {}, r"column 'reward' of the frame must have a value .*; row 1 has none$"),
+        (BARE.assign(action=["go", None]), {}, r"column 'action' of the frame must have .*; row 1 has none$"),
+        (pd.concat([BARE, BARE], axis=1), {}, r"frame must have columns that differ; "),
+        (frame().head(0), {}, r"state must have at least one row; the log is empty$"),
+        ({"state": [0], "action": [0], "next_state": [0]}, {}, r"frame must be a data frame \(.*\); got dict$"),
+        (np.zeros((3, 3)), {}, r"frame must be a data frame \(pandas, polars, arrow\); got ndarray$"),
+        (pd.Series([1]), {}, r"frame must be a data frame \(pandas, polars, arrow\); got Series$"),
+        (frame().assign(state=0.5), {}, r"state\[0\] must be an integer; it is 0\.5$"),
+        (frame().assign(state=0.5, next_state=1), {}, r"state\[0\] must be an integer; it is 0\.5$"),
+    ],
+)  # fmt: skip
+def test_bad_frames(table, columns, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        Transitions.from_frame(table, **columns)
+
+
+def test_names_of_a_frame_that_the_simulator_has_not():
+    with pytest.raises(ValueError, match=r"^frame\.action\[0\] must be one of .* it is 'goo' \(did you mean 'go'\?\)"):
+        Transitions.from_frame(frame().assign(action="goo"), simulator=MDP)
+
+
+def test_a_column_that_was_perhaps_meant_is_named_and_no_other():
+    table = frame().assign(rewards=1.0, note="x", Terminated=False).drop(columns=["reward", "terminated"])
+    with pytest.warns(
+        UserWarning, match=r"are left out: 'rewards' \(is it reward\? Then reward='rewards'\), 'Terminated' \(is it t"
+    ):
+        Transitions.from_frame(table)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Transitions.from_frame(frame().assign(note="x", reward_2=1.0))
+
+
+# ---------------------------------------------------------------- lists of steps
+
+
+def steps():
+    starts = NUMBERS.episode_starts
+    return [
+        [*((STATES[NUMBERS.state[k]], ACTIONS[NUMBERS.action[k]], NUMBERS.reward[k]) for k in range(low, high)),
+         (STATES[NUMBERS.next_state[high - 1]], bool(NUMBERS.terminated[high - 1]))]
+        for low, high in zip(starts[:-1], starts[1:], strict=True)
+    ]  # fmt: skip
+
+
+def test_episodes_as_lists_of_steps():
+    assert_same(Transitions.from_episodes(steps(), simulator=MDP), NUMBERS)
+    assert_same(oee.Problem(MDP, steps()).log, NUMBERS)
+    assert_same(Transitions.from_episodes(steps()), NAMED)
+
+
+def test_forms_of_a_step():
+    expected = Transitions([0, 1, 0], [1, 0, 1], [1, 2, 2], [1.0, 2.0, 3.0], episode=[0, 0, 1], terminated=[0, 1, 0])
+    for first in (
+        [(0, 1, 1.0), (1, 0, 2.0), (2, True)],
+        [(0, 1, 1.0), [1, 0, 2.0, 2, True]],
+        [(0, 1, 1.0, 1), (1, 0, 2.0), (2, np.True_)],
+        [(0, 1, 1.0, 1, False), (1, 0, 2.0, 2, True)],
+    ):
+        for second in ([(0, 1, 3.0), (2,)], [(0, 1, 3.0, 2)], ((0, 1, 3.0), (2, False))):
+            assert_same(Transitions.from_episodes([first, second]), expected)
+
+
+def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
+    with pytest.warns(
+        UserWarning, match=r"^the last moves of 2 episodes are left out, since nothing says where they led"
+    ):
+        log = Transitions.from_episodes([[(0, 0, 1.0), (1, 0, 2.0)], [(3, 0, 1.0)], [], [(2, 0, 5.0), (1,)]])
+    assert_array_equal(log.state, [0, 2])
+    assert_array_equal(log.reward, [1.0, 5.0])
+    assert log.truncated.all()
+
+
+@pytest.mark.parametrize(
+    ("episodes", "text"),
+    [
+        ([], r"episodes must have at least one move whose next state is known; they have none"),
+        ([[(0, 0, 1.0)]], r"episodes must have at least one move"),
+        ([[]], r"episodes must have at least one move"),
+        (3, r"episodes must be a list of episodes, each a list of steps; got int$"),
+        ([3], r"episodes\[0\] must be a list of steps; got int$"),
+        ([["hall", "go"]], r"episodes\[0\]\[0\] must be a step, \(state, action, reward\), .*; got str$"),
+        ([[(0, 0), (1, 0, 1.0), (2,)]], r"episodes\[0\]\[0\] must be a step, .*; it has 2 parts$"),
+        ([[(0, 0, 1.0, 1, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 6 parts$"),
+        ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of row 1"),
+        ([[(0, 0, "x"), (1,)]], r"reward must be an array of numbers"),
+        ([[(0, 0, 1.0), (1, "yes")]], r"terminated\[0\] must be a boolean"),
+    ],
+)
+def test_bad_episodes(episodes, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        Transitions.from_episodes(episodes)
+
+
+def test_what_is_no_log():
+    for value, name in (
+        (3, "int"),
+        (None, "NoneType"),
+        ({"state": [0]}, "dict"),
+        (np.zeros(3), "ndarray"),
+        ("log.csv", "str"),
+    ):
+        with pytest.raises(ValueError, match=f"^log must be Transitions; got {name}$"):
+            oee.Problem(MDP, value)

@@ -1,0 +1,193 @@
+"""The forms of a policy: an action a state, by number or name; a mapping; a function; several of them."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP
+from oee_tabular.mdp import check_policy
+from oee_tabular.mdp.policies import check_policies
+
+STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
+ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
+PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)
+NAMED = PLAIN.with_names(STATES, ACTIONS)
+GO_STAY = np.array([[1.0, 0], [0, 1], [0.5, 0.5]])
+LOG = oee.Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [-1.0, -1, -1], episode=[0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        {"hall": "go", ("room", 1): "stay"},
+        {0: 0, 1: 1, 2: [0.5, 0.5]},
+        {"hall": {"go": 1.0}, "('room', 1)": (0.0, 1.0), "dock": np.array([0.5, 0.5], dtype=np.float32)},
+        lambda state: {"hall": 0, ("room", 1): "stay"}.get(state),
+        lambda state: None if state == "dock" else np.int64(state != "hall"),
+        lambda state: {"go": float(state == "hall"), 1: float(state != "hall")} if state != "dock" else [0.5, 0.5],
+    ],
+)
+def test_by_name_and_as_a_function(policy):
+    assert_array_equal(check_policy(policy, NAMED), GO_STAY)
+
+
+@pytest.mark.parametrize("policy", [[0, 1, 1], (0, 1, 1), np.array([0, 1, 1], np.uint8), ["go", "stay", "stay"],
+                                    np.array(["go", "stay", "stay"]), np.array(["go", "stay", "stay"], object)])  # fmt: skip
+def test_an_action_a_state(policy):
+    assert_array_equal(check_policy(policy, NAMED), [[1, 0], [0, 1], [0, 1]])
+
+
+def test_a_function_without_names_is_given_numbers():
+    seen = []
+    check_policy(lambda state: seen.append(state) or 0, PLAIN)
+    assert seen == [0, 1, 2]
+    assert all(type(state) is int for state in seen)
+
+
+def test_actions_that_are_called_by_tuples():
+    """Moves on a grid; a list of pairs of numbers stays a list of rows."""
+    mdp = PLAIN.with_names(None, [(0, 1), (1, 0)])
+    assert_array_equal(check_policy([(0, 1), (1, 0), (0, 1)], mdp), [[0, 1], [1, 0], [0, 1]])
+    assert_array_equal(check_policy({0: (0, 1), 1: [0, 1]}, mdp)[:2], [[1, 0], [0, 1]])
+    far = PLAIN.with_names(None, [("x", 1), ("y", 1)])
+    assert_array_equal(check_policy([("x", 1), ("y", 1), ("y", 1)], far), [[1, 0], [0, 1], [0, 1]])
+
+
+def test_twins_are_added():
+    """Of an environment's own number of states, as for arrays."""
+    table = {0: {0: [(0.5, 1, 1.0, False), (0.5, 1, 2.0, True)]}, 1: {0: [(1.0, 1, 0.0, False)]}}
+    env = type("Door", (), {"P": table, "initial_state_distrib": (1.0, 0.0), "state_names": ["in", "door"]})()
+    mdp = FiniteMDP.from_gymnasium(env)
+    assert mdp.state_names == ("in", "door", "door (over)")
+    for policy in ([0, 0], [0, 0, 0], lambda state: {"in": 0, "door": 0}[state], {"in": 0, "door": 0}):
+        assert_array_equal(check_policy(policy, mdp), np.ones((3, 1)))
+
+
+@pytest.mark.parametrize(
+    ("policy", "text"),
+    [
+        (lambda s: 0.5, r"policy\('hall'\) must be an action, or a distribution over the 2 actions; it is 0\.5$"),
+        (lambda s: None, r"policy\('hall'\) must be an action, or .*; it is None$"),
+        (lambda s: [0.5, 0.25], r"policy\('hall'\) must sum to 1 \(tolerance 1e-08\); it sums to 0\.75$"),
+        (
+            lambda s: [1.0, 0.0, 0.0],
+            r"policy\('hall'\) must be an action, or a distribution over the 2 actions; it is \[1",
+        ),
+        (lambda s: [1.5, -0.5], r"policy\('hall'\)\[1\] must be nonnegative"),
+        (lambda s: True, r"policy\('hall'\) must be an action"),
+        (lambda s: "gone", r"policy\('hall'\) must be one of the MDP's names; it is 'gone' \(did you mean 'go'\?\)$"),
+        (lambda s: 2, r"policy\('hall'\) must be in 0\.\.1; it is 2$"),
+        (lambda s: {"go": 0.5}, r"policy\('hall'\) must sum to 1"),
+        (lambda s: {"jump": 1.0}, r"policy\('hall'\)'s action must be one of the MDP's names; it is 'jump'"),
+        ({"hal": "go"}, r"policy's state must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
+        (
+            {"hall": "go"},
+            r"policy must have every state in which a task is not over; state \('room', 1\) is not there$",
+        ),
+        ({}, r"policy must have every state .*; state hall is not there \(2 such states in all\)$"),
+        ({"hall": 0, 0: 1}, r"policy's states must differ; state hall is given twice$"),
+        ([0, 1, 2], r"policy\[2\] must be in 0\.\.1; it is 2$"),
+        ([0, -1, 0], r"policy\[1\] must be in 0\.\.1; it is -1$"),
+        (["go", "stya", "go"], r"policy\[1\] must be one of the MDP's names; it is 'stya' \(did you mean 'stay'\?\)$"),
+        ([0, 1], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(2,\)$"),
+        ([0.0, 1.0, 0.0], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
+        ([True, False, True], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
+        ("go", r"policy must be an array of numbers"),
+        (None, r"policy must "),
+    ],
+)
+def test_bad_policies(policy, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        oee.policy_value(NAMED, policy)
+
+
+def test_names_where_there_are_none():
+    with pytest.raises(
+        ValueError, match=r"^policy\[0\] must be a number in 0\.\.1, since the MDP has no names here; .* 'go'"
+    ):
+        check_policy(["go"] * 3, PLAIN)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda pi: oee.policy_value(NAMED, pi),
+        lambda pi: oee.policy_value(NAMED, pi, horizon=7),
+        lambda pi: oee.policy_value(NAMED.with_discount(0.9999), pi, horizon=20_000),
+        lambda pi: oee.state_values(NAMED, pi, horizon=3).tolist(),
+        lambda pi: oee.action_values(NAMED, pi).tolist(),
+        lambda pi: oee.occupancy(NAMED, pi, horizon=5).tolist(),
+        lambda pi: oee.return_moments(NAMED, pi, horizon=5).mean,
+        lambda pi: oee.sample_transitions(NAMED, oee.occupancy(NAMED, pi), 9, seed=0).state.tolist(),
+        lambda pi: oee.sample_episodes(NAMED, pi, 4, 5, seed=0).state.tolist(),
+        lambda pi: oee.efficiency_bound(NAMED, pi, np.full((3, 2), 1 / 6)),
+        lambda pi: oee.interval(oee.Problem(NAMED, LOG), pi).lower,
+        lambda pi: oee.estimators.OffEnvironment()(oee.Problem(NAMED, LOG, behavior_policy=pi), pi).value,
+        lambda pi: oee.estimators.ImportanceSampling()(oee.Problem(NAMED, LOG, 2, np.full((3, 2), 0.5)), pi).value,
+        lambda pi: oee.transition_ratio(LOG, NAMED, values_of=pi).values.toarray().tolist(),
+        lambda pi: oee.transition_ratio(LOG, NAMED, values_of=[pi, np.full((3, 2), 0.5)]).values.toarray().tolist(),
+        lambda pi: oee.plan_data_collection(oee.Problem(NAMED, LOG), pi, n=9).next_pairs,
+        lambda pi: oee.plan_data_collection(NAMED, {"a": pi}, n=9).next_pairs,
+        lambda pi: oee.evaluate(oee.Problem(NAMED, LOG), pi, estimators=["oee"], seed=0).records()[0]["value"],
+    ],
+)
+def test_wherever_an_array_is_taken(call):
+    """Four forms of one policy, one answer."""
+    array = np.array([[1.0, 0], [0, 1], [1, 0]])
+    expected = call(array)
+    for form in (
+        [0, 1, 0],
+        ["go", "stay", "go"],
+        {"hall": "go", ("room", 1): 1, "dock": 0},
+        lambda s: int(s == ("room", 1)),
+    ):
+        assert call(form) == expected
+
+
+def test_environments_other_than_ours_take_actions_too():
+    from oee_tabular.tasks import make_environment, record_episodes
+
+    actions = np.arange(16) % 4
+    env = make_environment("FrozenLake-v1")
+    one, other = (record_episodes(env, pi, n_episodes=3, seed=0) for pi in (actions, np.eye(4)[actions]))
+    assert_array_equal(one.state, other.state)
+    with pytest.raises(ValueError, match=r"^policy\[1\] must be in 0\.\.3; it is 4$"):
+        record_episodes(env, [0, 4] + [0] * 14, n_episodes=3, seed=0)
+
+
+def test_a_mixture_with_actions():
+    assert_array_equal(oee.mix([0, 1], [[0.5, 0.5]] * 2, 0.5), [[0.75, 0.25], [0.25, 0.75]])
+    assert_array_equal(oee.mix([[0.5, 0.5]] * 2, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]])
+    with pytest.raises(ValueError, match=r"^policy_b\[1\] must be in 0\.\.1; it is 2$"):
+        oee.mix([[0.5, 0.5]] * 2, [0, 2], 0.5)
+    with pytest.raises(ValueError, match=r"^policy_a must have 2 or 3 dimension"):
+        oee.mix([0, 1], [0, 1], 0.5)
+
+
+def test_one_or_several():
+    one = np.array([[1.0, 0], [0, 1], [0, 1]])
+    for policies, names in (
+        (one, ["policy"]), (one.tolist(), ["policy"]), ([0, 1, 1], ["policy"]), (["go", "stay", "stay"], ["policy"]),
+        ({"hall": "go", ("room", 1): "stay", "dock": "stay"}, ["policy"]), ({0: 0, 1: 1, 2: 1}, ["policy"]),
+        (lambda s: int(s != "hall"), ["policy"]),
+        ([one, [0, 1, 1]], ["policy 0", "policy 1"]), ([[0, 1, 1], [0, 1, 1]], ["policy 0", "policy 1"]),
+        ([lambda s: int(s != "hall")], ["policy 0"]), ([{0: 0, 1: 1, 2: 1}], ["policy 0"]),
+        ({"a": one, "b": [0, 1, 1]}, ["a", "b"]), ({0: one, 1: one}, ["0", "1"]),
+        ({"hall": lambda s: int(s != "hall")}, ["hall"]),
+    ):  # fmt: skip
+        found = check_policies(policies, NAMED)
+        assert list(found) == names
+        for policy in found.values():
+            assert_array_equal(policy, one)
+    assert check_policies([], NAMED) == check_policies({}, NAMED) == {}
+    with pytest.raises(ValueError, match=r"^policy 'a'\[2\] must be in 0\.\.1; it is 2$"):
+        oee.evaluate(oee.Problem(NAMED, LOG), {"a": [0, 1, 2]})
+    with pytest.raises(ValueError, match=r"^policies must hold at least one; it is empty$"):
+        oee.evaluate(oee.Problem(NAMED, LOG), [])
+
+
+def test_lists_of_actions_as_many_as_states():
+    """Three policies of three states: not rows, since there are two actions."""
+    assert list(check_policies([[0, 1, 1]] * 3, NAMED)) == ["policy 0", "policy 1", "policy 2"]
+    assert list(check_policies([[1, 0]] * 3, NAMED)) == ["policy"]

@@ -1,0 +1,301 @@
+"""MDPs from samples: a log's frequencies, an environment that is stepped, and support for a log's moves."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, Transitions
+
+GRID = oee.tasks.gridworld(3, slip=0.3)
+LOG = oee.sample_episodes(GRID, oee.uniform_policy(GRID), 400, 40, seed=0)
+FILLED = "never recorded and are filled in"
+
+
+def dense(mdp):
+    return mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
+
+
+# ---------------------------------------------------------------- a log
+
+
+def test_frequencies_are_those_of_the_counts():
+    mdp = FiniteMDP.from_log(LOG, GRID.transition_rewards, discount=0.9, layout=GRID.layout)
+    counts = LOG.counts(9, 4).toarray()
+    expected = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    seen = counts.sum(axis=1) > 0
+    assert_allclose(mdp.transitions.toarray()[seen], expected[seen], rtol=1e-14)
+    assert_array_equal(mdp.initial, np.bincount(LOG.state[LOG.episode_starts[:-1]], minlength=9) / LOG.n_episodes)
+    assert mdp.discount == 0.9
+    assert_array_equal(mdp.layout, GRID.layout)
+    alive = ~mdp.absorbing()
+    assert_allclose(mdp.rewards[alive], GRID.with_transitions(mdp.transitions).rewards[alive], rtol=1e-12)
+
+
+def test_rewards_are_the_log_s_means_or_those_given():
+    log = Transitions([0, 0, 0, 1], [0, 0, 0, 0], [0, 1, 1, 1], [1.0, 2.0, 4.0, 7.0])
+    assert FiniteMDP.from_log(log).transition_rewards.toarray().tolist() == [[1.0, 3.0], [0.0, 7.0]]
+    for rewards in ([5.0, 6.0], [[5.0], [6.0]]):
+        mdp = FiniteMDP.from_log(log, rewards)
+        assert mdp.transition_rewards is None
+        assert mdp.rewards.tolist() == [[5.0], [6.0]]
+    table = np.array([[[1.0, 10.0]], [[100.0, 1000.0]]])
+    for rewards in (table, sparse.csr_array(table.reshape(2, 2))):
+        assert FiniteMDP.from_log(log, rewards).rewards.round(9).tolist() == [[7.0], [1000.0]]
+    bare = Transitions([0], [0], [0])
+    with pytest.raises(ValueError, match=r"^rewards must be given where the log has none; they are None$"):
+        FiniteMDP.from_log(bare)
+    with pytest.raises(ValueError, match=r"^rewards must have shape \(1,\); it has shape \(2,\)$"):
+        FiniteMDP.from_log(bare, [1.0, 2.0])
+    with pytest.raises(ValueError, match=r"^rewards must have 1 or 2 or 3 dimension"):
+        FiniteMDP.from_log(bare, 3.0)
+
+
+@pytest.mark.parametrize("rewards", [None, [1.0, 2.0, 5.0]])
+def test_where_moves_terminated_it_is_over_and_pays_nothing(rewards):
+    log = Transitions(["a", "b"], ["x", "x"], ["b", "c"], [1.0, 2.0], episode=[0, 0], terminated=[0, 1])
+    mdp = FiniteMDP.from_log(log, rewards, discount=0.5)
+    assert (mdp.state_names, mdp.action_names) == (("a", "b", "c"), ("x",))
+    assert mdp.rewards.tolist() == [[1.0], [2.0], [0.0]]
+    assert mdp.absorbing().tolist() == [False, False, True]
+    assert oee.policy_value(mdp, ["x"] * 3) == 2.0
+
+
+@pytest.mark.parametrize("rewards", [None, [1.0, 1.0]])
+def test_a_state_that_ends_and_goes_on_gets_a_twin(rewards):
+    log = Transitions([0, 1, 0], [0, 0, 0], [1, 1, 1], [1.0, 1.0, 1.0], terminated=[0, 1, 1])
+    mdp = FiniteMDP.from_log(log, rewards, layout=[3, 4])
+    assert mdp.transitions.toarray().tolist() == [[0, 0.5, 0.5], [0, 0, 1], [0, 0, 1]]
+    assert mdp.terminal_state.tolist() == [0, 2]
+    assert mdp.rewards.tolist() == [[1.0], [1.0], [0.0]]
+    assert mdp.layout.tolist() == [[3], [4], [4]]
+    oee.Problem(mdp, log)  # its own log is possible in it
+
+
+def test_pairs_never_recorded_do_as_the_others_do_and_are_told():
+    log = Transitions([0, 0, 0], [0, 0, 2], [0, 1, 1], [3.0, 6.0, 9.0])
+    with pytest.warns(UserWarning, match=rf"^4 pairs .*{FILLED} .*: s=0, a=1; s=1, a=0; s=1, a=1; \.\.\."):
+        mdp = FiniteMDP.from_log(log)
+    assert_allclose(dense(mdp)[0], [[0.5, 0.5], [1 / 3, 2 / 3], [0, 1]], rtol=1e-15)
+    assert_allclose(
+        mdp.rewards[0], [4.5, (3 + 6 + 9) / 3, 9.0], rtol=1e-15
+    )  # the mean of the recorded moves, by their number
+    assert_array_equal(dense(mdp)[1], [[0, 1]] * 3)
+    assert_array_equal(mdp.rewards[1], 0.0)
+
+
+def test_states_that_the_log_never_met_are_not_told():
+    log = Transitions([0], [0], [0], [1.0])
+    mdp = FiniteMDP.from_log(log, n_states=3)
+    assert mdp.closed().tolist() == [True] * 3
+    with pytest.warns(
+        UserWarning, match=f"^3 pairs .*{FILLED}"
+    ):  # one action, two states that may begin, one with another
+        FiniteMDP.from_log(log, n_states=2, n_actions=2, initial={0: 0.5, 1: 0.5})
+
+
+def test_sizes_names_and_starts():
+    log = Transitions(["b", "a"], [1, 1], ["a", "b"], [1.0, 2.0])
+    with pytest.warns(UserWarning, match=f"^4 pairs .*{FILLED}.*: s=a, a=left; s=b, a=left; s=c, a=left; "):
+        mdp = FiniteMDP.from_log(log, state_names=["a", "b", "c"], action_names=["left", "right"], initial="c")
+    assert mdp.initial.tolist() == [0, 0, 1]
+    assert dense(mdp)[:, 1].tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+    bag = Transitions([0, 0, 1], [0, 0, 0], [1, 1, 0], [0.0] * 3)
+    assert_allclose(FiniteMDP.from_log(bag).initial, [2 / 3, 1 / 3])
+    for call, text in (
+        (lambda: FiniteMDP.from_log(log, state_names=["a", "c"]), r"log\.state\[0\] must be .* 'b' \(they are 'a', 'c'\)$"),
+        (lambda: FiniteMDP.from_log(LOG, n_states=8), r"n_states must be at least 9, for the log has state 8; it is 8$"),
+        (lambda: FiniteMDP.from_log(LOG, n_actions=3), r"n_actions must be at least 4, for the log has action 3; it is 3$"),
+        (lambda: FiniteMDP.from_log(LOG, n_states=2.0), r"n_states must be a positive integer"),
+        (lambda: FiniteMDP.from_log(LOG, state_names=["a"]), r"n_states must be at least 9, for the log has state 8; it is 1$"),
+        (lambda: FiniteMDP.from_log(LOG, state_names=["a"] * 9), r"state_names must differ"),
+        (lambda: FiniteMDP.from_log(LOG, initial=9), r"initial must be in 0\.\.8; it is 9$"),
+        (lambda: FiniteMDP.from_log(LOG, initial=[0.5] * 9), r"initial must sum to 1"),
+        (lambda: FiniteMDP.from_log(LOG.state), r"log must be Transitions; got ndarray$"),
+        (lambda: FiniteMDP.from_log(Transitions), r"log must be Transitions; got type$"),
+        (lambda: FiniteMDP.from_log(LOG, discount=2), r"discount must be in \[0, 1\]"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=f"^{text}"):
+            call()
+
+
+# ---------------------------------------------------------------- an environment
+
+
+class Corridor(gymnasium.Env):
+    """Places 0 to 3; forwards succeeds in 3 of 4, and 3 is over; observed as texts, pairs or numbers."""
+
+    action_space = spaces.Discrete(2)
+    observation_space = spaces.Tuple([spaces.Discrete(4), spaces.Discrete(2)])
+
+    def __init__(self, seen=lambda place: (place, 0), limit=50):
+        self.seen, self.limit = seen, limit
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place, self.steps = 0, 0
+        return self.seen(0), {}
+
+    def step(self, action):
+        self.steps += 1
+        self.place += int(action == 1 and self.np_random.random() < 0.75)
+        return self.seen(self.place), -1.0, self.place == 3, self.steps == self.limit, {}
+
+
+@pytest.mark.parametrize(
+    ("seen", "names"),
+    [
+        (lambda place: (place, 0), ((0, 0), (1, 0), (2, 0), (3, 0))),
+        (lambda place: np.array([place, 7]), ((0, 7), (1, 7), (2, 7), (3, 7))),
+        (lambda place: "dcba"[place], ("a", "b", "c", "d")),
+        (lambda place: np.int64(place), None),
+    ],
+)
+def test_an_environment_is_stepped_until_every_pair_has_its_samples(seen, names):
+    mdp = FiniteMDP.from_env(Corridor(seen), samples_per_pair=400, seed=0, discount=0.9)
+    assert (mdp.n_states, mdp.n_actions, mdp.state_names) == (4, 2, names)
+    order = [3, 2, 1, 0] if names == ("a", "b", "c", "d") else [0, 1, 2, 3]
+    rows = dense(mdp)[np.ix_(order, range(2), order)]
+    assert_array_equal(rows[:3, 0], np.eye(4)[:3])
+    assert_allclose(rows[:3, 1], 0.25 * np.eye(4)[:3] + 0.75 * np.eye(4)[1:], atol=4 * np.sqrt(0.75 * 0.25 / 400))
+    assert mdp.absorbing()[order].tolist() == [False, False, False, True]
+    assert mdp.initial[order].tolist() == [1, 0, 0, 0]
+    assert mdp.rewards[order].tolist() == [[-1, -1]] * 3 + [[0, 0]]
+
+
+def test_each_pair_has_at_least_its_samples_and_few_more():
+    taken = []
+    env = Corridor()
+    step = env.step
+    env.step = lambda action: (taken.append((env.place, action)), step(action))[1]
+    FiniteMDP.from_env(env, samples_per_pair=30, seed=0)
+    counts = [taken.count((place, action)) for place in range(3) for action in range(2)]
+    assert min(counts) == 30
+    assert sum(counts) < 3 * 6 * 30
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_others():
+    one, two, other = (FiniteMDP.from_env(Corridor(), samples_per_pair=20, seed=seed) for seed in (0, 0, 1))
+    assert_array_equal(one.transitions.data, two.transitions.data)
+    assert not np.array_equal(one.transitions.data, other.transitions.data)
+
+
+def test_numbers_that_no_episode_meets_stay():
+    env = Corridor(int)
+    env.observation_space = spaces.Discrete(6)
+    mdp = FiniteMDP.from_env(env, samples_per_pair=2, seed=0)
+    assert mdp.n_states == 6
+    assert mdp.absorbing().tolist() == [False] * 3 + [True] * 3
+
+
+def test_it_stops_where_it_is_told():
+    with pytest.warns(UserWarning, match=r"^samples_per_pair, 5, was not reached within max_steps, 30, in [1-6] of"):
+        FiniteMDP.from_env(Corridor(), samples_per_pair=5, seed=0, max_steps=30)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: FiniteMDP.from_env(gymnasium.make("CartPole-v1"), samples_per_pair=1), r"env\.observation_space must be d"),
+        (lambda: FiniteMDP.from_env(gymnasium.make("Pendulum-v1"), samples_per_pair=1), r"env\.action_space must be Disc"),
+        (lambda: FiniteMDP.from_env(3, samples_per_pair=1), r"env\.action_space must be Discrete, from 0; it is None$"),
+        (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=0), r"samples_per_pair must be a positive integer; it is 0$"),
+        (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=1, max_steps=0), r"max_steps must be a positive integer"),
+        (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=1, seed="x"), r"seed must be what"),
+        (lambda: FiniteMDP.from_env(type("E", (), {"action_space": spaces.Discrete(2)})(), samples_per_pair=1), r"env must be"),
+    ],
+)  # fmt: skip
+def test_bad_environments(call, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        call()
+
+
+# ---------------------------------------------------------------- support
+
+
+def still(form):
+    rows = np.array([[[1.0, 0, 0], [0, 1, 0]], [[0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
+    rewards = np.array([[-1.0, -2], [-3, -4], [0, 0]])
+    paid = rewards if form == 2 else np.where(rows > 0, rewards[:, :, None], np.nan)
+    return FiniteMDP(rows, paid, 0, 0.9, layout=[0, 1, 2])
+
+
+@pytest.mark.parametrize("form", [2, 3])
+def test_only_rows_with_impossible_moves_change(form):
+    log = Transitions([0, 0, 0, 0, 1], [0, 0, 0, 1, 0], [0, 1, 2, 1, 2], [9.0, 5.0, 7.0, -2.0, -3.0])
+    simulator = still(form)
+    with pytest.raises(ValueError, match="No ratio exists there"):
+        oee.Problem(simulator, log)
+    allowing = simulator.with_support_of(log, 0.2)
+    rows = dense(simulator)
+    rows[0, 0] = [0.8, 0.1, 0.1]
+    assert_allclose(dense(allowing), rows, rtol=1e-15)
+    assert_array_equal(allowing.layout, simulator.layout)
+    assert oee.interval(oee.Problem(allowing, log), [0, 0, 0]).lower < 0
+    if form == 3:  # new moves pay what the log says, old ones what the simulator says
+        assert_allclose(allowing.transition_rewards.toarray()[0], [-1, 5, 7])
+        assert_allclose(allowing.rewards[0, 0], 0.8 * -1 + 0.1 * 5 + 0.1 * 7)
+    else:
+        assert_array_equal(allowing.rewards, simulator.rewards)
+
+
+def test_without_rewards_in_the_log_new_moves_pay_what_the_pair_pays():
+    counts = sparse.csr_array(([2.0], ([0], [1])), shape=(6, 3))
+    for log in (Transitions([0], [0], [1]), counts):
+        allowing = still(3).with_support_of(log, 0.25)
+        assert allowing.transition_rewards.toarray()[0, :2].tolist() == [-1.0, -1.0]
+        assert allowing.transitions.toarray()[0].tolist() == [0.75, 0.25, 0.0]
+
+
+def test_rewards_defined_beyond_the_support_are_kept():
+    rewards = np.full((3, 2, 3), 4.0)
+    allowing = still(2).with_rewards(rewards).with_support_of(Transitions([0], [0], [1], [9.0]), 0.5)
+    assert_array_equal(allowing.transition_rewards.toarray(), 4.0)
+
+
+def test_nothing_impossible_nothing_changed():
+    same = GRID.with_support_of(LOG, 0.1)
+    assert_array_equal(same.transitions.data, GRID.transitions.data)
+    assert_array_equal(same.reward_data, GRID.reward_data)
+
+
+def test_terminated_moves_lead_where_termination_leads():
+    mdp = FiniteMDP.from_gymnasium(gymnasium.make("FrozenLake-v1", is_slippery=False))
+    log = Transitions([14], [0], [15], terminated=[True])
+    allowing = mdp.with_support_of(log, 0.1)
+    assert allowing.transitions[[14 * 4], :].toarray()[0, [13, mdp.terminal_state[15]]].tolist() == [0.9, 0.1]
+    oee.Problem(allowing, log)
+
+
+def test_a_log_of_names_is_matched():
+    simulator = still(2).with_names(["x", "y", "z"], ["a", "b"])
+    allowing = simulator.with_support_of(Transitions(["x"], ["a"], ["z"]), 0.1)
+    assert allowing.transitions.toarray()[0].tolist() == [0.9, 0.0, 0.1]
+    assert allowing.names == simulator.names
+
+
+@pytest.mark.parametrize(
+    ("log", "epsilon", "text"),
+    [
+        (LOG, 2, r"epsilon must be in \(0, 1\); it is 2$"),
+        (LOG, 0, r"epsilon must be in \(0, 1\); it is 0$"),
+        (LOG, 1, r"epsilon must be in \(0, 1\); it is 1$"),
+        (LOG, "x", r"epsilon must be a number; got 'x'$"),
+        (LOG, 0.1, r"log\.state\[\d+\] must be in 0\.\.2, the simulator's; it is \d$"),
+        (Transitions([0], [2], [0]), 0.1, r"log\.action\[0\] must be in 0\.\.1, the simulator's; it is 2$"),
+        (Transitions([0], [0], [3]), 0.1, r"log\.next_state\[0\] must be in 0\.\.2, the simulator's; it is 3$"),
+        (np.eye(3), 0.1, r"log must be Transitions; got ndarray$"),
+        (sparse.csr_array((3, 3)), 0.1, r"log must be of shape \(6, 3\) where it is counts; it has shape \(3, 3\)$"),
+        (
+            Transitions(["x"], [0], ["x"]),
+            0.1,
+            r"log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names",
+        ),
+    ],
+)
+def test_bad_support(log, epsilon, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        still(3).with_support_of(log, epsilon)
