@@ -110,7 +110,7 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
 
 
 def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
-    """(entries,) zeta on the moves of ``mdp``, 1 in states that are ``over``; a csr (S*A, S) or an object with such ``values``."""
+    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the moves; 1 in the states that are ``over``."""
     matrix = mdp.transitions
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != matrix.shape:
