@@ -59,10 +59,11 @@ def risk(g, p, q, lam=0.0):
     return q @ g - p[p > 0] @ np.log(g[p > 0]) + lam / 2 * (g @ g)
 
 
-def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10):
+def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10, **settings):
     """Eq. 3.7: argmin of the risk over nu <= g <= mu, stated as it is printed.   -> ratio.density_ratio
 
     The paper leaves the constraint sum q g = 1 to luck (its experiments on the gridworld); ``normalized`` states it.
+    g is within about sqrt(accuracy), the risk being flat at its least; ``settings`` are Clarabel's.
     """
     import cvxpy as cp
 
@@ -70,7 +71,7 @@ def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10):
     cost = q @ g - p[p > 0] @ cp.log(g[p > 0]) + lam / 2 * cp.sum_squares(g)
     constraints = [g >= nu, g <= mu] + [q @ g == 1] * normalized
     within = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), accuracy)
-    cp.Problem(cp.Minimize(cost), constraints).solve(solver="CLARABEL", **within)
+    cp.Problem(cp.Minimize(cost), constraints).solve(solver="CLARABEL", **within | settings)
     return g.value
 
 

@@ -146,9 +146,8 @@ class DoublyRobust(ExactLimit):
     def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
         model = problem.model
         zeta.on(model)  # or an error
-        _checks.require_memory(9.0 * self.n_rollouts, "n_rollouts", self.n_rollouts)
         steps = rollout_horizon(model.discount, problem.horizon)
-        rollouts = sampler(model, policy, self.n_rollouts, steps, seed=generator, zeta=zeta)
+        rollouts = sampler(model, policy, self.n_rollouts, steps, seed=generator, zeta=zeta, name="n_rollouts")
         values = _rollout_values(rollouts, _to_go(model, policy, problem.horizon, steps))
         value, error = mean_and_error(values)
         return Estimate(

@@ -59,8 +59,8 @@ def product_estimate(
 ) -> Estimate:
     """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error
-    _checks.require_memory(9.0 * n_rollouts, "n_rollouts", n_rollouts)
-    rollouts = sampler(model, policy, n_rollouts, rollout_horizon(model.discount, horizon), seed=seed, zeta=ratio)
+    steps = rollout_horizon(model.discount, horizon)
+    rollouts = sampler(model, policy, n_rollouts, steps, seed=seed, zeta=ratio, name="n_rollouts")
     drawn, per_decision = rollouts.sums(), weighting == "per_decision"
     if self_normalized and per_decision:
         value, error = _by_step(_weighted(rollouts, drawn), keep_last=True)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, checked, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import readable, rows_of, spectral_radius
@@ -96,19 +96,7 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
     """
     matrix = mdp.transitions
     over = mdp.absorbing()
-    w = np.ones(matrix.nnz)
-    if ratio is not None:
-        values = getattr(ratio, "values", ratio)
-        if not sparse.issparse(values) or values.shape != matrix.shape:
-            found = getattr(values, "shape", type(values).__name__)
-            raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
-        if np.iscomplexobj(values):
-            raise ValueError("zeta must hold real numbers; it is complex")
-        w, _ = align(canonical(checked(values, "zeta"), drop_zeros=False), matrix)
-        if not 0.0 <= w.min() <= w.max() < np.inf:
-            bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
-            raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
-        w[np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions]))] = 1.0
+    w = np.ones(matrix.nnz) if ratio is None else factors_of(mdp, ratio, over)
     act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
     u = np.ones_like(act)
     if policy is not None:
@@ -119,6 +107,23 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array
     pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
     drawn = readable(w), readable(act), readable(u)
     return Walk(*rows_of(matrix), *drawn, by_move, readable(pay), mdp.initial, mdp.discount)
+
+
+def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
+    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the moves; 1 in the states that are ``over``."""
+    matrix = mdp.transitions
+    values = getattr(ratio, "values", ratio)
+    if not sparse.issparse(values) or values.shape != matrix.shape:
+        found = getattr(values, "shape", type(values).__name__)
+        raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
+    if np.iscomplexobj(values):
+        raise ValueError("zeta must hold real numbers; it is complex")
+    w, _ = align(canonical(checked(values, "zeta"), drop_zeros=False), matrix)
+    if not 0.0 <= w.min() <= w.max() < np.inf:
+        bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
+        raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
+    w[np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions]))] = 1.0
+    return w
 
 
 def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int) -> tuple[Array, Array]:

@@ -3,13 +3,14 @@
 A way from counts to zeta is an object with its options, its formula and its limit:
 
 ``Conditional`` ("conditional", the default)
-    The simulator P is known: the program of eq. 3.7 for each row (s, a), shrunk to a prior row.
+    The simulator P is known: the program of eq. 3.7 for each row (s, a), shrunk to a prior row; or over ``Network``.
 ``InClass`` ("linear", "kernel")
     The same risk over zeta = 1 + Phi w: all rows share w.
 ``Tied`` ("tied")
     Entries with one key share one ratio, so that rows which are alike pool their counts.
 ``Quotient`` ("ratio_of_ratios")
-    The paper's: beta_sas' and beta_sa fitted apart against data of the simulator, zeta their quotient (eq. 4.4).
+    The paper's: beta_sas' and beta_sa fitted apart against data of the simulator, zeta their quotient (eq. 4.4); tables, or
+    over ``Network``.
 ``Joint`` ("joint")
     Both betas in one program, which makes the rows of zeta * P sum to 1.
 """

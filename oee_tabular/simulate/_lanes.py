@@ -104,9 +104,9 @@ def lanes_of(begin, end, plan, slots, outcome):
     """Trajectories begin .. end - 1, up to ``n_lanes`` at a time, four steps a pass: fills the outputs at their places.
 
     sums (4, n): G = sum_t gamma^t r_t; X, where each reward has its weight; the weight of the whole; the largest that a reward
-    has. An episode that is over takes the rest of its pass: nothing is paid, weights stand still. So does one at its horizon,
-    where nothing is paid either (``discounts`` go on with zeros up to a multiple of four), and then its state and its weights
-    go back. A pass in which a word of 32 bits may not have decided is taken one trajectory at a time.
+    has. An episode that is over takes the rest of its pass: nothing is paid and weights stand still. So does one at its
+    horizon, where nothing is paid either (``discounts`` go on with zeros up to a multiple of four), and then its state and its
+    weights go back. A pass in which a word of 32 bits may not have decided is taken one trajectory at a time.
     """
     key, horizon, n_lanes, most, start, over, discounts, weighted, by_move = plan
     word, following, reward, factor, entry = slots

@@ -75,7 +75,7 @@ def ours(mdp, policy, n):
 
     def program(*, weighted=False, record=False, records=None):
         ratio = np.ones(mdp.transitions.nnz if weighted else 0)  # which ratio it is does not matter to the clock
-        made = alias_table(mdp, policy, ratio, records=records)
+        made = alias_table(mdp, policy, ratio, mdp.absorbing(), records=records)
         sums, outcomes = np.empty((4, n)), np.empty((2, n), np.uint64)
         path = np.zeros(n * HORIZON if record else 0, np.int64)
 
@@ -157,7 +157,7 @@ def jax_scans(mdp, policy, sums, successors, paid, n):
     from oee_tabular.simulate.sampler import alias_table
 
     def alias(dtype):
-        made = alias_table(mdp, policy, np.zeros(0))
+        made = alias_table(mdp, policy, np.zeros(0), mdp.absorbing())
         code, entry = made.code[:-1].astype(np.int64), np.minimum(made.entry, mdp.transitions.nnz - 1)
         order = np.argsort(code)
         k = np.repeat(code[order] & 255, np.diff(code[order] >> 8, append=len(made.word))).astype(np.uint64)
