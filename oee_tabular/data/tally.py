@@ -457,6 +457,10 @@ def _probabilities(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], 
 def _flags(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
     if column.dtype.kind == "b":
         return column, []
+    if column.dtype.kind in "iuf":
+        ones = column == 1
+        fine = ones | (column == 0)
+        return ones, [] if fine.all() else [(~fine, "must be a boolean (or 0 or 1)", "")]
     words = np.char.lower(column.astype(str))
     true = np.isin(words, _TRUE)
     fine = true | np.isin(words, _FALSE)

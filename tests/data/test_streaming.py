@@ -331,6 +331,26 @@ def test_numbers_of_rows_stay_right_behind_lost_lines_and_in_any_batch(tmp_path,
         assert len(found) == 6
 
 
+def test_a_bad_row_behind_a_lost_line_and_a_lost_line_at_the_end(tmp_path):
+    text = frame_of().to_csv(index=False).splitlines()
+    text[2:3] = ["1,2", text[2].replace("1,1,2", "-4,1,2", 1)]
+    (tmp_path / "a.csv").write_text("\n".join([*text, "7"]) + "\n")
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert "state[2] must be at least 0; it is -4" in found.recording.reasons[1]
+    assert (found.recording.dropped, found.recording.broken) == (3, 2)
+    assert np.diff(found.sample.episode_starts).tolist() == [2]
+
+
+def test_several_faults_of_one_column_are_all_counted(tmp_path):
+    frame = frame_of().assign(state=[0, -1, 9, 0, -2, 0, 1])
+    frame.to_parquet(tmp_path / "a.parquet", index=False)
+    found = Transitions.open(tmp_path, n_states=9, bad_rows="drop")
+    assert (found.recording.dropped, len(found)) == (3, 4)
+    assert [reason.partition("': ")[2] for reason in found.recording.reasons] == [
+        "state[1] must be at least 0; it is -1", "state[2] must be in 0..8; it is 9",
+    ]  # fmt: skip
+
+
 ORDER = {
     "timestep": (
         {"timestep": (4, 3)},
