@@ -92,7 +92,7 @@ def _empty(slots: int) -> Any:
     memory = np.zeros(8 * (slots + 1), dtype=np.int64)
     first = -memory.ctypes.data % 64 // 8  # cells begin where cache lines do
     cell = memory[first : first + 8 * slots].reshape(slots, 8)
-    return _counting.Table(cell, cell.view(np.float64), np.zeros(2, dtype=np.int64))
+    return _counting.Table(cell, cell.view(np.float64), np.zeros(1, dtype=np.int64))
 
 
 def rows_of(key: IntArray, sums: Array) -> Any:
