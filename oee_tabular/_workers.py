@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 CONNECT = 5.0  # seconds to wait for a dask scheduler
@@ -26,10 +26,10 @@ def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
 
 
 def each(
-    function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], *, jobs: int, dask: str | None
+    function: Callable[..., Any], calls: Iterable[tuple[Any, ...]], number: int, *, jobs: int, dask: str | None
 ) -> Iterator[Any]:
-    """``function(*call)`` of each call, in the order of the calls; an error is raised in its place."""
-    if dask is None and (jobs == 1 or len(calls) < 2):
+    """``function(*call)`` of each of the ``number`` calls, in their order; an error is raised in its place."""
+    if dask is None and (jobs == 1 or number < 2):
         for call in calls:
             yield function(*call)
         return
@@ -45,6 +45,6 @@ def each(
             stack.enter_context(joblib.parallel_config("dask", pure=False))
         else:
             stack.enter_context(joblib.parallel_config("loky", inner_max_num_threads=1))
-        most = -1 if dask is not None or jobs == -1 else min(jobs, len(calls))
+        most = -1 if dask is not None or jobs == -1 else min(jobs, number)
         parallel = joblib.Parallel(n_jobs=most, return_as="generator", batch_size=1)
         yield from parallel(joblib.delayed(function)(*call) for call in calls)

@@ -219,7 +219,7 @@ def counts(
     ] = "refuse",
     kept_moves: Annotated[
         int, typer.Option(help="Moves of whole episodes to keep for importance sampling, drawn uniformly.")
-    ] = 500_000,
+    ] = 200_000,
     jobs: Jobs = 1,
     dask: Dask = None,
     overwrite: Overwrite = False,

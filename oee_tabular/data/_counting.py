@@ -17,20 +17,24 @@ CARRIED = 9
 
 
 class Table(NamedTuple):
-    """Open addressing: ``key`` (slots, 4) is s, a, s', ended; ``sums`` (slots, 4) number, total, least, most; ``used`` (1,)."""
+    """Open addressing. ``cell`` (slots, 8) integers, a cache line each: s, a, s', ended, then the bits of ``real``.
 
-    key: object
-    sums: object
+    ``real``: the same memory as floats; 4 to 7 are number, total, least, most. ``used`` (1,): slots taken.
+    """
+
+    cell: object
+    real: object
     used: object
 
 
 class Rows(NamedTuple):
-    """Rows to be added: their keys, and ``sums`` as in the table."""
+    """Rows to be added: their keys, what they paid (empty: nothing); ``sums`` (n, 4) of several (empty: each is one)."""
 
     state: object
     action: object
     next_state: object
     ended: object
+    reward: object
     sums: object
 
 
@@ -51,39 +55,38 @@ class Steps(NamedTuple):
 
 
 @njit(cache=True)
-def _slot(table, s, a, j, e):
-    """Where a key stands, or the free slot where it is to stand: linear probing from a mix of its four numbers."""
-    mask = np.uint64(table.key.shape[0] - 1)
+def _home(s, a, j, e, mask):
+    """The slot where the search for a key begins: a mix of its four numbers."""
     x = (np.uint64(s) * _A) ^ (np.uint64(a) * _B + _A) ^ ((np.uint64(j) + _C) * _C) ^ (np.uint64(e) << _D)
     x = (x ^ (x >> _D)) * _B
-    x = (x ^ (x >> _E)) & mask
-    while table.sums[x, 0] > 0.0:
-        k = table.key[x]
-        if k[0] == s and k[1] == a and k[2] == j and k[3] == e:
-            break
-        x = (x + np.uint64(1)) & mask
-    return x
+    return (x ^ (x >> _E)) & mask
 
 
 # number += n_i, total += t_i, least = min(least, l_i), most = max(most, m_i) at the slot of (s, a, s', ended), i = begin..
 @njit(cache=True)
 def add(table, rows, begin):
     """Add rows from ``begin`` on, in their order; the first that is left when the table is full, or how many there are."""
-    room = np.int64(FULL * table.key.shape[0])
-    for i in range(begin, len(rows.state)):
-        if table.used[0] >= room:
-            return i
+    cell, real = table.cell, table.real
+    mask = np.uint64(cell.shape[0] - 1)
+    room, n = np.int64(FULL * cell.shape[0]), len(rows.state)
+    paid, several = len(rows.reward) > 0, len(rows.sums) > 0
+    for i in range(begin, n):
         s, a, j, e = rows.state[i], rows.action[i], rows.next_state[i], rows.ended[i]
-        x = _slot(table, s, a, j, e)
-        if table.sums[x, 0] == 0.0:
+        x = _home(s, a, j, e, mask)
+        while real[x, 4] > 0.0 and not (cell[x, 0] == s and cell[x, 1] == a and cell[x, 2] == j and cell[x, 3] == e):
+            x = (x + np.uint64(1)) & mask
+        if real[x, 4] == 0.0:
+            if table.used[0] >= room:
+                return i
             table.used[0] += 1
-            table.key[x, 0], table.key[x, 1], table.key[x, 2], table.key[x, 3] = s, a, j, e
-            table.sums[x, 2], table.sums[x, 3] = np.inf, -np.inf
-        table.sums[x, 0] += rows.sums[i, 0]
-        table.sums[x, 1] += rows.sums[i, 1]
-        table.sums[x, 2] = min(table.sums[x, 2], rows.sums[i, 2])
-        table.sums[x, 3] = max(table.sums[x, 3], rows.sums[i, 3])
-    return len(rows.state)
+            cell[x, 0], cell[x, 1], cell[x, 2], cell[x, 3] = s, a, j, e
+            real[x, 6], real[x, 7] = np.inf, -np.inf
+        pay = rows.reward[i] if paid else 0.0
+        real[x, 4] += rows.sums[i, 0] if several else 1.0
+        real[x, 5] += rows.sums[i, 1] if several else pay
+        real[x, 6] = min(real[x, 6], rows.sums[i, 2] if several else pay)
+        real[x, 7] = max(real[x, 7], rows.sums[i, 3] if several else pay)
+    return n
 
 
 # ordinal_i = ordinal_(i-1) + [episode_i != episode_(i-1)]; a row is at fault where its timestep is not its place in the

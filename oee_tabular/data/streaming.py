@@ -36,7 +36,7 @@ def count_log(
     n_states: int | None = None,
     n_actions: int | None = None,
     bad_rows: str = "refuse",
-    kept_moves: int = 500_000,
+    kept_moves: int = 200_000,
     output: str | os.PathLike[str] | None = None,
     jobs: int = 1,
     dask: str | None = None,
@@ -58,9 +58,8 @@ def count_log(
     run = Run(names, limits, None if output is None else _files.local(output))
     run.resume()
     left = {name: part for name, part in names.items() if name not in run.done}
-    results = _workers.each(
-        tally.count_part, [(part, name, limits) for name, part in left.items()], jobs=jobs, dask=dask
-    )
+    calls = ((part, name, limits, int(run.sample.most), run.largest) for name, part in left.items())
+    results = _workers.each(tally.count_part, calls, len(left), jobs=jobs, dask=dask)
     try:
         for name, found in zip(left, _shown(results, len(names), len(run.done), progress), strict=True):
             run.add(name, found)
@@ -99,12 +98,16 @@ class Run:
     def __post_init__(self) -> None:
         self.partial = None if self.output is None else f"{self.output.removesuffix('.npz')}.partial.npz"
         self.moves = tally.Growing()
+        self.largest = 0  # different moves of a file
+        self.sample, self.sampled = tally.Sample(self.limits.kept), 0
         self.fresh, self.written, self.pause = False, time.monotonic(), SECONDS
 
     def add(self, name: str, found: Counted) -> None:
         """The counts of one more file."""
         self.moves.add(tally.rows_of(found.key, found.sums))
-        self.total = _added(self.total, found, self.limits.kept)
+        self.largest = max(self.largest, len(found.key))
+        self.total = _added(self.total, found)
+        self._keep(found.sample, found.most)
         self.done[name] = files.fingerprint(self.parts[name])
         self.fresh = True
         if self.partial is not None and time.monotonic() - self.written >= self.pause:
@@ -124,9 +127,9 @@ class Run:
                 json.dumps({"files": self.done, "settings": self._settings(), "reasons": self.total.reasons})
             ),
             "flags": np.array([self.total.rewarded, self.total.by_episodes]),
-            "most": np.array(self.total.most, dtype=np.uint64),
         }
-        arrays |= {f"sample_{name}": column for name, column in self.total.sample.items()}
+        arrays |= {f"sample_{name}": column for name, column in self.sample.columns().items()}
+        arrays["most"] = np.array(self.sample.most, dtype=np.uint64)
         _files.save_npz(self.partial, PARTIAL, sealed(arrays))
         self.fresh, self.written = False, time.monotonic()
         self.pause = max(SECONDS, (self.written - begun) / SHARE)
@@ -156,9 +159,16 @@ class Run:
         sample = {name.removeprefix("sample_"): column for name, column in arrays.items() if name.startswith("sample_")}
         rewarded, by_episodes = (bool(flag) for flag in arrays["flags"])
         self.total = Counted(
-            arrays["key"][:0], arrays["sums"][:0], arrays["facts"], tuple(told["reasons"]), rewarded, by_episodes, sample,
-            int(arrays["most"]),
+            arrays["key"][:0], arrays["sums"][:0], arrays["facts"], tuple(told["reasons"]), rewarded, by_episodes, {}, 0
         )  # fmt: skip
+        self._keep(sample, int(arrays["most"]))
+
+    def _keep(self, rows: dict[str, NDArray[Any]], most: int) -> None:
+        """Episodes of one more file, numbered on: they stay in the order of the files."""
+        self.sample.most = min(self.sample.most, np.uint64(most))
+        if rows:
+            self.sample.add(rows | {"ordinal": rows["ordinal"] + self.sampled})
+            self.sampled += int(rows["ordinal"].max(initial=-1)) + 1
 
     def finish(self) -> TransitionCounts:
         """The counts of all files, written where they are to be."""
@@ -166,7 +176,7 @@ class Run:
         key, sums = tally.in_order(*self.moves.contents())
         if not len(key):
             raise ValueError(f"path must have at least one good row; of {len(self.parts)} files none has")
-        found = _as_counts(key, sums, self.total)
+        found = _as_counts(key, sums, self.total, self.sample.columns())
         if self.output is not None:
             found.save(self.output)
         if self.partial is not None:
@@ -178,31 +188,21 @@ class Run:
         return {name: int(value) for name, value in self.limits._asdict().items() if name != "drop"}
 
 
-def _added(total: Counted | None, found: Counted, kept: int) -> Counted:
-    """Facts and samples of two; the moves are added elsewhere."""
-    first = found if total is None else total
-    facts, reasons = np.array(found.facts), found.reasons
-    most, samples = found.most, [found.sample]
-    if total is not None:
-        facts = total.facts + found.facts
-        lengths = np.array([total.facts[tally.SHORTEST], found.facts[tally.SHORTEST]])
-        facts[tally.SHORTEST] = lengths[lengths > 0].min(initial=2**62) if lengths.any() else 0
-        facts[tally.LONGEST] = max(total.facts[tally.LONGEST], found.facts[tally.LONGEST])
-        reasons = (*total.reasons, *found.reasons)[: tally.REASONS]
-        most, samples = min(total.most, found.most), [total.sample, found.sample]
-    sample = tally.Sample(kept)
-    number = 0
-    for rows in filter(None, samples):  # numbered on: episodes stay in the order of the files
-        sample.add(rows | {"ordinal": rows["ordinal"] + number})
-        number += int(rows["ordinal"].max(initial=-1)) + 1
-    columns = sample.columns()
-    most = min(most, int(sample.most))
-    inside = columns["key"] <= np.uint64(most) if columns else np.zeros(0, dtype=np.bool_)
-    columns = {name: column[inside] for name, column in columns.items()}
-    return Counted(first.key[:0], first.sums[:0], facts, reasons, first.rewarded, first.by_episodes, columns, most)
+def _added(total: Counted | None, found: Counted) -> Counted:
+    """The facts of two; moves and samples are added elsewhere."""
+    own = found._replace(key=found.key[:0], sums=found.sums[:0], sample={})
+    if total is None:
+        return own
+    facts = total.facts + found.facts
+    lengths = np.array([total.facts[tally.SHORTEST], found.facts[tally.SHORTEST]])
+    facts[tally.SHORTEST] = lengths[lengths > 0].min() if lengths.any() else 0
+    facts[tally.LONGEST] = max(total.facts[tally.LONGEST], found.facts[tally.LONGEST])
+    return total._replace(facts=facts, reasons=(*total.reasons, *found.reasons)[: tally.REASONS])
 
 
-def _as_counts(key: NDArray[np.int64], sums: NDArray[np.float64], total: Counted) -> TransitionCounts:
+def _as_counts(
+    key: NDArray[np.int64], sums: NDArray[np.float64], total: Counted, kept: dict[str, Any]
+) -> TransitionCounts:
     facts = [int(fact) for fact in total.facts]
     recording = Recording(
         total.by_episodes,
@@ -219,9 +219,9 @@ def _as_counts(key: NDArray[np.int64], sums: NDArray[np.float64], total: Counted
     if total.rewarded:
         rewards = {name: sums[:, k].copy() for k, name in enumerate(("reward_sum", "reward_min", "reward_max"), 1)}
     sample = None
-    if total.sample and len(total.sample["ordinal"]):
-        columns = {name: column for name, column in total.sample.items() if name not in ("key", "ordinal")}
-        episode = np.cumsum(np.diff(total.sample["ordinal"], prepend=total.sample["ordinal"][0]) != 0)
+    if kept and len(kept["ordinal"]):
+        columns = {name: column for name, column in kept.items() if name not in ("key", "ordinal")}
+        episode = np.cumsum(np.diff(kept["ordinal"], prepend=kept["ordinal"][0]) != 0)
         sample = Transitions(**columns, episode=episode)
     return TransitionCounts(
         key[:, 0].copy(), key[:, 1].copy(), key[:, 2].copy(), sums[:, 0].copy(), key[:, 3] == 1, **rewards,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -25,11 +26,11 @@ class Limits(NamedTuple):
     states: int = LARGEST
     actions: int = LARGEST
     drop: bool = False
-    kept: int = 500_000
+    kept: int = 200_000
 
 
 class Counted(NamedTuple):
-    """What a file, or several, came to: ``key`` (K, 4) s, a, s', ended, in order; ``sums`` (K, 4) number, total, least, most.
+    """What a file, or several, came to: ``key`` (K, 4) s, a, s', ended; ``sums`` (K, 4) number, total, least, most.
 
     ``facts``: rows, episodes, shortest, longest, truncated, broken, dropped, files. ``sample``: columns of whole episodes by
     their ``key`` and number, of all whose key is at most ``most``.
@@ -48,44 +49,56 @@ class Counted(NamedTuple):
 ROWS, EPISODES, SHORTEST, LONGEST, TRUNCATED, BROKEN, DROPPED, FILES = range(8)
 
 
-def count_part(part: Part, label: str, limits: Limits) -> Counted:
-    """Count one file. ``label`` names it in the draw of the sample, which depends on nothing else. Cost: O(rows)."""
-    tally = Tally(part, label, limits)
+def count_part(part: Part, label: str, limits: Limits, most: int = 2**64 - 1, expected: int = 0) -> Counted:
+    """Count one file. ``label`` names it in the draw of the sample, of which keys above ``most`` are no longer asked for;
+    ``expected``: about how many different moves it has, which saves time alone.
+
+    Cost: O(rows).
+    """
+    tally = Tally(part, label, limits, Growing(expected))
+    if tally.episodes is not None:
+        tally.episodes.sample.most = np.uint64(most)
     for batch in batches(part):
         tally.add(batch)
     return tally.done()
 
 
 class Growing:
-    """A table of moves that grows with what it holds."""
+    """A table of moves that grows with what it holds; ``expected`` are how many different ones there may be."""
 
-    def __init__(self) -> None:
-        self.table = _empty(2**10)
+    def __init__(self, expected: int = 0) -> None:
+        self.table = _empty(2 ** max(10, math.ceil(math.log2((expected + 1) / _counting.FULL))))
+
+    def __len__(self) -> int:
+        return int(self.table.used[0])
 
     def add(self, rows: Any) -> None:
         """Add rows in their order."""
         begin = _counting.add(self.table, rows, 0)
         while begin < len(rows.state):
             old = self.contents()
-            self.table = _empty(4 * len(self.table.key))
+            self.table = _empty(2 * len(self.table.cell))
             _counting.add(self.table, rows_of(*old), 0)
             begin = _counting.add(self.table, rows, begin)
 
     def contents(self) -> tuple[IntArray, Array]:
         """Keys and sums, as they stand in the table."""
-        taken = self.table.sums[:, 0] > 0
-        return self.table.key[taken], self.table.sums[taken]
+        taken = np.flatnonzero(self.table.real[:, 4] > 0)
+        return self.table.cell[taken, :4], self.table.real[taken, 4:]
 
 
 def _empty(slots: int) -> Any:
     """A table without rows; ``slots`` is a power of 2."""
-    key, sums = np.zeros((slots, 4), dtype=np.int64), np.zeros((slots, 4))
-    return _counting.Table(key, sums, np.zeros(1, dtype=np.int64))
+    memory = np.zeros(8 * (slots + 1), dtype=np.int64)
+    first = -memory.ctypes.data % 64 // 8  # cells begin where cache lines do
+    cell = memory[first : first + 8 * slots].reshape(slots, 8)
+    return _counting.Table(cell, cell.view(np.float64), np.zeros(1, dtype=np.int64))
 
 
 def rows_of(key: IntArray, sums: Array) -> Any:
     """Keys and sums as rows to be added."""
-    return _counting.Rows(key[:, 0], key[:, 1], key[:, 2], key[:, 3], sums)
+    state, action, next_state, ended = (np.ascontiguousarray(column) for column in key.T)
+    return _counting.Rows(state, action, next_state, ended, np.zeros(0), np.ascontiguousarray(sums))
 
 
 def in_order(key: IntArray, sums: Array) -> tuple[IntArray, Array]:
@@ -170,13 +183,14 @@ class Tally:
         most = np.uint64(2**64 - 1)
         facts = np.zeros(8, dtype=np.int64)
         if self.episodes is not None:
-            sample, more = self.episodes.done()
-            most = self.episodes.sample.most
+            episodes, self.episodes = self.episodes, None  # which know this: memory is given back at once
+            sample, more = episodes.done()
+            most = episodes.sample.most
             facts[[EPISODES, SHORTEST, LONGEST, TRUNCATED, BROKEN]] = more
         if "truncated" in self.part.known:
             facts[TRUNCATED] = self.truncated
         facts[[ROWS, DROPPED, FILES]] = self.rows, self.dropped, 1
-        key, sums = in_order(*self.moves.contents())
+        key, sums = self.moves.contents()
         rewarded = "reward" in self.part.known
         return Counted(key, sums, facts, tuple(self.reasons.values()), rewarded, self.by_episodes, sample,
                        int(most))  # fmt: skip
@@ -184,12 +198,10 @@ class Tally:
 
 def _rows(columns: dict[str, NDArray[Any]], keep: Any) -> Any:
     """The moves of some rows, each one of it."""
-    n = len(columns["state"])
-    sums = np.ones((n, 4))
-    sums[:, 1:] = columns["reward"][:, None] if "reward" in columns else 0.0
-    ended = columns["terminated"].astype(np.int64) if "terminated" in columns else np.zeros(n, dtype=np.int64)
-    return _counting.Rows(columns["state"][keep], columns["action"][keep], columns["next_state"][keep], ended[keep],
-                          sums[keep])  # fmt: skip
+    ended = columns["terminated"].astype(np.int64) if "terminated" in columns else np.zeros_like(columns["state"])
+    pay = columns["reward"][keep] if "reward" in columns else np.zeros(0)
+    state, action, next_state = (columns[name][keep] for name in ("state", "action", "next_state"))
+    return _counting.Rows(state, action, next_state, ended[keep], pay, np.zeros((0, 4)))
 
 
 @dataclass
@@ -324,9 +336,10 @@ class Sample:
         self.moves = 0
 
     def add(self, rows: dict[str, NDArray[Any]]) -> None:
-        """More rows, with their ``key``."""
-        self.held.append(rows)
-        self.moves += len(rows["key"])
+        """More rows, with their ``key``; those of an episode stand together."""
+        keep = rows["key"] <= self.most
+        self.held.append(rows if keep.all() else {name: column[keep] for name, column in rows.items()})
+        self.moves += int(keep.sum())
         if self.moves > 2 * self.size:
             self.cut()
 
@@ -340,11 +353,16 @@ class Sample:
         if not self.held:
             return
         self._gather()
-        keys, at, lengths = np.unique(self.held[0]["key"], return_inverse=True, return_counts=True)
-        fits = np.cumsum(lengths) <= self.size
+        key = self.held[0]["key"]
+        begins = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]])[: len(key)])
+        lengths = np.diff(begins, append=len(key))
+        order = np.argsort(key[begins])
+        fits = np.cumsum(lengths[order]) <= self.size
         if not fits.all():
-            self.most = keys[np.argmin(fits)] - np.uint64(1) if keys[np.argmin(fits)] > 0 else np.uint64(0)
-            self._keep(fits[at])
+            first_out = int(key[begins][order[np.argmin(fits)]])
+            self.most = min(self.most, np.uint64(max(first_out - 1, 0)))
+        if (key > self.most).any():
+            self._keep(key <= self.most)
 
     def leave_out(self, ordinals: IntArray) -> None:
         """Without the episodes of these numbers."""
@@ -439,6 +457,10 @@ def _probabilities(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], 
 def _flags(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
     if column.dtype.kind == "b":
         return column, []
+    if column.dtype.kind in "iuf":
+        ones = column == 1
+        fine = ones | (column == 0)
+        return ones, [] if fine.all() else [(~fine, "must be a boolean (or 0 or 1)", "")]
     words = np.char.lower(column.astype(str))
     true = np.isin(words, _TRUE)
     fine = true | np.isin(words, _FALSE)

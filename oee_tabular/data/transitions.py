@@ -214,7 +214,7 @@ class Transitions(Log):
         n_states, n_actions : int, optional: states and actions from there on are bad
         bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
             a row that is left out breaks its episode, whose other moves are still counted
-        kept_moves : int, 500 000: whole episodes of so many moves are kept for importance sampling, drawn uniformly
+        kept_moves : int, 200 000: whole episodes of so many moves are kept for importance sampling, drawn uniformly
         output : .npz to write the counts to; beside it stands what was counted when the run is stopped, and the same call goes
             on from there
         jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files

@@ -11,11 +11,14 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import rngs
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import TransitionCounts, Transitions, _workers
-from oee_tabular.data import parts, streaming, tally
+from oee_tabular import TransitionCounts, Transitions
+from oee_tabular.data import _counting, parts, streaming, tally
 
 pytest.importorskip("pyarrow")
 
@@ -178,7 +181,52 @@ def test_the_table_grows_and_counts():
     key, sums = tally.in_order(*table.contents())
     assert list(map(tuple, key.tolist())) == sorted(expected)
     assert_array_equal(sums, [expected[one] for one in sorted(expected)])
-    assert len(key) <= 0.6 * len(table.table.key)
+    assert len(key) <= 0.6 * len(table.table.cell)
+
+
+def plainly(steps, timed, cut):
+    """What ``walk`` says, from whole columns: numbers of episodes, and what is wrong with each row."""
+    n = len(steps.episode)
+    new = np.append(True, steps.episode[1:] != steps.episode[:-1])
+    ordinal = np.cumsum(new) - 1
+    place = np.arange(n) - np.flatnonzero(new)[ordinal]
+    over = (steps.terminated | (steps.truncated if cut else False)) & ~steps.bad
+    before = np.append(False, over[:-1])
+    unlike = np.append(False, steps.next_state[:-1] != steps.state[1:]) & ~steps.bad & ~np.append(False, steps.bad[:-1])
+    wrong = (steps.timestep != place) if timed else np.zeros(n, dtype=bool)
+    fault = np.select(
+        [steps.gap | steps.bad, ~new & before, ~new & unlike, wrong],
+        [_counting.LOST, _counting.EARLY, _counting.APART, _counting.TIMESTEP], _counting.FINE,
+    )  # fmt: skip
+    return ordinal, fault
+
+
+@given(rngs, st.booleans(), st.booleans())
+def test_the_walk_over_episodes_in_batches_is_that_over_columns(rng, timed, cut):
+    n = int(rng.integers(1, 40))
+    flag = lambda share: rng.random(n) < share  # noqa: E731
+    episode = np.cumsum(flag(0.3))
+    place = np.arange(n) - np.searchsorted(episode, episode)
+    steps = _counting.Steps(
+        episode, rng.integers(0, 2, n), rng.integers(0, 2, n), flag(0.1), flag(0.1) if cut else np.zeros(0, dtype=bool),
+        np.where(flag(0.1), 0, place) if timed else np.zeros(0, dtype=np.int64), flag(0.1), flag(0.1),
+    )  # fmt: skip
+    carried = np.zeros(_counting.CARRIED, dtype=np.int64)
+    carried[_counting.ORDINAL] = -1
+    ordinal, fault = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    ends = [0, *sorted(rng.integers(0, n + 1, 2).tolist()), n]
+    for low, high in zip(ends[:-1], ends[1:], strict=True):
+        batch = _counting.Steps(*(column[low:high] if len(column) else column for column in steps))
+        _counting.walk(batch, carried, ordinal[low:high], fault[low:high])
+    _counting.close(carried)
+    expected = plainly(steps, timed, cut)
+    assert_array_equal(ordinal, expected[0])
+    assert_array_equal(fault, expected[1])
+    lengths = np.bincount(ordinal)
+    last = np.append(np.diff(ordinal) > 0, True)
+    over = (steps.terminated | (steps.truncated if cut else False)) & ~steps.bad
+    told = [carried[k] for k in (_counting.SHORTEST, _counting.LONGEST, _counting.UNFINISHED)]
+    assert told == [lengths.min(), lengths.max(), (last & ~over).sum()]
 
 
 # ---- rows that are none of a log
@@ -281,6 +329,26 @@ def test_numbers_of_rows_stay_right_behind_lost_lines_and_in_any_batch(tmp_path,
             "state[6] must be",
         ]
         assert len(found) == 6
+
+
+def test_a_bad_row_behind_a_lost_line_and_a_lost_line_at_the_end(tmp_path):
+    text = frame_of().to_csv(index=False).splitlines()
+    text[2:3] = ["1,2", text[2].replace("1,1,2", "-4,1,2", 1)]
+    (tmp_path / "a.csv").write_text("\n".join([*text, "7"]) + "\n")
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert "state[2] must be at least 0; it is -4" in found.recording.reasons[1]
+    assert (found.recording.dropped, found.recording.broken) == (3, 2)
+    assert np.diff(found.sample.episode_starts).tolist() == [2]
+
+
+def test_several_faults_of_one_column_are_all_counted(tmp_path):
+    frame = frame_of().assign(state=[0, -1, 9, 0, -2, 0, 1])
+    frame.to_parquet(tmp_path / "a.parquet", index=False)
+    found = Transitions.open(tmp_path, n_states=9, bad_rows="drop")
+    assert (found.recording.dropped, len(found)) == (3, 4)
+    assert [reason.partition("': ")[2] for reason in found.recording.reasons] == [
+        "state[1] must be at least 0; it is -1", "state[2] must be in 0..8; it is 9",
+    ]  # fmt: skip
 
 
 ORDER = {
@@ -413,9 +481,8 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
     same(found, Transitions.open(folder))
 
 
-def test_a_scheduler_that_does_not_answer(tmp_path, monkeypatch):
+def test_a_scheduler_that_does_not_answer(tmp_path):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(_workers.client, "__wrapped__", None, raising=False)
     start = time.perf_counter()
     with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
         Transitions.open(written(tmp_path / "a", number=1), dask="tcp://127.0.0.1:9")
