@@ -2,8 +2,8 @@
 
     G[group, a] = sum over the group's rows of action a of (phi, y) (phi, y)^T,    accumulated in blocks,
 
-is all that fits, held-out errors and refits on resampled episodes need: with weights k over groups, the coefficients of a class C
-are (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared error on a group is y'y - 2 w'G_Cy + w'G_CC w.
+is all that fits, held-out errors and refits on resampled episodes need: with weights k over groups, the coefficients of a
+class C are (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared error on a group is y'y - 2 w'G_Cy + w'G_CC w.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.continuous.task import ContinuousTask
 
 BLOCK = 4096  # rows at a time
@@ -111,7 +111,7 @@ class Rows(NamedTuple):
     displacement: Array
     targets: Array
     group: IntArray
-    used: Array
+    used: BoolArray
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Grams:
         whole = self.g[:, :, self.p + target, self.p + target].sum()
         best = errors[errors.sum(axis=1).argmin()]
         beyond = errors - best
-        sure = np.sqrt(n_groups) * beyond.std(axis=1, ddof=1) + EQUAL * whole
+        sure = np.sqrt(n_groups) * beyond.std(axis=1) + EQUAL * whole
         name, per_action, ridge, held_out = tried[int(np.argmax(beyond.sum(axis=1) <= sure))]
         columns = self.functions.nested[name]
         w = self.solve(columns, slice(target, target + 1), ridge, per_action, np.ones(n_groups))[:, :, 0]

@@ -26,6 +26,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import require_log_of
+from oee_tabular.continuous.history import consecutive, told_by_history
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
@@ -33,7 +34,10 @@ from oee_tabular.continuous.task import ContinuousTask, Moves
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
+ROUNDS = 3  # of setting them apart and fitting again
 STOPS = 5  # rows that end at exactly the extreme of a coordinate: a stop
+HIDDEN = 0.05  # share of what is left over that history tells: the state is not all that decides
+TRIFLE = 0.01  # the same share of the whole residual: a smooth rest of g is no hidden state
 SAME = 1e-9  # of a displacement's deviation: rounding
 
 
@@ -49,6 +53,7 @@ class Coordinate:
     left_over : root mean square of s' - f(s, a) - g(s, a)
     explained : share of the residual's mean square that g explains on episodes that it was not fitted to
     scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
+    told_by_history : share of what is left over that the action and the left-over before explain
     """
 
     name: str
@@ -59,6 +64,20 @@ class Coordinate:
     left_over: float
     explained: float
     scatter: str
+    told_by_history: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether the target's step differs from the simulator's: g is not zero, or the scatter is another."""
+        return self.kind != "zero" or self.scatter == "log"
+
+    @property
+    def hidden(self) -> bool:
+        """Whether something that is not in the state decides: told by history, and no trifle of the whole residual."""
+        told = (
+            self.told_by_history * (self.left_over / self.residual_scatter) ** 2 if self.residual_scatter > 0 else 0.0
+        )
+        return self.told_by_history > HIDDEN and told > TRIFLE
 
 
 class ResidualSimulator(ContinuousTask):
@@ -89,8 +108,8 @@ class ResidualSimulator(ContinuousTask):
     of neighbours tell of each other. A coordinate that ended at one extreme five times in the log has a stop there. The reward
     is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where ``terminated``
     says so; where that does not repeat the task's own steps, where the nearest known next state does.
-    O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 moves needs some 200 MB. A step costs the task's
-    own and O(p).
+    O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 moves needs some 200 MB. A step costs the
+    task's own and O(p).
 
     Examples
     --------
@@ -110,7 +129,15 @@ class ResidualSimulator(ContinuousTask):
     def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> None:
         self.task = _checks.instance(task, ContinuousTask, "task")
         require_log_of(task, log)
-        for name in ("state_names", "actions", "feature_names", "feature_low", "feature_high", "periodic", "terminates"):
+        for name in (
+            "state_names",
+            "actions",
+            "feature_names",
+            "feature_low",
+            "feature_high",
+            "periodic",
+            "terminates",
+        ):
             setattr(self, name, getattr(task, name))
         self.name = f"{task.name}, corrected by a log"
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
@@ -144,7 +171,7 @@ class ResidualSimulator(ContinuousTask):
         found = self._shortest(log.next_state - own.next_state)
         known = self.task.reward_between(log.state[:1], np.zeros(1, dtype=np.int64), log.next_state[:1]) is not None
         self._learns_reward = not known and log.reward is not None
-        if self._learns_reward:
+        if self._learns_reward and log.reward is not None:
             paid = np.where(own.terminated == log.terminated, log.reward - own.reward, 0.0)
             found = np.column_stack([found, paid])
         return found
@@ -158,9 +185,13 @@ class ResidualSimulator(ContinuousTask):
         n_groups = int(group.max()) + 1
         self._grams = Grams(self._functions, rows, n_groups, self.n_actions)
         self._use(self._grams.choose())
-        apart = self._apart(self.residuals - self._correction(log.state, actions, displacement))
-        if apart.any():
-            self._grams = Grams(self._functions, rows._replace(used=~apart), n_groups, self.n_actions)
+        used = rows.used
+        for _ in range(ROUNDS):
+            smooth = ~self._apart(self.residuals - self._correction(log.state, actions, displacement))
+            if np.array_equal(smooth, used):
+                break
+            used = smooth
+            self._grams = Grams(self._functions, rows._replace(used=used), n_groups, self.n_actions)
             self._use(self._grams.choose())
         self.left_over = self.residuals - self._correction(log.state, actions, displacement)
         self.group = group
@@ -221,10 +252,11 @@ class ResidualSimulator(ContinuousTask):
         self._places = self.task.smooth(every)
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
         names = (*self.state_names, "reward")
+        told = told_by_history(self.left_over, actions, self.n_actions, *consecutive(log), self.group)
         self.coordinates = tuple(
             Coordinate(
                 names[k], fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
-                fit.explained, self._scatter.source(k),
+                float(fit.explained), self._scatter.source(k), float(told[k]) * bool(self._scatter.drawn[k]),
             )
             for k, fit in enumerate(self.fits)
         )  # fmt: skip
@@ -258,6 +290,13 @@ class ResidualSimulator(ContinuousTask):
         following = np.where(changed, self._kept(following), following)
         over = self._over(following, own.terminated)
         return Moves(following, self._reward(states, actions, following, over, own, added), over)
+
+    def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """One random step; what chooses e is a stream of its own, so that ``rng`` gives what it gives to the task."""
+        xi = rng.standard_normal((len(states), self.task.n_disturbances))
+        if self._scatter.drawn.any():
+            xi = np.column_stack([xi, rng.spawn(1)[0].standard_normal(len(states))])
+        return self.moves(states, actions, xi)
 
     def _kept(self, following: Array) -> Array:
         """Within the stops, and within one turn where the task is."""

@@ -36,13 +36,12 @@ class Scatter:
         can_own: bool,
         rng: np.random.Generator,
     ) -> None:
-        n, k = left_over.shape
         size = np.sqrt((left_over**2).mean(axis=0))
-        near = max(0.05, 4.0 * np.sqrt(1.0 / n))
+        near = max(0.05, 4.0 / np.sqrt(len(states)))
         self.own = (spread > rounding) & (np.abs(size / np.maximum(spread, 1e-300) - 1.0) <= near) & can_own
         self.drawn = ~self.own & (size > rounding)
         self._task, self._actions = task, actions
-        self._weights = np.ones(n)
+        self._weights = np.ones(len(states))
         self._e = np.where(self.drawn, left_over, 0.0)
         self._order = self._e @ self._direction(np.maximum(size, 1e-300))
         places = task.smooth(states)
@@ -69,7 +68,7 @@ class Scatter:
         for row in some:
             a = self._actions[row]
             tree, rows = self._trees[a], self._rows[a]
-            if len(rows) <= NEAR:
+            if tree is None or len(rows) <= NEAR:
                 continue
             near = rows[tree.query(places[row] / self._unit, k=NEAR + 1)[1]]
             there.append(self._e[near[near != row][:NEAR]])
@@ -85,7 +84,7 @@ class Scatter:
         """(n, NEAR) rows of the same action near each row, itself among them, in order."""
         near = np.empty((len(places), NEAR), dtype=np.int64)
         for tree, rows in zip(self._trees, self._rows, strict=True):
-            if len(rows):
+            if tree is not None:
                 at = rows[tree.query(places[rows] / self._unit, k=min(NEAR, len(rows)))[1].reshape(len(rows), -1)]
                 near[rows] = np.take_along_axis(at, np.resize(np.arange(at.shape[1]), NEAR)[None], axis=1)
         return np.take_along_axis(near, np.argsort(self._order[near], axis=1, kind="stable"), axis=1)
@@ -117,10 +116,14 @@ class Scatter:
         tree = self._trees[a]
         if self._near is None or tree is None:
             pool, running = self._pools[a]
-            return np.asarray(pool[np.minimum(np.searchsorted(running, uniform * running[-1], side="right"), len(pool) - 1)])
+            return np.asarray(
+                pool[np.minimum(np.searchsorted(running, uniform * running[-1], side="right"), len(pool) - 1)]
+            )
         nearest = self._rows[a][tree.query(self._task.smooth(states) / self._unit)[1]]
         near = self._near[nearest]
-        running = np.cumsum(np.where(self._weights[near].sum(axis=1, keepdims=True) > 0, self._weights[near], 1.0), axis=1)
+        running = np.cumsum(
+            np.where(self._weights[near].sum(axis=1, keepdims=True) > 0, self._weights[near], 1.0), axis=1
+        )
         place = (running <= (uniform * running[:, -1])[:, None]).sum(axis=1)
         return np.asarray(near[np.arange(len(near)), np.minimum(place, NEAR - 1)])
 
