@@ -9,7 +9,7 @@ class C are (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared error on
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +125,7 @@ class Fit:
     ridge : of a column's mean square
     columns, coefficients : (p,), (A, p)
     explained : share of the target's mean square that g explains on episodes that it was not fitted to
+    surely : how many standard errors (over groups of episodes) that share is from 0
     """
 
     kind: str
@@ -133,6 +134,7 @@ class Fit:
     columns: IntArray
     coefficients: Array
     explained: float
+    surely: float
 
 
 class Grams:
@@ -214,15 +216,18 @@ class Grams:
         name, per_action, ridge, held_out = tried[int(np.argmax(beyond.sum(axis=1) <= sure))]
         columns = self.functions.nested[name]
         w = self.solve(columns, slice(target, target + 1), ridge, per_action, np.ones(n_groups))[:, :, 0]
-        share = 1.0 - float(held_out[:, target].sum()) / whole if whole > 0 else 0.0
-        return Fit(name, per_action, ridge, columns, w, share)
+        gained = errors[0] - held_out[:, target]  # the first is g = 0
+        share = float(gained.sum() / whole) if whole > 0 else 0.0
+        error = float(np.sqrt(n_groups) * gained.std())
+        surely = float(gained.sum()) / error if error > 0 else (np.inf if gained.sum() > 0 else 0.0)
+        return Fit(name, per_action, ridge, columns, w, share, surely)
 
     def refit(self, fits: list[Fit], weights: Array) -> list[Fit]:
         """The same classes fitted to groups with these weights: a bootstrap's."""
         again = []
         for k, fit in enumerate(fits):
             w = self.solve(fit.columns, slice(k, k + 1), fit.ridge, fit.per_action, weights)[:, :, 0]
-            again.append(Fit(fit.kind, fit.per_action, fit.ridge, fit.columns, w, fit.explained))
+            again.append(replace(fit, coefficients=w))
         return again
 
 

@@ -36,6 +36,7 @@ APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
 ROUNDS = 3  # of setting them apart and fitting again
 STOPS = 5  # rows that end at exactly the extreme of a coordinate: a stop
+SURE = 3.0  # standard errors of what g explains: the target differs
 HIDDEN = 0.05  # share of what is left over that history tells: the state is not all that decides
 TRIFLE = 0.01  # the same share of the whole residual: a smooth rest of g is no hidden state
 SAME = 1e-9  # of a displacement's deviation: rounding
@@ -52,6 +53,7 @@ class Coordinate:
     simulator_scatter, residual_scatter : root mean squares, of the simulator's own step about f and of s' - f(s, a) in the log
     left_over : root mean square of s' - f(s, a) - g(s, a)
     explained : share of the residual's mean square that g explains on episodes that it was not fitted to
+    surely : how many standard errors that share is from 0
     scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
     told_by_history : share of what is left over that the action and the left-over before explain
     """
@@ -63,13 +65,14 @@ class Coordinate:
     residual_scatter: float
     left_over: float
     explained: float
+    surely: float
     scatter: str
     told_by_history: float
 
     @property
     def differs(self) -> bool:
-        """Whether the target's step differs from the simulator's: g is not zero, or the scatter is another."""
-        return self.kind != "zero" or self.scatter == "log"
+        """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
+        return self.surely > SURE or self.scatter == "log"
 
     @property
     def hidden(self) -> bool:
@@ -256,7 +259,7 @@ class ResidualSimulator(ContinuousTask):
         self.coordinates = tuple(
             Coordinate(
                 names[k], fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
-                float(fit.explained), self._scatter.source(k), float(told[k]) * bool(self._scatter.drawn[k]),
+                fit.explained, fit.surely, self._scatter.source(k), float(told[k]) * bool(self._scatter.drawn[k]),
             )
             for k, fit in enumerate(self.fits)
         )  # fmt: skip
