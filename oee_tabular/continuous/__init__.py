@@ -2,6 +2,7 @@
 
 A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``,
 ``report`` and ``experiments`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
+``ResidualSimulator`` (residual) is a task corrected by a log, again a task; a
 ``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid (interpolation)
 or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
 evaluated (evaluation), and has a name on the command line (names). Each of ``cartpole``, ``reacher`` and ``kinova`` has its
@@ -30,11 +31,13 @@ _MODULES = {
     "kinova.experiment": ("TABLE_1",),
     "kinova.hand": ("KinovaHand", "fit_hand", "kinova_model"),
     "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
+    "history": ("HistoryTask",),
     "log": ("ContinuousTransitions",),
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("LinearReacher", "Reacher"),
     "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
+    "residual": ("ResidualSimulator",),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use

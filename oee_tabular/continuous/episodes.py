@@ -103,6 +103,29 @@ def monte_carlo_value(
     return MonteCarlo(float(every.mean()), float(deviation / np.sqrt(n)), deviation, n)
 
 
+def paired_returns(
+    task: ContinuousTask, policy: StatePolicy, n: int, horizon: int, *, discount: float, seed: np.random.SeedSequence
+) -> Array:
+    """(n,) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
+
+    By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error.
+    """
+    numbers = [
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2)
+    ]
+    states, total, alive = task.initial_states(n, numbers[0]), np.zeros(n), np.arange(n)
+    for t, stream in enumerate(numbers[1].spawn(horizon)):
+        uniform, disturbance = stream.random(n), stream.standard_normal((task.n_disturbances, n)).T
+        running = np.cumsum(check_probabilities(policy, states, task.n_actions), axis=1)
+        actions = (running[:, :-1] <= (uniform[alive] * running[:, -1])[:, None]).sum(axis=1)
+        moved = task.moves(states, actions, disturbance[alive])
+        total[alive] += discount**t * moved.reward
+        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
+        if alive.size == 0:
+            break
+    return total
+
+
 def record(
     task: ContinuousTask,
     policy: StatePolicy,

@@ -2,7 +2,8 @@
 
 The simulator is discretised at the log's own places, with the small defensive share of its configuration; the log becomes
 numbered moves and soft counts on the same cells; zeta is fitted to the soft counts. Beside the raw value stands the
-calibrated one (``estimators.calibrate``), and beside the simulator on the cells the simulator itself, by Monte Carlo.
+calibrated one (``estimators.calibrate``), and beside the simulator on the cells the simulator itself, by Monte Carlo. Before
+all of them stands the simulator corrected by the log's residuals (``ResidualSimulator``), which needs no cells.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization, require_log_of
-from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Simulated, Supported
+from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Residual, Simulated, Supported
+from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.simulator import ContinuousSimulator
+from oee_tabular.continuous.support import within_support
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimator, OffEnvironment, Problem, Simulator
@@ -33,6 +38,7 @@ from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.results import Report
 
+LEFT_OUT = 0.01  # share of the log's moves without support that the rows on the cells may leave out
 CALIBRATIONS = (*KINDS, "none")
 
 
@@ -98,13 +104,14 @@ def evaluate_continuous(
     Returns
     -------
     Report
-        Rows "simulator (continuous)" (Monte Carlo), "oee" (raw) and "oee (calibrated)" among the others; ``facts`` has the
+        Rows "oee (residual)" (of the corrected simulator, by Monte Carlo; where oee is asked for), "simulator (continuous)"
+        (Monte Carlo), "oee" (raw) and "oee (calibrated)" among the others; ``facts`` has the
         support diagnostics and the closure error.
 
     Raises
     ------
     ValueError
-        A log that does not fit the task; states outside the grid; moves without support.
+        A log that does not fit the task; states outside the grid; more than a hundredth of the moves without support.
 
     Examples
     --------
@@ -114,7 +121,7 @@ def evaluate_continuous(
     >>> few = Settings(episodes=2000)
     >>> report = evaluate_continuous(simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"])
     >>> [row["estimator"] for row in report.records()]
-    ['simulator (continuous)', 'oee', 'oee (calibrated)']
+    ['oee (residual)', 'simulator (continuous)', 'oee', 'oee (calibrated)']
     """
     chosen = Settings() if settings is None else settings
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
@@ -139,8 +146,13 @@ def evaluate_continuous(
     for text in told[:-1]:
         warnings.warn(text, stacklevel=3)
     said = [_placed(text, made.model) for text in report.warnings]
-    sure = replace(report.sureness, next=_placed(report.sureness.next, made.model))
-    return replace(report, warnings=(*said, *told), sureness=sure)
+    sure = replace(
+        report.sureness,
+        next=_placed(report.sureness.next, made.model),
+        distance=(_difference(made.corrected), *report.sureness.distance),
+    )
+    said += [_placed(text, made.model) for text in told]
+    return replace(report, warnings=tuple(said), sureness=sure)
 
 
 @dataclass(frozen=True)
@@ -151,6 +163,8 @@ class _Made:
     support: dict[str, float]
     zeta: Any
     facts: dict[str, Any]
+    corrected: ResidualSimulator
+    with_history: ResidualSimulator | None
 
 
 def _made(
@@ -184,12 +198,16 @@ def _made(
         episodes = encoded if encoded.episode is not None else None
         bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     share = uncovered_share(counts, model.mdp)
-    if share > 0.0:
+    if 0.0 < share <= LEFT_OUT:
+        kept, _ = within_support(counts, model)
+        warnings.warn(_left_out(counts, kept, share, model), stacklevel=2)
+        counts = kept
+    if share > LEFT_OUT:
         raise ValueError(
             f"log must stay where the simulator has probability: {share:.2g} of its moves have none on "
-            f"{model.cells.extent()}, with a defensive share of {floor:g}. No ratio exists there. Ways out: a defensive share "
-            "(--floor 0.001), a coarser grid (--grid), process noise, or a mixture of simulator parameters "
-            "(tasks.defensive_mixture)"
+            f"{model.cells.extent()}, with a defensive share of {floor:g}. No ratio exists there. Ways out: "
+            f"{'' if floor > 0.0 else 'a defensive share (--floor 0.001), '}a coarser grid (--grid), process noise, or a "
+            "mixture of simulator parameters (tasks.defensive_mixture)"
         )
     problem = Problem(model.mdp, bag, horizon=horizon, counts=counts, episodes=episodes)
     zeta = transition_ratio(counts, model.mdp, **simulator.ratio_options(model))
@@ -206,12 +224,49 @@ def _made(
         "floor": floor,
         "ratio": ({} if simulator.tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
         "rows_left_out": len(log) - len(encoded),
+        "moves_left_out": share,
         **support,
     }
     closure = model.diagnostics.get("closure")
     if closure is not None:
         facts["closure_error"] = float(closure.error)
-    return _Made(model, plain, problem, support, zeta, facts)
+    corrected = ResidualSimulator(task, numbered, seed=seed)
+    with_history = None
+    if any(coordinate.hidden for coordinate in corrected.coordinates):
+        whole = HistoryTask(task)
+        with_history = ResidualSimulator(whole, whole.log(numbered), seed=seed)
+    return _Made(model, plain, problem, support, zeta, facts, corrected, with_history)
+
+
+def _left_out(counts: Any, kept: Any, share: float, model: Discretization) -> str:
+    """How many moves have no support, and where most of them begin."""
+    lost = row_sums(counts) - row_sums(kept)
+    state = int(lost.argmax()) // model.task.n_actions
+    return (
+        f"{share:.2g} of the log's moves have no probability in the simulator on {model.cells.extent()}; the rows on the cells "
+        f"leave them out. Most of them begin at state {state}"
+    )
+
+
+def _difference(corrected: ResidualSimulator) -> str:
+    """Does the target differ, in which coordinate; is the state all that decides: the log's residuals against the simulator."""
+    changed = [c for c in corrected.coordinates if c.differs]
+    hidden = [c for c in corrected.coordinates if c.hidden]
+    if not changed:
+        return (
+            "The target's steps do not differ from the simulator's, as far as the log tells: its residuals s' - f(s, a) are "
+            "those of the simulator's own scatter."
+        )
+    told = "; ".join(
+        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}, "
+        f"{max(c.explained, 0.0):.1%} of their mean square explained by the correction)"
+        for c in changed
+    )
+    said = f"The target's steps differ from the simulator's in {told}."
+    if hidden:
+        names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
+        said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."
+    return said
 
 
 def _described(
@@ -232,9 +287,12 @@ def _described(
 
 def _rows(made: _Made, mc: MonteCarloValue, kind: str, names: Sequence[str] | None) -> dict[str, Estimator]:
     """The estimators by the names of their rows."""
-    rows: dict[str, Estimator] = {"simulator (continuous)": Simulated(mc)}
-    wanted = default_names(made.problem)[0] if names is None else list(names)
-    for name, estimator in named_estimators(wanted).items():
+    wanted = named_estimators(default_names(made.problem)[0] if names is None else list(names))
+    rows: dict[str, Estimator] = {}
+    if OffEnvironment() in wanted.values():
+        rows |= _residual_rows(made, mc)
+    rows["simulator (continuous)"] = Simulated(mc)
+    for name, estimator in wanted.items():
         if estimator != OffEnvironment():
             rows[name] = estimator
             if isinstance(estimator, Simulator) and made.plain is not made.model:
@@ -245,6 +303,17 @@ def _rows(made: _Made, mc: MonteCarloValue, kind: str, names: Sequence[str] | No
         if kind != "none":
             rows["oee (calibrated)"] = Calibrated(raw, mc, kind)
     return rows
+
+
+def _residual_rows(made: _Made, mc: MonteCarloValue) -> dict[str, Estimator]:
+    """The corrected simulator; before it, where the state is not Markov, the one with the last action in its state."""
+    rows: dict[str, Estimator] = {}
+    if made.with_history is not None:
+        whole = HistoryTask(made.corrected.task)
+        functions = {key: whole.policy(function) for key, function in mc.functions.items()}
+        value = replace(mc, task=made.with_history, functions=functions, found={})
+        rows["oee (residual, last action)"] = Residual(value, made.with_history)
+    return rows | {"oee (residual)": Residual(replace(mc, task=made.corrected, found={}), made.corrected)}
 
 
 def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:

@@ -116,6 +116,19 @@ class ContinuousTask(ABC):
         """(n, k) the coordinates that are discretised; default: the state itself."""
         return states
 
+    def smooth(self, states: Array) -> Array:
+        """(n, m) the coordinates that functions of a state are smooth in: cosine and sine of what is periodic.
+
+        Default: the state, and those of its features that are not coordinates of it. A task says here which angles it has.
+        """
+        features = self.features(states)
+        turns, ends = np.array(self.periodic), (np.asarray(self.feature_low), np.asarray(self.feature_high))
+        whole = features.shape == states.shape and bool((features == states).all())
+        if not turns.any():
+            return states if whole else np.column_stack([states, features])
+        angle = 2.0 * np.pi * features[:, turns] / (ends[1] - ends[0])[turns]
+        return np.column_stack([features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)])
+
     def embed(self, features: Array) -> Array:
         """(n, d) a state with these features, for a grid to step from; default: the features themselves."""
         return features

@@ -32,6 +32,7 @@ class Basis:
     measured : share of the policy's time in state-action pairs whose variance the standard error counts
     log : False of what the simulator alone says
     episodes : whether the log's own episodes and rewards are averaged
+    corrected : whether the simulator is corrected by the log before anything is cut into cells: such a value is said first
 
     Examples
     --------
@@ -50,6 +51,7 @@ class Basis:
     measured: float = 1.0
     log: bool = True
     episodes: bool = False
+    corrected: bool = False
 
 
 EPISODES = Basis(episodes=True)
@@ -58,6 +60,7 @@ IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values:
     (
         "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
         "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
+        "standard_error_of_the_log",
     )
 )  # fmt: skip
 

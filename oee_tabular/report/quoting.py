@@ -18,6 +18,7 @@ LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {
     LIKELIHOOD: "every value in keeping with the log; where it has nothing, any move that the simulator makes is possible",
     "one-step": "value plus or minus normal quantile x standard error, to which pairs never recorded add as if recorded once",
+    "refits": "value plus or minus t quantile x standard error, by refits on resampled episodes and the rollouts' own",
     OWN: "as the estimator gives it",
     NOISE: "value plus or minus normal quantile x standard error: the noise of the log, or of the rollouts, alone",
 }

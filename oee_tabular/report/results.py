@@ -55,9 +55,9 @@ class Result:
 def headline(results: Sequence[Result]) -> Result:
     """Of one policy's, the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
 
-    def order(result: Result) -> tuple[bool, bool, bool]:
-        estimate = result.estimate
-        return not math.isfinite(estimate.value), estimate.basis.model_value is None, not estimate.basis.log
+    def order(result: Result) -> tuple[bool, bool, bool, bool]:
+        value, basis = result.estimate.value, result.estimate.basis
+        return not math.isfinite(value), not basis.corrected, basis.model_value is None, not basis.log
 
     return min(results, key=order)
 

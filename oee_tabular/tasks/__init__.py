@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.discretization import Discretization
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
+    from oee_tabular.continuous.history import HistoryTask
     from oee_tabular.continuous.interpolation import GridInterpolation
     from oee_tabular.continuous.kinova.dynamics import KinovaArm
     from oee_tabular.continuous.kinova.expert import kinova_policy
@@ -27,6 +28,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
+    from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
@@ -38,6 +40,7 @@ __all__ = [
     "Discretization",
     "GridInterpolation",
     "GymnasiumTask",
+    "HistoryTask",
     "KinovaArm",
     "KinovaHand",
     "LinearReacher",
@@ -45,6 +48,7 @@ __all__ = [
     "Moves",
     "NamedTask",
     "Reacher",
+    "ResidualSimulator",
     "StatePolicy",
     "VisitedCells",
     "arm_cells",

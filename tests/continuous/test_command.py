@@ -11,11 +11,22 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.cli import main
-from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue
+from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Residual
 from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.estimators import Estimate, calibrate
 from oee_tabular.report import Settings, evaluate_continuous
-from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, monte_carlo_value, named_task, record
+from oee_tabular.report.results import headline
+from oee_tabular.tasks import (
+    CartPole,
+    ContinuousTask,
+    GridInterpolation,
+    HistoryTask,
+    ResidualSimulator,
+    cartpole_policy,
+    monte_carlo_value,
+    named_task,
+    record,
+)
 
 SMALL = ["--grid", "16x16", "--simulations", "400", "--estimators", "simulator,oee,model-based"]
 COARSE = "ignore:the 16 x 16 grid .* is too coarse"
@@ -224,7 +235,7 @@ BAD = {
 def test_bad_calls(capsys, tmp_path, case):
     log, options, text = BAD[case]
     log.save(tmp_path / "log.npz")
-    grid = ["--grid", "60x60"] if case == "no support" else ["--grid", "16x16"]
+    grid = ["--grid", "200x200"] if case == "no support" else ["--grid", "16x16"]
     words = ["evaluate", "--simulator", "cartpole", "--log", tmp_path / "log.npz", *grid, "--simulations", 50]
     said = run(capsys, *words, "--estimators", "oee", *options, code=2).splitlines()
     assert text in said[-1]
@@ -339,6 +350,104 @@ def test_the_command_s_configuration_by_hand():
     assert_allclose(rows["oee (calibrated)"]["standard_error"], found.diagnostics["calibrated_standard_error"])
     far = monte_carlo_value(CartPole(10), cartpole_policy(0.0), 4000, 100, seed=1)
     assert abs(mc["value"] - far.value) < 5 * np.hypot(mc["standard_error"], far.standard_error)
+
+
+@pytest.mark.filterwarnings(COARSE)
+def test_the_corrected_simulator_comes_first():
+    """Its value is that of the task by hand, its interval has the truth, and it is what is said first."""
+    simulator, policy = continuous_simulator("cartpole:gravity=10"), cartpole_policy(0.4)
+    report = evaluate_continuous(
+        simulator, LOG, {"mixed": policy}, settings=Settings(grid=(16, 16), episodes=3000), seed=0, estimators=["oee"]
+    )
+    first = report.records()[0]
+    assert first["estimator"] == "oee (residual)"
+    corrected = ResidualSimulator(CartPole(10.0), LOG, seed=0)
+    stream = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(10**6,)))
+    assert first["value"] == monte_carlo_value(corrected, policy, 3000, 100, seed=stream).value
+    truth = monte_carlo_value(CartPole(15.0), policy, 20_000, 100, seed=0)
+    assert first["lower"] < truth.value < first["upper"]
+    before = {row["estimator"]: row["value"] for row in report.records()}["simulator (continuous)"]
+    assert first["upper"] - first["lower"] < 0.5 * abs(before - truth.value)
+    assert first["interval_method"] == "refits"
+    assert headline(report.results).estimator == "oee (residual)"
+    assert report.sureness.sentences[0].startswith(
+        "The target's steps differ from the simulator's in x_dot (residuals "
+    )
+    assert "theta_dot" in report.sureness.sentences[0]
+    assert "oee (residual)" not in str(
+        evaluate_continuous(
+            simulator, LOG, {"mixed": policy}, settings=Settings(grid=(16, 16), episodes=50), seed=0,
+            estimators=["simulator"],
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.filterwarnings(COARSE)
+def test_an_error_of_the_corrected_value_covers_other_logs():
+    """Standard error of refits and rollouts against the spread of the estimate over logs."""
+    policy, errors, values = cartpole_policy(0.4), [], []
+    for seed in range(8):
+        log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=400, max_steps=100, seed=seed)
+        corrected = ResidualSimulator(CartPole(10.0), log, seed=0)
+        mc = MonteCarloValue(corrected, {b"": policy}, 100, 500, 0.99, np.random.SeedSequence(seed))
+        found = Residual(mc, corrected)(None, np.zeros(0))
+        values.append(found.value)
+        errors.append(found.standard_error)
+        assert found.standard_error >= mc(np.zeros(0)).standard_error
+        assert found.standard_error == Residual(mc, corrected)(None, np.zeros(0)).standard_error
+    assert 0.4 < np.mean(errors) / np.std(values, ddof=1) < 2.5
+
+
+class Remembers(HistoryTask):
+    """CartPole that is kicked by a push to the right after a push to the right."""
+
+    step = ContinuousTask.step
+
+    def moves(self, states, actions, disturbance):
+        moved = super().moves(states, actions, disturbance)
+        moved.next_state[:, 3] += 0.2 * states[:, 5] * actions
+        return moved
+
+
+@pytest.mark.filterwarnings(COARSE, "ignore:.*(have no probability|do not show in the features)")
+def test_hidden_state_is_said_and_not_put_in_front():
+    """Where the action before decides, the row says so, and a row with that action in the state stands before all."""
+    simulator, target = continuous_simulator("cartpole:gravity=10"), Remembers(CartPole(10.0))
+    columns = record(target, target.policy(cartpole_policy(0.5)), n_transitions=3000, max_steps=100, seed=0).columns()
+    log = oee.ContinuousTransitions(**(columns | {k: columns[k][:, :4] for k in ("state", "next_state")}))
+    policy = cartpole_policy(0.4)
+    report = evaluate_continuous(
+        simulator, log, {"mixed": policy}, settings=Settings(grid=(16, 16), episodes=3000), seed=0, estimators=["oee"]
+    )
+    assert [row["estimator"] for row in report.records()][:2] == ["oee (residual, last action)", "oee (residual)"]
+    assert headline(report.results).estimator == "oee (residual, last action)"
+    hidden = report.results[1].estimate
+    assert "the state is not all that the next one depends on" in hidden.status
+    assert "Hidden state: " in report.sureness.sentences[0]
+    truth = monte_carlo_value(target, target.policy(policy), 5000, 100, seed=0).value
+    values = {row["estimator"]: row["value"] for row in report.records()}
+    assert abs(values["oee (residual, last action)"] - truth) < abs(values["simulator (continuous)"] - truth) / 3
+
+
+@pytest.mark.filterwarnings(COARSE)
+def test_a_few_moves_without_support_are_left_out_and_told():
+    simulator = continuous_simulator("cartpole:gravity=10")
+    with pytest.warns(UserWarning, match=r"0.0032 of the log's moves have no probability .* begin at state \d+"):
+        report = evaluate_continuous(
+            simulator, LOG, {"expert": simulator.expert}, settings=Settings(grid=(60, 60), floor=0.0, episodes=50),
+            seed=0, estimators=["oee"],
+        )  # fmt: skip
+    assert 0.003 < report.facts["moves_left_out"] < 0.004
+    assert any("(theta=" in text and "leave them out" in text for text in report.warnings)
+
+
+def test_a_way_out_that_is_in_force_is_not_advised():
+    simulator = continuous_simulator("cartpole:gravity=10")
+    columns = LOG.columns()
+    columns["next_state"] = -columns["next_state"]
+    bag = oee.ContinuousTransitions(**{k: columns[k] for k in ("state", "action", "next_state")})
+    with pytest.raises(ValueError, match=r"Ways out: a coarser grid \(--grid\), process noise"):
+        evaluate_continuous(simulator, bag, {"expert": simulator.expert}, seed=0, estimators=["oee"])
 
 
 def test_calibration_by_difference_and_none():

@@ -194,6 +194,11 @@ class Reacher(ContinuousTask):
         states[:, 1] = rng.uniform(-1.57, 1.57, n)
         return states
 
+    def smooth(self, states: Array) -> Array:
+        """Both angles by cosine and sine."""
+        angles = states[:, :2]
+        return np.column_stack([np.cos(angles), np.sin(angles), states[:, 2:]])
+
     def features(self, states: Array) -> Array:
         """(cos q1, sin q1, q2, w1, w2)."""
         return np.column_stack([np.cos(states[:, 0]), np.sin(states[:, 0]), states[:, 1:]])

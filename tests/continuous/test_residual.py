@@ -1,0 +1,516 @@
+"""A simulator corrected by a log: against own truths, and its parts against plain numpy."""
+
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular._checks import freeze
+from oee_tabular.continuous.regression import FOLDS, Functions, Grams, Rows, groups_of
+from oee_tabular.data import ContinuousTransitions
+from oee_tabular.tasks import (
+    CartPole,
+    ContinuousTask,
+    GridInterpolation,
+    GymnasiumTask,
+    HistoryTask,
+    Moves,
+    Reacher,
+    ResidualSimulator,
+    cartpole_policy,
+    monte_carlo_value,
+    reacher_policy,
+    record,
+)
+
+# ---------------------------------------------------------------- own targets
+
+
+@dataclass(frozen=True)
+class OwnCartPole(CartPole):
+    """Written down again, with everything that may differ."""
+
+    pole: float = 1.0
+    force: float = 1.0
+    joint: float = 0.0
+    cart: float = 0.0
+    push: float = 0.0
+    gusts: float = 0.0
+
+    def moves(self, states, actions, disturbance):
+        x, x_dot, angle, speed = states.T
+        half, mass = 0.5 * self.pole, 0.1
+        total = 1.0 + mass
+        force = 10.0 * self.force * np.where(actions == 1, 1.0, -1.0) - self.cart * np.sign(x_dot)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        pulled = (force + mass * half * speed**2 * sine) / total
+        turned = self.gravity * sine - cosine * pulled - self.joint * speed / (mass * half)
+        turned = turned / (half * (4 / 3 - mass * cosine**2 / total)) + self.push
+        moved = pulled - mass * half * turned * cosine / total
+        following = np.stack(
+            [x + 0.02 * x_dot, x_dot + 0.02 * moved, angle + 0.02 * speed, speed + 0.02 * turned], axis=1
+        )
+        following += self.noise * disturbance
+        following[:, 3] += self.gusts * disturbance[:, 3]
+        return Moves(following, np.ones(len(states)), self.terminated(following))
+
+
+CARTPOLES = {
+    "gravity": OwnCartPole(12.5),
+    "pole": OwnCartPole(10.0, pole=1.3),
+    "wind": OwnCartPole(10.0, push=0.5),
+    "gusts": OwnCartPole(10.0, gusts=0.1),
+    "all": OwnCartPole(11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
+}
+
+
+def cartpole_log(target, n=6000, seed=0):
+    return record(target, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=seed)
+
+
+def errors(target, corrected, simulator, deltas=(0.0, 0.5), episodes=12000):
+    """(2, policies) of the simulator and of the corrected one; all share their random numbers."""
+    rows = []
+    for delta in deltas:
+        values = [
+            monte_carlo_value(task, cartpole_policy(delta), episodes, 100, seed=1, normalized=True).value
+            for task in (target, simulator, corrected)
+        ]
+        rows.append([values[1] - values[0], values[2] - values[0]])
+    return np.abs(np.array(rows)).T
+
+
+@pytest.mark.parametrize("change", CARTPOLES)
+def test_cartpole(change):
+    """Nothing is tuned: one setting for every change. Monte Carlo's own error is about .001."""
+    target = CARTPOLES[change]
+    corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target), seed=0)
+    before, after = errors(target, corrected, CartPole(10.0))
+    assert after.mean() < 0.003
+    assert after.mean() < 0.5 * before.mean()
+    assert not any(c.hidden for c in corrected.coordinates)
+    assert corrected.coordinates[3].differs
+
+
+def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
+    task = CartPole(10.0)
+    corrected = ResidualSimulator(task, cartpole_log(task), seed=0)
+    assert [c.kind for c in corrected.coordinates] == ["zero"] * 5
+    assert [c.scatter for c in corrected.coordinates] == ["simulator"] * 4 + ["none"]
+    assert not any(c.differs or c.hidden for c in corrected.coordinates)
+    rng = np.random.default_rng(0)
+    states, actions, xi = rng.normal(size=(50, 4)) / 10, rng.integers(2, size=50), rng.normal(size=(50, 4))
+    assert corrected.n_disturbances == 4
+    mine, own = corrected.moves(states, actions, xi), task.moves(states, actions, xi)
+    assert_allclose(mine.next_state, own.next_state, rtol=0, atol=1e-15)
+    assert_array_equal(mine.terminated, own.terminated)
+    values = [monte_carlo_value(t, cartpole_policy(0.3), 500, 100, seed=0).value for t in (task, corrected)]
+    assert values[0] == values[1]  # common random numbers
+
+
+def pendulum(mass=1.0, gravity=10.0):
+    def make():
+        env = gymnasium.make("Pendulum-v1", g=gravity)
+        env.unwrapped.m = mass
+        return env
+
+    def write(env, state):
+        env.unwrapped.state = np.array(state)
+
+    return GymnasiumTask(
+        make, state_names=("angle", "speed"), get_state=lambda env: env.unwrapped.state, set_state=write,
+        actions=[[-2.0], [0.0], [2.0]], low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False), terminates=False,
+    )  # fmt: skip
+
+
+def swing(delta):
+    """By energy, then balance."""
+
+    def policy(states):
+        angle, speed = (states[:, 0] + np.pi) % (2 * np.pi) - np.pi, states[:, 1]
+        energy = speed**2 / 6 + 5 * (np.cos(angle) - 1)
+        wanted = np.where(np.abs(angle) < 0.6, -8 * angle - 2 * speed, np.where(energy < 0, 1, -1) * np.sign(speed))
+        return np.eye(3)[np.clip(np.round(wanted), -1, 1).astype(int) + 1] * (1 - delta) + delta / 3
+
+    return policy
+
+
+def test_pendulum():
+    target, simulator = pendulum(1.2, 11.0), pendulum()
+    log = record(target, swing(0.3), n_transitions=4000, max_steps=200, seed=0)
+    corrected = ResidualSimulator(simulator, log, seed=0)
+    assert corrected._stops[0, 1] == -8.0
+    assert corrected._stops[1, 1] == 8.0
+    for delta in (0.1, 0.5):
+        truth, found, before = (
+            monte_carlo_value(task, swing(delta), 150, 200, seed=1) for task in (target, corrected, simulator)
+        )
+        assert abs(found.value - truth.value) < 0.25 * abs(before.value - truth.value) + truth.standard_error
+    stepped = corrected.moves(np.array([[3.0, 7.99], [3.0, -7.99]]), np.array([2, 0]), np.zeros((2, 1))).next_state
+    assert np.abs(stepped[:, 1]).max() <= 8.0
+
+
+def mountain_car(gravity=0.0025, force=0.001, *, over=True):
+    def make():
+        env = gymnasium.make("MountainCar-v0")
+        env.unwrapped.gravity, env.unwrapped.force = gravity, force
+        return env
+
+    def write(env, state):
+        env.unwrapped.state = tuple(state)
+
+    return GymnasiumTask(
+        make, state_names=("position", "speed"), get_state=lambda env: np.array(env.unwrapped.state), set_state=write,
+        actions=[0, 1, 2], low=[-1.2, -0.07], high=[0.6, 0.07],
+        over=(lambda states: (states[:, 0] >= 0.5) & (states[:, 1] >= 0)) if over else None,
+    )  # fmt: skip
+
+
+def along(delta):
+    return lambda states: np.eye(3)[np.where(states[:, 1] >= 0, 2, 0)] * (1 - delta) + delta / 3
+
+
+@pytest.mark.parametrize("over", [True, False])
+def test_mountain_car(over):
+    """Contact with the wall is left to e; where the task cannot say which states are over, the nearest known one does."""
+    target, simulator = mountain_car(0.0027, 0.0009), mountain_car(over=over)
+    log = record(target, along(0.3), n_transitions=4000, max_steps=200, seed=0)
+    corrected = ResidualSimulator(simulator, log, seed=0)
+    assert corrected._knows_ends == over
+    assert corrected._stops[0, 0] == -1.2
+    for delta in (0.1, 0.5):
+        truth, found, before = (
+            monte_carlo_value(task, along(delta), 150, 200, seed=1) for task in (target, corrected, simulator)
+        )
+        assert abs(found.value - truth.value) < 0.25 * abs(before.value - truth.value) + 2 * truth.standard_error
+
+
+def test_reacher():
+    target, simulator = Reacher.tamed(0.17), Reacher.tamed(0.1, reward_length=0.17)
+    log = record(target, reacher_policy(0.5), n_transitions=6000, max_steps=25, seed=0)
+    corrected = ResidualSimulator(simulator, log, seed=0)
+    values = [
+        monte_carlo_value(t, reacher_policy(0.5), 300, 25, seed=1).value for t in (target, corrected, simulator)
+    ]  # by common random numbers
+    assert abs(values[1] - values[0]) < 0.05 * abs(values[2] - values[0])
+
+
+# ---------------------------------------------------------------- tasks on the line
+
+
+class Line(ContinuousTask):
+    """s' = s + push + drift(s) + noise xi; paid by where it leads."""
+
+    def __init__(self, drift=lambda s, a: 0.0, noise=0.0, *, knows_reward=True, wall=np.inf, end=np.inf):
+        self.name, self.state_names, self.feature_names = "Line", ("s",), ("s",)
+        self.actions, self.n_disturbances = freeze(np.array([-0.25, 0.25])), 1
+        self.feature_low, self.feature_high, self.periodic = np.array([-2.0]), np.array([2.0]), (False,)
+        self.terminates, self.drift, self.noise = np.isfinite(end), drift, noise
+        self.knows_reward, self.wall, self.end = knows_reward, wall, end
+
+    def moves(self, states, actions, disturbance):
+        shift = self.actions[actions] + self.drift(states[:, 0], actions)
+        following = np.clip(states + shift[:, None] + self.noise * disturbance, -self.wall, self.wall)
+        return Moves(following, following[:, 0] - states[:, 0], self.terminated(following))
+
+    def initial_states(self, n, rng):
+        return rng.uniform(-1.0, 1.0, (n, 1))
+
+    def terminated(self, states):
+        return np.abs(states[:, 0]) > self.end
+
+    def reward_between(self, states, actions, next_states):
+        return next_states[:, 0] - states[:, 0] if self.knows_reward else None
+
+
+def half(states):
+    return np.full((len(states), 2), 0.5)
+
+
+def line_log(target, n=2000, seed=0, steps=20):
+    return record(target, half, n_transitions=n, max_steps=steps, seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("drift", "kind", "per_action"),
+    [
+        (lambda s, a: 0.1 + 0.0 * s, "mean", False),
+        (lambda s, a: -0.1 * s, "linear", False),
+        (lambda s, a: 0.1 * a * s, "linear", True),
+        (lambda s, a: np.where(a == 1, 0.1, -0.2) * np.sin(3 * s), "Fourier", None),
+    ],
+)
+def test_the_simplest_class_that_does(drift, kind, per_action):
+    corrected = ResidualSimulator(Line(noise=0.01), line_log(Line(drift, noise=0.01)), seed=0)
+    learned = corrected.coordinates[0]
+    assert learned.kind == kind
+    if per_action is not None:
+        assert learned.per_action == per_action
+    assert learned.scatter == "simulator"
+    assert learned.explained > 0.8
+    rng = np.random.default_rng(1)
+    states, actions = rng.uniform(-1, 1, (200, 1)), rng.integers(2, size=200)
+    found = corrected.moves(states, actions, np.zeros((200, 1))).next_state
+    right = Line(drift).moves(states, actions, np.zeros((200, 1))).next_state
+    assert np.sqrt(((found - right) ** 2).mean()) < 0.005
+
+
+def test_a_correction_stays_within_what_was_logged():
+    corrected = ResidualSimulator(Line(), line_log(Line(lambda s, a: 0.2 * s)), seed=0)
+    far = np.array([[50.0], [-50.0]])
+    moved = corrected.moves(far, np.array([0, 1]), np.zeros((2, corrected.n_disturbances))).next_state - far
+    own = np.array([[-0.25], [0.25]])
+    assert (np.abs(moved - own) <= np.abs(corrected.residuals).max() + 1e-12).all()
+
+
+def test_a_reward_that_the_task_cannot_tell_is_learned():
+    """r = s' - s where only the step knows it: the simulator's misses the drift."""
+    target, simulator = Line(lambda s, a: -0.3 * s), Line(knows_reward=False)
+    corrected = ResidualSimulator(simulator, line_log(target), seed=0)
+    states, actions = np.linspace(-0.8, 0.8, 30)[:, None], np.arange(30) % 2
+    found, right = (t.moves(states, actions, np.zeros((30, t.n_disturbances))) for t in (corrected, target))
+    assert_allclose(found.reward, right.reward, atol=1e-5)
+    assert corrected.coordinates[-1].name == "reward"
+    assert len(ResidualSimulator(Line(), line_log(target), seed=0).coordinates) == 1
+
+
+def test_noise_is_drawn_from_the_log_where_it_is_another():
+    target = Line(noise=0.05)
+    corrected = ResidualSimulator(Line(noise=0.01), line_log(target, 6000), seed=0)
+    assert (corrected.coordinates[0].scatter, corrected.n_disturbances) == ("log", 2)
+    assert not corrected._scatter.local
+    states, actions = np.zeros((20_000, 1)), np.ones(20_000, dtype=np.int64)
+    spread = corrected.step(states, actions, np.random.default_rng(0)).next_state[:, 0] - 0.25
+    assert_allclose([spread.mean(), spread.std()], [0.0, 0.05], atol=0.0015)
+
+
+def test_noise_that_depends_on_the_place_is_drawn_near_by():
+    class Gusty(Line):
+        def moves(self, states, actions, disturbance):
+            found = super().moves(states, actions, disturbance * np.where(states > 0, 5.0, 0.5))
+            return found
+
+    corrected = ResidualSimulator(Line(noise=0.01), line_log(Gusty(noise=0.02), 6000), seed=0)
+    assert corrected._scatter.local
+    for place, right in ((-0.7, 0.01), (0.7, 0.1)):
+        states = np.full((4000, 1), place) + np.random.default_rng(1).uniform(-0.2, 0.2, (4000, 1))
+        moved = corrected.step(states, np.zeros(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+        assert_allclose((moved - states).std(), right, rtol=0.2)
+
+
+def test_a_wall_in_the_log_holds():
+    target = Line(lambda s, a: 0.05 + 0 * s, wall=1.0)
+    corrected = ResidualSimulator(Line(wall=1.0), line_log(target), seed=0)
+    assert_array_equal(corrected._stops[:, 0], [-1.0, 1.0])
+    rng = np.random.default_rng(0)
+    moved = corrected.step(rng.uniform(-1, 1, (500, 1)), rng.integers(2, size=500), rng).next_state
+    assert np.abs(moved).max() <= 1.0
+
+
+def test_an_action_that_was_never_logged_has_the_others_correction():
+    log = line_log(Line(lambda s, a: 0.1 + 0 * s, noise=0.02))
+    corrected = ResidualSimulator(Line(), log.select(log.action == 0), seed=0)
+    moved = corrected.step(np.zeros((4000, 1)), np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+    assert_allclose(moved.mean(), 0.35, atol=0.002)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 30])
+def test_a_handful_of_moves(n):
+    corrected = ResidualSimulator(CartPole(10.0), cartpole_log(CartPole(15.0), n), seed=0)
+    value = monte_carlo_value(corrected, cartpole_policy(0.3), 200, 100, seed=0, normalized=True).value
+    assert 0.0 < value < 0.64
+
+
+def test_same_seed_same_bits():
+    log = cartpole_log(CARTPOLES["all"], 2000)
+    values = [
+        monte_carlo_value(ResidualSimulator(CartPole(10.0), log, seed=s), cartpole_policy(0.5), 300, 100, seed=0).value
+        for s in (3, 3)
+    ]
+    assert values[0] == values[1]
+
+
+def test_everything_goes_on_from_there():
+    """Cells of the corrected simulator; a log of it; corrected again, nothing is left."""
+    target = CARTPOLES["gravity"]
+    corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target), seed=0)
+    model = GridInterpolation((40, 40), closure_episodes=0).build(corrected)
+    right = GridInterpolation((40, 40), closure_episodes=0).build(CartPole(12.5))
+    values = [
+        oee.policy_value(m.mdp, m.policy(cartpole_policy(0.4)), horizon=100, normalized=True) for m in (model, right)
+    ]
+    assert_allclose(values[0], values[1], atol=0.002)
+    again = ResidualSimulator(corrected, cartpole_log(corrected, seed=1), seed=0)
+    assert all(c.explained < 0.01 for c in again.coordinates)
+    assert corrected.parameters()["gravity"] == 10.0
+    assert corrected.parameters()["corrected_by_moves"] == 6000
+
+
+# ---------------------------------------------------------------- its parts, in plain numpy
+
+
+def regression_rows(n=300, seed=0):
+    rng = np.random.default_rng(seed)
+    task = Line()
+    states, actions = rng.normal(size=(n, 1)), rng.integers(2, size=n)
+    displacement = np.sin(states) + rng.normal(size=(n, 1)) / 10
+    targets = np.column_stack([states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])])
+    functions = Functions(task, states, actions, displacement, rng)
+    return functions, Rows(states, actions, displacement, targets, np.arange(n) % 9, np.arange(n) % 7 > 0)
+
+
+def test_gram_matrices_are_sums_over_rows(monkeypatch):
+    monkeypatch.setattr("oee_tabular.continuous.regression.BLOCK", 5)
+    functions, rows = regression_rows()
+    grams = Grams(functions, rows, 9, 2)
+    phi = functions(rows.states, rows.actions, rows.displacement, np.arange(functions.width))
+    both = np.column_stack([phi, rows.targets])
+    for group in range(9):
+        for a in range(2):
+            at = (rows.group == group) & (rows.actions == a) & rows.used
+            assert_allclose(grams.g[group, a], both[at].T @ both[at], atol=1e-10)
+
+
+@pytest.mark.parametrize("per_action", [False, True])
+def test_coefficients_and_held_out_errors(per_action):
+    functions, rows = regression_rows()
+    grams = Grams(functions, rows, 9, 2)
+    columns = functions.nested["quadratic, displacement"]
+    phi = functions(rows.states, rows.actions, rows.displacement, columns)
+    fold = np.arange(9) % FOLDS
+    found = grams._held_out(columns, 1e-9, per_action, fold)
+    right = np.zeros((9, 2))
+    for group in range(9):
+        for a in (0, 1):
+            train = rows.used & (fold[rows.group] != fold[group])
+            train &= (rows.actions == a) | (not per_action)
+            w = np.linalg.lstsq(phi[train], rows.targets[train])[0]
+            at = rows.used & (rows.group == group) & (rows.actions == a)
+            right[group] += ((rows.targets[at] - phi[at] @ w) ** 2).sum(axis=0)
+    assert_allclose(found, right, rtol=1e-4)
+
+
+def test_functions_of_inputs_beyond_the_log_are_those_at_its_edge():
+    functions, rows = regression_rows()
+    every = np.arange(functions.width)
+    edge = functions.high[:1][None], np.array([1]), functions.high[-1:][None]
+    assert_array_equal(functions(*edge, every), functions(edge[0] + 10, edge[1], edge[2] + 10, every))
+    part = np.array([1, 4, functions.width - 1])
+    at = rows.states, rows.actions, rows.displacement
+    assert_allclose(functions(*at, part), functions(*at, every)[:, part], atol=1e-13)
+
+
+def test_groups_are_of_whole_episodes():
+    episode = np.repeat(np.arange(100), 7)
+    group = groups_of(episode, 700, 50, 2)
+    assert group.max() == 39
+    assert all(len(np.unique(group[episode == k])) == 1 for k in range(100))
+    assert groups_of(episode, 700, 3000, 9).max() == 7  # memory
+    assert len(np.unique(groups_of(None, 700, 50, 2))) == 40
+
+
+def test_refits_vary_as_other_logs_do():
+    """Bootstrap of the drift's mean against the mean over logs."""
+    target = Line(lambda s, a: 0.1 + 0 * s, noise=0.2)
+
+    def shift(task):
+        return task.moves(np.zeros((1, 1)), np.array([1]), np.zeros((1, task.n_disturbances))).next_state[0, 0]
+
+    found = [shift(ResidualSimulator(Line(noise=0.2), line_log(target, 1000, seed=k), seed=0)) for k in range(20)]
+    one = ResidualSimulator(Line(noise=0.2), line_log(target, 1000), seed=0)
+    again = [shift(one.resampled(k)) for k in range(40)]
+    assert 0.5 < np.std(again) / np.std(found) < 2.0
+    assert shift(one) == shift(ResidualSimulator(Line(noise=0.2), line_log(target, 1000), seed=0))
+
+
+# ---------------------------------------------------------------- the state with the last action
+
+
+class Delayed(ContinuousTask):
+    """Does what was asked one step ago."""
+
+    def __init__(self, task):
+        self.inner, self.whole = task, HistoryTask(task)
+        for name in ("state_names", "feature_names", "actions", "n_disturbances", "terminates", "feature_low",
+                     "feature_high", "periodic", "name"):  # fmt: skip
+            setattr(self, name, getattr(self.whole, name))
+
+    def moves(self, states, actions, disturbance):
+        last = states[:, -self.inner.n_actions :].argmax(axis=1)
+        moved = self.inner.moves(states[:, : self.inner.n_state], last, disturbance)
+        return Moves(
+            np.column_stack([moved.next_state, np.eye(self.n_actions)[actions]]), moved.reward, moved.terminated
+        )
+
+    def initial_states(self, n, rng):
+        return self.whole.initial_states(n, rng)
+
+
+def without_history(log, d):
+    columns = log.columns()
+    return ContinuousTransitions(**(columns | {k: columns[k][:, :d] for k in ("state", "next_state")}))
+
+
+def test_a_delay_is_hidden_state_and_the_last_action_mends_it():
+    simulator = CartPole(10.0)
+    whole, target = HistoryTask(simulator), Delayed(simulator)
+    recorded = record(target, whole.policy(cartpole_policy(0.3)), n_transitions=5000, max_steps=100, seed=0)
+    log = without_history(recorded, 4)
+    seen = ResidualSimulator(simulator, log, seed=0)
+    assert [c.hidden for c in seen.coordinates] == [False, True, False, True, False]
+    assert seen.coordinates[3].told_by_history > 0.5
+    augmented = whole.log(log)
+    assert_array_equal(augmented.state, recorded.state)
+    assert_array_equal(augmented.next_state, recorded.next_state)
+    mended = ResidualSimulator(whole, augmented, seed=0)
+    assert not any(c.hidden for c in mended.coordinates)
+    policy = cartpole_policy(0.4)
+    truth, found = (
+        monte_carlo_value(t, whole.policy(policy), 4000, 100, seed=1, normalized=True).value for t in (target, mended)
+    )
+    before = monte_carlo_value(simulator, policy, 4000, 100, seed=1, normalized=True).value
+    assert abs(found - truth) < abs(before - truth) / 3
+
+
+def test_a_log_without_episodes_is_chained_by_its_states():
+    log = line_log(Line(noise=0.1), 100)
+    columns = log.columns()
+    for name in ("episode", "timestep", "truncated"):
+        columns[name] = None
+    whole = HistoryTask(Line())
+    assert_array_equal(whole.log(ContinuousTransitions(**columns)).state, whole.log(log).state)
+
+
+def test_history_is_the_task_with_one_more_thing():
+    task = HistoryTask(Line(lambda s, a: 0.1 * s, noise=0.1, end=1.0))
+    states = np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 0.0]])
+    moved = task.moves(states, np.array([1, 1]), np.zeros((2, 1)))
+    assert_allclose(moved.next_state, [[0.8, 0.0, 1.0], [1.295, 0.0, 1.0]])
+    assert_array_equal(moved.terminated, [False, True])
+    assert_array_equal(task.terminated(moved.next_state), moved.terminated)
+    assert_allclose(task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward)
+    assert_array_equal(task.embed(task.features(states)), states)
+    assert task.initial_points()[0].shape == (50_000, 3)
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def test_bad_input():
+    log = cartpole_log(CartPole(15.0), 100)
+    with pytest.raises(ValueError, match=r"task must be .*ContinuousTask"):
+        ResidualSimulator("cartpole", log)
+    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line \(s\); it has 4"):
+        ResidualSimulator(Line(), log)
+    with pytest.raises(ValueError, match="log must be"):
+        ResidualSimulator(CartPole(), None)
+    bad = ContinuousTransitions(log.state, np.full(100, 2), log.next_state)
+    with pytest.raises(ValueError, match=r"log.action\[0\] must be in 0..1"):
+        ResidualSimulator(CartPole(), bad)
+    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line"):
+        HistoryTask(Line()).log(log)
+    with pytest.raises(ValueError, match="policy"):
+        HistoryTask(Line()).policy(np.ones((3, 2)))
