@@ -18,7 +18,7 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular._sparse import canonical, checked, row_of_entry
-from oee_tabular.data.columns import integers
+from oee_tabular.data.columns import booleans, integers
 from oee_tabular.data.transitions import Moves, Transitions, counts_of
 
 KIND = "transition_counts"
@@ -92,11 +92,9 @@ class TransitionCounts:
             name: integers(getattr(self, name), name) for name in ("state", "action", "next_state")
         }
         columns["count"] = _checks.float_array(self.count, "count", ndim=1)
-        columns["terminated"] = (
-            np.asarray(self.terminated, dtype=np.bool_)
-            if np.size(self.terminated)
-            else np.zeros(len(columns["state"]), dtype=np.bool_)
-        )
+        columns["terminated"] = booleans(self.terminated, "terminated")
+        if not columns["terminated"].size:
+            columns["terminated"] = np.zeros(len(columns["state"]), dtype=np.bool_)
         for name in ("reward_sum", "reward_min", "reward_max"):
             if getattr(self, name) is not None:
                 columns[name] = _checks.float_array(getattr(self, name), name, ndim=1)

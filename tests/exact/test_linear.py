@@ -235,7 +235,7 @@ def test_the_policy_kernel_is_the_product(rng):
     assert kernel.has_canonical_format
     for part in ("data", "indices", "indptr"):
         assert_array_equal(getattr(kernel, part), getattr(product, part))
-    assert_allclose(policy_rewards(mdp, policy), np.einsum("sa,sa->s", policy, mdp.rewards), rtol=1e-14)
+    assert_allclose(policy_rewards(mdp, policy), np.einsum("sa,sa->s", policy, mdp.rewards), rtol=1e-14, atol=1e-14)
 
 
 def test_wide_index_arrays_and_unsorted_rows_are_taken():
