@@ -107,8 +107,9 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
     if suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
         columns.pop(_files.KIND)
-        columns = form.read(columns)
         labels = list(columns)
+        with _files.parts_of(name, "a log"):
+            columns = form.read({column: columns[column] for column in labels if column in COLUMNS})
     elif suffix in TABLES:
         frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, form.known)
         flat = {str(label): frame[label].to_numpy() for label in frame.columns if form.known(str(label))}

@@ -69,7 +69,8 @@ def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int 
     """
     require_sized(mdp)
     _checks.instance(name, str, "name")
-    policy = policy_table(policy, mdp, name)
+    if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
+        policy = policy_table(policy, mdp, name)
     array = _checks.float_array(policy, name)
     own = len(mdp.terminal_state)
     shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
