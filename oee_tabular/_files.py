@@ -143,8 +143,12 @@ def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArr
         if array.dtype.hasobject:  # it would be a pickle, which numpy 2.0 cannot be told not to write
             raise ValueError(f"{name} must be numbers or text; it is an array of objects")
     with whole_file(path, (".npz",)) as handle:
-        stored: dict[str, Any] = {KIND: np.array(kind), **arrays}
-        np.savez_compressed(handle, **stored)
+        stored = {KIND: np.array(kind), **arrays}
+        # what np.savez_compressed writes; where a disk is full, some of its releases leave their archive open
+        with zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, array in stored.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:
