@@ -381,7 +381,7 @@ def test_bootstrap_by_episodes():
 
 @pytest.mark.parametrize(("n", "k", "level"), [(1, 2, 0.05), (10, 2, 0.05), (10, 4, 0.01), (500, 3, 1e-6)])
 def test_the_anytime_radius_is_the_published_one(n, k, level):
-    """Jonsson et al. 2020, as theory.md section 3 has it: n r = log(1/level) + (k - 1) log(e (1 + n / (k - 1)))."""
+    """Jonsson et al. 2020: n r = log(1/level) + (k - 1) log(e (1 + n / (k - 1)))."""
     expected = (np.log(1 / level) + (k - 1) * np.log(np.e * (1 + n / (k - 1)))) / n
     found = ambiguity.anytime_radius(np.array([n, 0.0]), np.array([k, k]), level)
     assert_allclose(found[0], expected, rtol=1e-13)
