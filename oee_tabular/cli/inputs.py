@@ -65,20 +65,10 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
 
 
-def named_specs(specs: list[str]) -> dict[str, str]:
-    """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name."""
-    found: dict[str, str] = {}
-    for text in specs:
-        name, equals, spec = text.partition("=")
-        label, source = (name, spec) if equals else (text, text)
-        if label in found:
-            raise ValueError(f"--policy names must differ; {label!r} is given twice")
-        found[label] = source
-    return found
-
-
 def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    from oee_tabular.tasks.arguments import named_specs
+
     return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}
 
 

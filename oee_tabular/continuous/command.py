@@ -118,13 +118,10 @@ def recorded_states(
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; the expert where there are none."""
     from oee_tabular.mdp.policies import policy_array
+    from oee_tabular.tasks.arguments import named_specs
 
     found: dict[str, Any] = {}
-    for text in specs or ["expert"]:
-        name, equals, spec = text.partition("=")
-        label, source = (name, spec) if equals else (text, text)
-        if label in found:
-            raise ValueError(f"--policy names must differ; {label!r} is given twice")
+    for label, source in named_specs(specs or ["expert"]).items():
         is_file = Path(source).suffix.lower() in (".npy", ".npz")
         if is_file:
             _refuse_arrays(source, simulator, "--policy")

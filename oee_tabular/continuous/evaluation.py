@@ -36,7 +36,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.report.evaluation import evaluate
-from oee_tabular.report.results import Report
+from oee_tabular.report.report import Report
 
 LEFT_OUT = 0.01  # share of the log's moves without support that the rows on the cells may leave out
 CALIBRATIONS = (*KINDS, "none")

@@ -13,7 +13,7 @@ from oee_tabular.continuous.cartpole import cartpole
 from oee_tabular.continuous.kinova import kinova
 from oee_tabular.continuous.reacher import reacher
 from oee_tabular.continuous.simulator import ContinuousSimulator
-from oee_tabular.tasks.specs import arguments
+from oee_tabular.tasks.arguments import arguments
 
 CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
     "cartpole": cartpole,

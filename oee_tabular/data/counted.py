@@ -19,7 +19,8 @@ from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular._sparse import canonical, checked, row_of_entry
 from oee_tabular.data.columns import booleans, integers
-from oee_tabular.data.transitions import Moves, Transitions, counts_of
+from oee_tabular.data.moves import Moves, counts_of
+from oee_tabular.data.transitions import Transitions
 
 KIND = "transition_counts"
 

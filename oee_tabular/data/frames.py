@@ -1,4 +1,4 @@
-"""Logs as people have them: data frames of any library, and episodes as lists of steps."""
+"""Logs as people have them: data frames of any library, episodes as lists of steps, columns of names."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 from oee_tabular.data.files import COLUMNS
 from oee_tabular.data.tables import SEPARATORS, meant
+from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number
 
 REQUIRED = ("state", "action", "next_state")
 STEP = "(state, action, reward), (state, action, reward, next_state) or (state, action, reward, next_state, terminated)"
@@ -171,3 +172,51 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
         over = part[4] if len(part) == 5 else t + 1 == len(body) and last is not None and len(last) == 2 and last[1]
         moves.append((*part[:3], led[0], over))
     return moves, 0
+
+
+def coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
+    texts = {column: _names_in(value, column) for column, value in columns.items()}
+    found = {column: items for column, items in texts.items() if items is not None}
+    if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
+        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
+        return list(columns.values()), None if given is None else check_names(given, name, size)
+    if given is not None:
+        raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
+    first: dict[Name, int] = {}
+    codes = [
+        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
+    ]
+    return list(codes), check_names(list(first), name, len(first))
+
+
+def _names_in(value: Any, name: str) -> list[Any] | None:
+    """The items of a column of names; None for a column of anything else, which its own reader judges."""
+    if isinstance(value, list | tuple):
+        items, told = list(value), (str, tuple)
+    else:
+        array = _checks.as_array(value, name)
+        if array.dtype.kind not in "UO" or array.ndim != 1:
+            return None
+        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
+    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
+        return None
+    names = [item if type(item) is str else plain(item) for item in items]
+    try:
+        distinct = dict.fromkeys(names)
+    except TypeError as error:
+        raise ValueError(f"{name} must be a column of names; {error}") from None
+    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and reads_as_number(item))]
+    if len(odd) == len(distinct):
+        return None
+    if odd:
+        k = names.index(odd[0])
+        raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
+    return names
+
+
+def as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
+    """Names as an array of them, tuples whole."""
+    array = np.empty(len(names), dtype=object)
+    array[:] = names
+    return array

@@ -22,7 +22,9 @@ from oee_tabular import _checks, _files, _workers
 from oee_tabular.data import parts as files
 from oee_tabular.data import tally
 from oee_tabular.data.counted import KIND, Recording, TransitionCounts, sealed, unsealed
-from oee_tabular.data.tally import Counted, Limits
+from oee_tabular.data.readers import LARGEST, Limits
+from oee_tabular.data.sampling import Sample
+from oee_tabular.data.tally import Counted
 from oee_tabular.data.transitions import Transitions
 
 PARTIAL = "transition_counts_partial"
@@ -47,8 +49,8 @@ def count_log(
         return TransitionCounts.load(path)
     parts = files.found(path)
     limits = Limits(
-        tally.LARGEST if n_states is None else _checks.positive_integer(n_states, "n_states"),
-        tally.LARGEST if n_actions is None else _checks.positive_integer(n_actions, "n_actions"),
+        LARGEST if n_states is None else _checks.positive_integer(n_states, "n_states"),
+        LARGEST if n_actions is None else _checks.positive_integer(n_actions, "n_actions"),
         _drops(bad_rows),
         _checks.positive_integer(kept_moves, "kept_moves"),
     )
@@ -99,7 +101,7 @@ class Run:
         self.partial = None if self.output is None else f"{self.output.removesuffix('.npz')}.partial.npz"
         self.moves = tally.Growing()
         self.largest = 0  # different moves of a file
-        self.sample, self.sampled = tally.Sample(self.limits.kept), 0
+        self.sample, self.sampled = Sample(self.limits.kept), 0
         self.fresh, self.written, self.pause = False, time.monotonic(), SECONDS
 
     def add(self, name: str, found: Counted) -> None:

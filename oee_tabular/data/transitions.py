@@ -6,24 +6,22 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import canonical
+from oee_tabular._checks import BoolArray, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
-from oee_tabular.data.frames import episode_columns, frame_columns, is_frame
+from oee_tabular.data.frames import as_objects, coded, episode_columns, frame_columns, is_frame
+from oee_tabular.data.moves import Moves, counts_of, distinct, numbered_pairs
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number, renumbered, worded
-
-if TYPE_CHECKING:
-    from oee_tabular.data.counted import TransitionCounts
+from oee_tabular.mdp.naming import Name, renumbered, worded
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -65,6 +63,7 @@ class Transitions(Log):
     """
 
     FILES: ClassVar[files.Format] = files.Format()
+    open: ClassVar[Callable[..., Any]]  # counts files of any size; ``data``'s own, which knows counts and logs
 
     state: IntArray
     action: IntArray
@@ -87,8 +86,8 @@ class Transitions(Log):
         state_names: Any = None,
         action_names: Any = None,
     ) -> None:
-        (states, following), called = _coded({"state": state, "next_state": next_state}, state_names, "state_names")
-        (actions,), acts = _coded({"action": action}, action_names, "action_names")
+        (states, following), called = coded({"state": state, "next_state": next_state}, state_names, "state_names")
+        (actions,), acts = coded({"action": action}, action_names, "action_names")
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
         super().__init__(
@@ -123,7 +122,7 @@ class Transitions(Log):
             ("next_state", self.state_names),
         ):
             if names is not None:
-                found[column] = _as_objects(names)[found[column]]
+                found[column] = as_objects(names)[found[column]]
         return found
 
     @classmethod
@@ -204,49 +203,6 @@ class Transitions(Log):
         rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value is not None]
         return _printing.facts("Transitions: a log", rows)
 
-    @staticmethod
-    def open(path: Any, **options: Any) -> TransitionCounts:
-        """Count a log of any size, in memory of the size of its counts: what ``Problem`` takes where no log fits.
-
-        Parameters
-        ----------
-        path : file (.parquet, .csv, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, or a list
-        n_states, n_actions : int, optional: states and actions from there on are bad
-        bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
-            a row that is left out breaks its episode, whose other moves are still counted
-        kept_moves : int, 200 000: whole episodes of so many moves are kept for importance sampling, drawn uniformly
-        output : .npz to write the counts to; beside it stands what was counted when the run is stopped, and the same call goes
-            on from there
-        jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files
-        progress : whether to show a bar
-
-        Raises
-        ------
-        ValueError
-            Names the file, the row or the column, the rule and what was found: files that are no tables, have other columns
-            than the first, or rows that are none of a log, where they are refused. An episode stands in one file.
-        OSError
-            A file that is not there; no scheduler at the address.
-
-        Notes
-        -----
-        Cost: O(rows); memory of the different moves, of a batch of 131 072 rows (CSV: 8 MiB), and of what is kept. Serial,
-        processes and cluster give the same bits. Names of episodes that do not grow by 1 take 24 bytes an episode.
-
-        Examples
-        --------
-        >>> import tempfile, pathlib
-        >>> folder = pathlib.Path(tempfile.mkdtemp())
-        >>> for k in range(2):
-        ...     Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]).save(folder / f"part-{k}.csv")
-        >>> Transitions.open(folder)
-        TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 to 2 steps: 0 terminated, 2 truncated;
-                         states 0..2, actions 0..0; 2 whole episodes kept)
-        """
-        from oee_tabular.data.streaming import count_log
-
-        return count_log(path, **options)
-
     def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
         """How often each (s, a, s') was seen: csr of shape (S*A, S), row s*A + a.
 
@@ -280,8 +236,8 @@ class Transitions(Log):
     def summary(self) -> dict[str, Any]:
         """What the log holds, as plain numbers. Cost: O(n), or O(n log n) where the numbers are far above n."""
         states = np.concatenate([self.state, self.next_state])
-        pairs = _numbered_pairs(self.state, self.action)
-        return self._printed() | {"states_seen": _distinct(states), "state_action_pairs_seen": _distinct(pairs)}
+        pairs = numbered_pairs(self.state, self.action)
+        return self._printed() | {"states_seen": distinct(states), "state_action_pairs_seen": distinct(pairs)}
 
     def _printed(self) -> dict[str, Any]:
         """The part of the summary that one line prints: a pass over each column, no sort."""
@@ -327,104 +283,3 @@ def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
     if not isinstance(value, Transitions) and is_frame(value):
         return Transitions.from_frame(value, simulator=simulator)
     return _checks.instance(value, Transitions, name, "Transitions").numbered(simulator, name)
-
-
-def _coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
-    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
-    texts = {column: _names_in(value, column) for column, value in columns.items()}
-    found = {column: items for column, items in texts.items() if items is not None}
-    if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
-        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
-        return list(columns.values()), None if given is None else check_names(given, name, size)
-    if given is not None:
-        raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
-    first: dict[Name, int] = {}
-    codes = [
-        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
-    ]
-    return list(codes), check_names(list(first), name, len(first))
-
-
-def _names_in(value: Any, name: str) -> list[Any] | None:
-    """The items of a column of names; None for a column of anything else, which its own reader judges."""
-    if isinstance(value, list | tuple):
-        items, told = list(value), (str, tuple)
-    else:
-        array = _checks.as_array(value, name)
-        if array.dtype.kind not in "UO" or array.ndim != 1:
-            return None
-        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
-    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
-        return None
-    names = [item if type(item) is str else plain(item) for item in items]
-    try:
-        distinct = dict.fromkeys(names)
-    except TypeError as error:
-        raise ValueError(f"{name} must be a column of names; {error}") from None
-    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and reads_as_number(item))]
-    if len(odd) == len(distinct):
-        return None
-    if odd:
-        k = names.index(odd[0])
-        raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
-    return names
-
-
-def _as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
-    array = np.empty(len(names), dtype=object)
-    array[:] = names
-    return array
-
-
-class Moves(NamedTuple):
-    """Of each row of a log: how many moves it stands for, the sum of their rewards, the least and the largest, (n,) each."""
-
-    number: Array
-    reward_sum: Array | None
-    reward_min: Array | None
-    reward_max: Array | None
-
-
-def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:
-    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S); ValueError for numbers out of range."""
-    _checks.positive_integer(n_states, "n_states")
-    _checks.positive_integer(n_actions, "n_actions")
-    _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
-    for name, column, limit in (
-        ("state", log.state, n_states),
-        ("action", log.action, n_actions),
-        ("next_state", log.next_state, n_states),
-    ):
-        bad = np.flatnonzero(column >= limit)
-        if bad.size:
-            given = "n_actions" if name == "action" else "n_states"
-            raise ValueError(
-                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
-                f"{given} is {limit})"
-            )
-    rows = log.state * n_actions + log.action
-    matrix = sparse.csr_array((weights, (rows, log.next_state)), shape=(n_states * n_actions, n_states))
-    return canonical(matrix, drop_zeros=True)
-
-
-_SPARE = 8  # bytes of a table that counts, for each byte of the column: beyond it the column is sorted
-
-
-def _numbered_pairs(state: IntArray, action: IntArray) -> IntArray:
-    """One number for each different (s, a)."""
-    width = int(action.max()) + 1
-    if int(state.max()) < (_checks.LARGEST_INTEGER - width) // width:
-        return state * width + action
-    return np.unique(np.stack([state, action]), axis=1, return_inverse=True)[1].reshape(-1).astype(np.int64)
-
-
-def _distinct(numbers: IntArray) -> int:
-    """How many different numbers there are: by a table where it is not much larger than the column, else by a sort.
-
-    Measured at 10^7 numbers below 10^4, CPU time: the table takes 1/17 of the time of the sort.
-    """
-    if int(numbers.max()) < _SPARE * len(numbers):
-        seen = np.zeros(int(numbers.max()) + 1, dtype=np.bool_)
-        seen[numbers] = True
-        return int(seen.sum())
-    return len(np.unique(numbers))

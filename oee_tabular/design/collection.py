@@ -223,7 +223,7 @@ def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list
 
 
 def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
-    from oee_tabular.inference.statements import conic_design
+    from oee_tabular.design.statements import conic_design
 
     q, weights = conic_design(costs, base, collection)
     if collection is not None:

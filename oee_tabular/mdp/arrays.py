@@ -112,3 +112,14 @@ def terminal_states(value: Any, n_states: int) -> IntArray:
     if bad.size:
         raise ValueError(f"terminal_state[{bad[0]}] must be in 0..{n_states - 1}; it is {array[bad[0]]}")
     return array.astype(np.int64)
+
+
+def check_layout(value: Any, n_states: int, name: str = "layout") -> Array:
+    """``value``, (S,) or (S, c) finite numbers, as a new (S, c) array that is not writable."""
+    array = _checks.float_array(value, name, ndim=(1, 2))
+    if len(array) != n_states or array.size == 0:
+        raise ValueError(
+            f"{name} must have shape ({n_states},) or ({n_states}, c), a place for each state; it has shape {array.shape}"
+        )
+    _checks.require_finite(array, name)
+    return _checks.freeze(array.reshape(n_states, -1))

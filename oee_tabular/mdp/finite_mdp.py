@@ -19,13 +19,13 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked_rows, row_of_entry, row_sums
 from oee_tabular.mdp.arrays import (
     canonical_table,
+    check_layout,
     name_move,
     reward_table,
     stored_shape,
     terminal_states,
     transition_rows,
 )
-from oee_tabular.mdp.layout import check_layout
 from oee_tabular.mdp.made import Made
 from oee_tabular.mdp.naming import Name, Names, check_names, from_text, start_law, to_text
 

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_of_entry
-
-if TYPE_CHECKING:
-    from oee_tabular.mdp.finite_mdp import FiniteMDP
+from oee_tabular.mdp.arrays import check_layout
+from oee_tabular.mdp.finite_mdp import FiniteMDP
 
 DIGITS = 9  # displacements that differ by less than 1e-9 are one
-
-
-def check_layout(value: Any, n_states: int, name: str = "layout") -> Array:
-    """``value``, (S,) or (S, c) finite numbers, as a new (S, c) array that is not writable."""
-    array = _checks.float_array(value, name, ndim=(1, 2))
-    if len(array) != n_states or array.size == 0:
-        raise ValueError(
-            f"{name} must have shape ({n_states},) or ({n_states}, c), a place for each state; it has shape {array.shape}"
-        )
-    _checks.require_finite(array, name)
-    return _checks.freeze(array.reshape(n_states, -1))
 
 
 def displacements(mdp: FiniteMDP, *, layout: Any = None) -> tuple[Array, IntArray]:
@@ -62,8 +50,6 @@ def displacements(mdp: FiniteMDP, *, layout: Any = None) -> tuple[Array, IntArra
     >>> displacements(oee.tasks.gridworld(3, slip=0.3))[0].tolist()  # staying, then the directions; none leaves the goal
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
     """
-    from oee_tabular.mdp.finite_mdp import FiniteMDP  # which imports the check of a layout
-
     _checks.instance(mdp, FiniteMDP, "mdp")
     matrix = mdp.transitions
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.mdp.policy_forms import are_several, is_policy_by_state, policy_table
-
-
-class Sized(Protocol):
-    """Anything with numbers of states and actions, and the states that the environment itself knows."""
-
-    @property
-    def n_states(self) -> int:
-        """S."""
-
-    @property
-    def n_actions(self) -> int:
-        """A."""
-
-    @property
-    def terminal_state(self) -> IntArray:
-        """(S0,): its length is the number of the environment's own states."""
+from oee_tabular.mdp.policy_forms import Sized, are_several, is_policy_by_state, policy_table
 
 
 def require_sized(mdp: object) -> None:

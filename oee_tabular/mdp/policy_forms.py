@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.naming import Name, Names, is_name, names_of, number_of, numbers_of, plain
 
-if TYPE_CHECKING:
-    from oee_tabular.mdp.policies import Sized
+
+class Sized(Protocol):
+    """Anything with numbers of states and actions, and the states that the environment itself knows."""
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """(S0,): its length is the number of the environment's own states."""
 
 
 def policy_table(policy: Any, mdp: Sized, name: str) -> Any:

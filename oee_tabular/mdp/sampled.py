@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -11,12 +11,10 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
-from oee_tabular.mdp.arrays import canonical_table
+from oee_tabular.mdp.arrays import canonical_table, check_layout
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
-
-if TYPE_CHECKING:
-    from oee_tabular.mdp.finite_mdp import FiniteMDP
+from oee_tabular.mdp.policy_forms import Sized
 
 LEAST = 1e-300  # a smaller probability supports no ratio
 _LOG = (
@@ -214,8 +212,6 @@ def _arguments(
             moves = moves._replace(reward=array[moves.state, moves.action, moves.next_state])
     places = None
     if layout is not None:
-        from oee_tabular.mdp.layout import check_layout
-
         places = np.array(check_layout(layout, n_own))
     table = replace(build(moves, n_actions, initial, places, names[0]), action_names=names[1])
     found = dict(vars(table))
@@ -235,7 +231,15 @@ def _paid_alive(rewards: Array, moves: Outcomes, initial: Array, n_states: int, 
     return paid
 
 
-def supporting(mdp: FiniteMDP, log: Any, epsilon: Any) -> dict[str, Any]:
+class Tables(Sized, Protocol):
+    """What is read of a FiniteMDP."""
+
+    transitions: sparse.csr_array
+    rewards: Array
+    transition_rewards: sparse.csr_array | None
+
+
+def supporting(mdp: Tables, log: Any, epsilon: Any) -> dict[str, Any]:
     """What changes in an MDP that is to allow the log's moves; ``FiniteMDP.with_support_of`` explains them."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _moves_of(mdp, log)
@@ -270,7 +274,7 @@ def supporting(mdp: FiniteMDP, log: Any, epsilon: Any) -> dict[str, Any]:
     return {"transitions": new, "rewards": table}
 
 
-def _moves_of(mdp: FiniteMDP, log: Any) -> tuple[IntArray, IntArray, Array | None]:
+def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
     """Rows, next states and rewards of a log's moves, terminated ones led to where that leads; or of counts."""
     if sparse.issparse(log):
         if log.shape != mdp.transitions.shape:

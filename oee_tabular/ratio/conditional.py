@@ -21,13 +21,14 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.method import Given, Method, Population
-from oee_tabular.ratio.network import Network, check_network, fit_rows
+from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.centre import fit_centre
 from oee_tabular.ratio.prior.library import values_in
 from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, meaning
 from oee_tabular.ratio.prior.tilt import Tilt, fit_default_tilt, fit_tilt
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio
+from oee_tabular.ratio.trained import fit_rows
 
 Ridge = float | str | Callable[[float], float]
 

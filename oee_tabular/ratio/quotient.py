@@ -16,10 +16,11 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
-from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
+from oee_tabular.ratio.network import Network, check_boxed_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
+from oee_tabular.ratio.trained import fit_network
 from oee_tabular.simulate import sample_episodes
 
 _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were

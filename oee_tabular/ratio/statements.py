@@ -264,18 +264,18 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
 
 def _solve(problem: Any, solver: str) -> None:
     """Solve to the status "optimal", or SolverStatusError."""
-    status = _run(problem, solver)
+    status = run(problem, solver)
     if status != "optimal":
         raise SolverStatusError(
             f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
         )
 
 
-def _run(problem: Any, solver: str) -> str:
+def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -> str:
     """Solve, Clarabel at falling demands; the status that was reached (a failure is one)."""
     import cvxpy as cp
 
-    settings = [clarabel_options(t) for t in TOLERANCES] if solver == "CLARABEL" else [{}]
+    settings = [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]
     status = "failed"
     for options in settings:
         try:

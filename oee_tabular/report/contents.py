@@ -8,16 +8,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
-from typing import TYPE_CHECKING
 
 from oee_tabular import __version__, _printing
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.inference import Interval
 from oee_tabular.report.quoting import LIKELIHOOD, METHODS
-from oee_tabular.report.results import headline
-
-if TYPE_CHECKING:
-    from oee_tabular.report.results import Report
+from oee_tabular.report.results import Evaluation, headline
 
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
@@ -67,7 +63,7 @@ def between(lower: float | None, upper: float | None, joint: str = " to ") -> st
     return f"{within(lower, lower, upper)}{joint}{within(upper, lower, upper)}"
 
 
-def answers(report: Report) -> list[Answer]:
+def answers(report: Evaluation) -> list[Answer]:
     """One answer a policy: the value that the log corrects, where there is one, with its interval."""
     found, rows = [], report.records()
     for policy in dict.fromkeys(result.policy for result in report.results):
@@ -90,7 +86,7 @@ def sentence(text: str) -> str:
     return re.sub(r"(?<![\w.])-(?=\d)", "−", text[:1].upper() + text[1:])
 
 
-def first_words(report: Report, found: list[Answer]) -> tuple[str, str]:
+def first_words(report: Evaluation, found: list[Answer]) -> tuple[str, str]:
     """The answer in one sentence, and what to read beside it."""
     valued = [a for a in found if math.isfinite(a.value)]
     if not valued:
@@ -113,7 +109,7 @@ def _known(answer: Answer) -> str:
     return " ".join(told)
 
 
-def _worth(answer: Answer, report: Report) -> str:
+def _worth(answer: Answer, report: Evaluation) -> str:
     where = f"about {within(answer.value, answer.lower, answer.upper)}"
     if answer.lower is None:
         return where
@@ -121,7 +117,7 @@ def _worth(answer: Answer, report: Report) -> str:
     return f"{where}, and with {level} confidence between {between(answer.lower, answer.upper, ' and ')}"
 
 
-def alone(report: Report, policy: str) -> dict[str, Interval]:
+def alone(report: Evaluation, policy: str) -> dict[str, Interval]:
     """The intervals of a policy that stand beside no value, by what they are called."""
     beside = {row["interval_method"] for row in report.records() if row["policy"] == policy}
     return {
@@ -136,7 +132,7 @@ def interval_words(found: Interval, scale: float) -> str:
     return between(found.lower * scale, found.upper * scale) if found.status == "ok" else "none"
 
 
-def method_facts(report: Report) -> list[tuple[str, str]]:
+def method_facts(report: Evaluation) -> list[tuple[str, str]]:
     """How it was computed."""
     facts = report.facts
     names = list(dict.fromkeys(result.estimator for result in report.results))
@@ -175,7 +171,7 @@ def versions() -> list[tuple[str, str]]:
     return found
 
 
-def glossary(report: Report) -> list[tuple[str, str]]:
+def glossary(report: Evaluation) -> list[tuple[str, str]]:
     """What the words of the tables mean, for a reader who did not run it."""
     used = dict.fromkeys(result.estimator for result in report.results)
     found = [(name, NAMED[name].meaning) for name in used if name in NAMED]

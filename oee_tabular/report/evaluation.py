@@ -14,7 +14,8 @@ from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report.quoting import LIKELIHOOD, quoted, sentences, way
-from oee_tabular.report.results import Report, Result, headline
+from oee_tabular.report.report import Report
+from oee_tabular.report.results import Result, headline
 from oee_tabular.report.sureness import Sureness, how_sure, ranked
 
 

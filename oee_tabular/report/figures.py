@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,7 @@ from oee_tabular.plots import detect_grid
 from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report.contents import Answer, alone, number, within
-
-if TYPE_CHECKING:
-    from oee_tabular.report.results import Report
+from oee_tabular.report.results import Evaluation
 
 WIDTH = 4.6  # inches: text that is readable on a phone as well
 MOST_POLICIES, MOST_ROWS = 6, 10
@@ -152,7 +150,7 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
     return rows, certain
 
 
-def forest(report: Report, answer: Answer, name: str) -> str:
+def forest(report: Evaluation, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
     sure = {name: found for name, found in alone(report, answer.policy).items() if found.status == "ok"}

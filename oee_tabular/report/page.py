@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from oee_tabular.report import contents, figures
 from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
-from oee_tabular.report.results import COLUMNS, diagnostic_cells, shown
-
-if TYPE_CHECKING:
-    from oee_tabular.report.results import Report
+from oee_tabular.report.results import COLUMNS, Evaluation, diagnostic_cells, shown
 
 
-def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
+def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
     """The page of a report."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -72,7 +69,7 @@ def _title(found: list[contents.Answer]) -> str:
     return f"Evaluation of {len(names)} policies"
 
 
-def _result_rows(report: Report, answer: contents.Answer) -> list[dict[str, Any]]:
+def _result_rows(report: Evaluation, answer: contents.Answer) -> list[dict[str, Any]]:
     """Intervals that stand alone, then one row an estimator; the answer's is strong."""
     alone: list[dict[str, Any]] = [
         {
@@ -99,7 +96,7 @@ def _result_rows(report: Report, answer: contents.Answer) -> list[dict[str, Any]
     ]
 
 
-def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]:
+def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, Any]:
     rows = [
         {
             "policy": name,
@@ -135,7 +132,7 @@ def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
     }
 
 
-def _diagnostics(report: Report) -> list[dict[str, Any]]:
+def _diagnostics(report: Evaluation) -> list[dict[str, Any]]:
     table = []
     for row in report.records():
         errors = [shown(row["standard_error"], ".2g"), *([shown(row["error"], "+.2g")] if report.truth else [])]

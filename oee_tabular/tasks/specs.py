@@ -5,7 +5,6 @@ Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.names`
 
 from __future__ import annotations
 
-import ast
 import importlib
 import inspect
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.tasks.arguments import arguments
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 
@@ -102,55 +102,3 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     gamma = keywords.pop("discount", 0.99)
     mdp = toy_text(name, discount=gamma, **keywords)
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))
-
-
-def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
-    """Positional values and keywords; values are Python literals or words.
-
-    >>> arguments("10,slip=0.3,pay=next,desc=['SF','FG']")
-    ([10], {'slip': 0.3, 'pay': 'next', 'desc': ['SF', 'FG']})
-    """
-    positional: list[Any] = []
-    keywords: dict[str, Any] = {}
-    for part in _split(text):
-        key, equals, value = part.partition("=")
-        if equals and key.strip().isidentifier():
-            if key.strip() in keywords:
-                raise ValueError(f"{key.strip()} must be given once; {text!r} has it twice")
-            keywords[key.strip()] = _literal(value.strip(), key.strip())
-        else:
-            positional.append(_literal(part.strip()))
-    return positional, keywords
-
-
-def _split(text: str) -> list[str]:
-    """At commas that stand outside brackets and quotes."""
-    parts, depth, quote, current = [], 0, "", ""
-    for letter in text:
-        if quote:
-            quote = "" if letter == quote else quote
-        elif letter in "'\"":
-            quote = letter
-        else:
-            depth += (letter in "([{") - (letter in ")]}")
-        if letter == "," and depth == 0 and not quote:
-            parts.append(current)
-            current = ""
-        else:
-            current += letter
-    return [part for part in [*parts, current] if part.strip()]
-
-
-def _literal(text: str, name: str = "an argument") -> Any:
-    lowered = {"true": True, "false": False, "none": None}
-    if text.lower() in lowered:
-        return lowered[text.lower()]
-    if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
-        top, bottom = text.split("/", 1)
-        if int(bottom) == 0:
-            raise ValueError(f"{name} must be a finite number; {text!r} divides by 0")
-        return int(top) / int(bottom)
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        return text

@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import TransitionCounts, Transitions
-from oee_tabular.data import _counting, parts, streaming, tally
+from oee_tabular.data import _counting, batches, sampling, streaming, tally
 
 pytest.importorskip("pyarrow")
 
@@ -105,8 +105,8 @@ def test_batches_change_nothing(tmp_path, ending, monkeypatch):
     whole, some = Transitions.open(folder), Transitions.open(folder, kept_moves=60)
     assert 0 < len(some.sample) <= 60 < len(whole.sample)
     for rows, block in ((1, 100), (7, 200), (50, 1000)):
-        monkeypatch.setattr(parts, "BATCH", rows)
-        monkeypatch.setattr(parts, "_BLOCK", block)
+        monkeypatch.setattr(batches, "BATCH", rows)
+        monkeypatch.setattr(batches, "_BLOCK", block)
         same(Transitions.open(folder), whole)
         same(Transitions.open(folder, kept_moves=60), some)
 
@@ -116,8 +116,8 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path):
     folder = written(tmp_path / "a", number=2, episodes=30)
     keys = {}
     for k, log in enumerate(logs(2, 30)):
-        salt = tally.Episodes(tally.Tally(parts.Part("", "", ("episode",)), f"part-{k}.parquet", tally.Limits())).salt
-        for e, key in enumerate(tally._mixed(np.arange(30), salt)):
+        salt = sampling.Episodes(f"part-{k}.parquet", 0, lambda *_: None).salt
+        for e, key in enumerate(sampling._mixed(np.arange(30), salt)):
             keys[int(key)] = (k, e, log.select(log.episode == e))
     order = sorted(keys)
     for size in (5, 40, 100, 200):
@@ -126,7 +126,7 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path):
         sample = Transitions.open(folder, kept_moves=size).sample
         expected = np.concatenate([state for _, state in chosen]) if chosen else None
         assert sample is None if expected is None else np.array_equal(sample.state, expected)
-    places = tally._mixed(np.arange(100_000), 12345).astype(np.float64) / 2.0**64
+    places = sampling._mixed(np.arange(100_000), 12345).astype(np.float64) / 2.0**64
     assert abs(places.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 1e5)
     assert abs(np.corrcoef(places[:-1], places[1:])[0, 1]) < 5 / np.sqrt(1e5)
 
@@ -321,7 +321,7 @@ def test_numbers_of_rows_stay_right_behind_lost_lines_and_in_any_batch(tmp_path,
     text[7] = text[7].replace("0,0,1", "x,0,1", 1)
     (tmp_path / "a.csv").write_text("\n".join(text) + "\n")
     for block in (2**20, 120, 100):
-        monkeypatch.setattr(parts, "_BLOCK", block)
+        monkeypatch.setattr(batches, "_BLOCK", block)
         found = Transitions.open(tmp_path, bad_rows="drop")
         assert found.recording.dropped == 2
         assert [reason.split("': ")[1][:16] for reason in found.recording.reasons] == [
@@ -369,7 +369,7 @@ ORDER = {
 @pytest.mark.parametrize("rows", [1, 3, 100])
 def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case, rows, monkeypatch):
     """Their moves are moves; the episode is none to be sampled."""
-    monkeypatch.setattr(parts, "BATCH", rows)
+    monkeypatch.setattr(batches, "BATCH", rows)
     changes, text = ORDER[case]
     frame_of(**changes).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
     with pytest.raises(ValueError, match=text):
@@ -386,7 +386,7 @@ def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case, rows, monkeyp
 )
 def test_episodes_stand_together(tmp_path, rows, names, row, monkeypatch):
     """Of names that grow by 1 the row is where they begin."""
-    monkeypatch.setattr(parts, "BATCH", rows)
+    monkeypatch.setattr(batches, "BATCH", rows)
     frame_of().assign(episode=names).to_parquet(tmp_path / "a.parquet", index=False)
     with pytest.raises(ValueError, match=rf"keep the rows .* together; {names[0]} begins again from row {row} on"):
         Transitions.open(tmp_path)

@@ -9,15 +9,14 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions, _checks
-from oee_tabular.design import collection
+from oee_tabular.design import collection, statements
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.costs import largest_variance, row_costs
 from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
 from oee_tabular.design.plan import greedy_pairs
 from oee_tabular.design.programs import evaluate, fill, free_design, minimise
+from oee_tabular.design.statements import conic_design
 from oee_tabular.exact import transition_gradient
-from oee_tabular.inference import statements
-from oee_tabular.inference.statements import conic_design
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
 

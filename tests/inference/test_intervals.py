@@ -9,6 +9,7 @@ import pytest
 from helpers import dense, random_mdp, random_policy, rngs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from inference.rectangular import rectangular_program
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.optimize import linprog
@@ -19,7 +20,6 @@ from oee_tabular.inference import _robust as kernel
 from oee_tabular.inference import ambiguity, likelihood, robust
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
-from oee_tabular.inference.statements import rectangular_program
 from oee_tabular.inference.taken import Taken
 
 
@@ -461,9 +461,6 @@ def test_other_bad_calls():
         oee.interval(GRID, UNIFORM)
     with pytest.raises(ValueError, match="horizon must be given at discount 1"):
         oee.interval(oee.Problem(GRID.with_discount(1.0), PROBLEM.log), UNIFORM)
-    evidence = ambiguity.gather(oee.Problem(GRID, PROBLEM.log, horizon=3), UNIFORM)
-    with pytest.raises(ValueError, match="horizon must be None for the program over occupancies; it is 3"):
-        rectangular_program(evidence, np.ones(36), 1.0)
 
 
 def test_two_steps_that_never_succeeded_are_both_raised():

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.ratio import Conditional, Network, Quotient
-from oee_tabular.ratio.network import Training, _split
+from oee_tabular.ratio.network import Training
+from oee_tabular.ratio.trained import _split
 
 trained = pytest.mark.skipif(find_spec("equinox") is None, reason="the extra neural is not installed")
 BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}

@@ -1,0 +1,109 @@
+"""The columns of a batch as a log has them, and (mask, rule, what is found) of the values that are none."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oee_tabular._checks import BoolArray, IntArray
+
+LARGEST = 2**53  # from which on a float does not tell n from n + 1
+_TRUE, _FALSE = ("true", "1", "1.0"), ("false", "0", "0.0")
+Fault = tuple[BoolArray, str, str]
+
+
+class Limits(NamedTuple):
+    """What rows must keep to: numbers below ``states`` and ``actions``; ``drop``: others are left out, not refused."""
+
+    states: int = LARGEST
+    actions: int = LARGEST
+    drop: bool = False
+    kept: int = 200_000
+
+
+def _numbers(column: NDArray[Any]) -> NDArray[Any]:
+    """Text as numbers, nan where it is none."""
+    if column.dtype.kind not in "OUT":
+        return column
+    import pandas as pd
+
+    return np.asarray(pd.to_numeric(pd.Series(column).astype(object), errors="coerce"))
+
+
+def _whole(column: NDArray[Any], low: int | None, high: int, above: str) -> tuple[IntArray, list[Fault]]:
+    values, faults = _numbers(column), []
+    if values.dtype.kind == "f":
+        odd = ~((np.abs(values) <= 2.0**53) & (values == np.floor(values)))
+        if odd.any():
+            faults.append((odd, "must be an integer", ""))
+            values = np.where(odd, 0.0, values)
+    if values.dtype.kind == "u" and values.dtype.itemsize == 8 and len(values) and values.max() >= 2**63:
+        beyond = values >= 2**63
+        faults.append((beyond, above, ""))
+        values = np.where(beyond, 0, values)
+    whole: IntArray = values.astype(np.int64, copy=False)
+    if len(whole) and low is not None and whole.min() < low:
+        faults.append((whole < low, f"must be at least {low}", ""))
+    if len(whole) and whole.max() >= high:
+        faults.append((whole >= high, above, ""))
+    return whole, faults
+
+
+def _range(size: int) -> str:
+    return "must be below 2**53" if size == LARGEST else f"must be in 0..{size - 1}"
+
+
+def _states(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    return _whole(column, 0, limits.states, _range(limits.states))
+
+
+def _actions(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    return _whole(column, 0, limits.actions, _range(limits.actions))
+
+
+def _steps(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    return _whole(column, 0, LARGEST, _range(LARGEST))
+
+
+def _names(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    return _whole(column, None, 2**63, "must be below 2**63")
+
+
+def _rewards(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    values = _numbers(column).astype(np.float64, copy=False)
+    fine = np.isfinite(values)
+    return values, [] if fine.all() else [(~fine, "must be finite", "")]
+
+
+def _probabilities(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    values = _numbers(column).astype(np.float64, copy=False)
+    fine = (values >= 0) & (values <= 1)
+    return values, [] if fine.all() else [(~fine, "must be in [0, 1]", "")]
+
+
+def _flags(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+    if column.dtype.kind == "b":
+        return column, []
+    if column.dtype.kind in "iuf":
+        ones = column == 1
+        fine = ones | (column == 0)
+        return ones, [] if fine.all() else [(~fine, "must be a boolean (or 0 or 1)", "")]
+    words = np.char.lower(column.astype(str))
+    true = np.isin(words, _TRUE)
+    fine = true | np.isin(words, _FALSE)
+    return true, [] if fine.all() else [(~fine, "must be a boolean (or 0 or 1)", "")]
+
+
+READERS = {
+    "state": _states,
+    "action": _actions,
+    "next_state": _states,
+    "reward": _rewards,
+    "terminated": _flags,
+    "truncated": _flags,
+    "episode": _names,
+    "timestep": _steps,
+    "behavior_probability": _probabilities,
+}

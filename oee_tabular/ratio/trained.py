@@ -1,0 +1,159 @@
+"""Ratios by a trained network, each with its gap to the optimum over all functions (eq. 3.7) or over all rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.mdp.arrays import check_layout
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import dual
+from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.dual import Coordinates
+from oee_tabular.ratio.network import Network, Training
+from oee_tabular.ratio.sgd import SgdTrace
+
+
+class RowFit(NamedTuple):
+    """zeta on the simulator's entries; ``gap`` : its risk above the optimum over all rows, nats a move of the log."""
+
+    ratio: Array
+    gap: float
+    details: dict[str, Any]
+
+
+def fit_network(
+    network: Network,
+    p: Array,
+    q: Array,
+    cells: tuple[IntArray, ...],
+    sizes: tuple[int, int],
+    *,
+    lower: float,
+    upper: float,
+    ridge: float | Callable[[Any], Any],
+    toward: float | None,
+    seed: Any,
+) -> RatioFit:
+    """p / q on the cells by a network: counts (or probabilities) p, q and the columns of the cells.
+
+    ``trace`` has excess and error against the optimum over all functions in the box; ``details`` the iteration kept and the
+    held-out risk at each check.
+    """
+    train, generator = _trainer(), _checks.generator(seed)
+    best = density_ratio(p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False)
+    (p_train, p_held), (q_train, q_held) = (
+        _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
+    )
+    lam = np.full(len(p), _checks.ridge(ridge, float(p.sum())))
+    places = _places(network, sizes[0])
+    training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
+    found = train(network, training, generator)
+    pk, qk = p / p.sum(), q / q.sum()
+    g, value = found.ratio, training.risk(found.ratio, pk, qk)
+    risks = [training.risk(each, pk, qk) for each in found.checked]
+    return replace(
+        best,
+        ratio=_checks.freeze(g),
+        enclosure=(np.full(len(g), lower), np.full(len(g), upper)),
+        objective=value,
+        gap=value - best.dual_bound,
+        divergence=float(pk @ np.log(g) - qk @ g + 1.0),
+        status=f"trained for {found.iteration[-1]} iterations",
+        trace=_trace(found, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
+        details={"kept": found.kept, "held_out_risk": found.held_out},
+    )
+
+
+def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Any) -> RowFit:
+    """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
+
+    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. ``details``:
+    the ``trace`` against the optimum over all rows, ``iterations``, the one kept, the held-out risk at each check.
+    """
+    train, generator = _trainer(), _checks.generator(seed)
+    p_train, p_held = _split(counts, "p", network.held_out, generator)
+
+    def of_rows(p: Array) -> Array:
+        return np.asarray(rows.spread(rows.sums(p)) * rows.weights)
+
+    p, share = counts / counts.sum(), rows.spread(rows.sums(counts)) / counts.sum()
+    training = Training(
+        (rows.spread(rows.state), rows.spread(rows.action), rows.arrival),
+        (rows.n_states, rows.n_actions),
+        _places(network, rows.n_states),
+        p_train,
+        of_rows(p_train),
+        p_held,
+        None if p_held is None else of_rows(p_held),
+        0.0,
+        np.inf,
+        program.curvature / rows.weights,
+        float(program.center[0]),
+        rows,
+    )
+    found = train(network, training, generator)
+    best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
+    weighted = program._replace(p=p, q=of_rows(p), curvature=share * program.curvature)
+    least = dual.objective(best.ratio, weighted)
+    bound = least - float(rows.sums(p) @ best.gap)
+    risks = [dual.objective(each, weighted) for each in found.checked]
+    details = {
+        "trace": _trace(found, risks, least, best.ratio, share > 0),
+        "iterations": int(found.iteration[-1]),
+        "kept": found.kept,
+        "held_out_risk": found.held_out,
+    }
+    return RowFit(found.ratio, max(dual.objective(found.ratio, weighted) - bound, 0.0), details)  # but for rounding
+
+
+def _trainer() -> Any:
+    """``_neural.train``: an ImportError in one sentence without the extra."""
+    try:
+        from oee_tabular.ratio import _neural
+    except ImportError:
+        raise ImportError(
+            "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+        ) from None
+    return _neural.train
+
+
+def _trace(found: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:
+    """Excess risk and error of each check against the optimum, ``least`` at ``ratio``; the error where something is known."""
+    errors = [np.abs(each - ratio)[known].mean() for each in found.checked]
+    return SgdTrace(found.iteration, np.array(risks) - least, np.array(errors))
+
+
+def _places(network: Network, n_states: int) -> Array | None:
+    """(S, c) standardised coordinates; None: one-hot."""
+    return None if isinstance(network.inputs, str) else _standard(check_layout(network.inputs, n_states, "inputs"))
+
+
+def _standard(places: Array) -> Array:
+    """Each coordinate with mean 0 and standard deviation 1 over the states; a constant one is 0."""
+    centred = places - places.mean(axis=0)
+    spread = centred.std(axis=0)
+    return np.asarray(centred / np.where(spread > 0, spread, 1.0))
+
+
+def _split(weights: Array, name: str, held_out: float, generator: np.random.Generator) -> tuple[Array, Array | None]:
+    """Shares to train on and to stop on. Probabilities (q of an exact simulator) are both, whole."""
+    if held_out == 0.0:
+        return weights / weights.sum(), None
+    if (weights != np.round(weights)).any():
+        if name == "q":
+            return (weights / weights.sum(),) * 2
+        raise ValueError(
+            "held_out must be 0 where the log's moves are weighted (discount) or are probabilities: none can be held out"
+        )
+    total = int(weights.sum())
+    size = max(round(held_out * total), 1)
+    if size >= total:
+        raise ValueError(f"held_out must leave moves to train on; it holds {size} of {total} out")
+    held = generator.multivariate_hypergeometric(weights.astype(np.int64), size, method="marginals").astype(np.float64)
+    return (weights - held) / (total - size), held / size
