@@ -111,16 +111,14 @@ def sampled(
     """Episodes of our own sampler: as many as asked for, or as many as hold the transitions, the last one cut."""
     from oee_tabular._checks import positive_integer
     from oee_tabular.simulate import sample_episodes
+    from oee_tabular.simulate.logs import episodes_holding
 
     positive_integer(horizon, "horizon")
     if episodes is not None:
         return sample_episodes(mdp, pi, episodes, horizon, seed=seed)
     assert transitions is not None
     wanted = positive_integer(transitions, "transitions")
-    count = 1 + wanted // horizon
-    while len(log := sample_episodes(mdp, pi, count, horizon, seed=seed)) < wanted:
-        count *= 2
-    return log.first(wanted)
+    return episodes_holding(mdp, pi, wanted, horizon, seed=seed).first(wanted)
 
 
 def problem_of(task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any) -> Problem:

@@ -221,7 +221,7 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     basis = Basis(model_value=found.value, measured=seen["coverage"])
     exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
     step = _moved(problem, zeta, policy, model, exact)
-    unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied="n_keys" in zeta.details)
+    unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied=zeta.tied)
     return replace(step, findings=(*unseen, *step.findings))
 
 

@@ -21,7 +21,7 @@ from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.trained import fit_network
-from oee_tabular.simulate import sample_episodes
+from oee_tabular.simulate.logs import episodes_holding
 
 _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were
 
@@ -182,11 +182,5 @@ def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -
         return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
     n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
     generator = _checks.generator(given.seed)
-    episodes = max(1, -(-n // steps))
-    while True:  # episodes end early, so more of them may be needed; each try is a fresh sample
-        sample = sample_episodes(simulator, behavior, episodes, steps, seed=generator)
-        if len(sample) >= n:
-            break
-        episodes = int(np.ceil(1.2 * episodes * n / len(sample))) + 1
-    drawn = sample.draw(n, seed=generator)
+    drawn = episodes_holding(simulator, behavior, n, steps, seed=generator).draw(n, seed=generator)
     return aligned_counts(drawn.counts(simulator.n_states, simulator.n_actions, discount=discount), simulator)

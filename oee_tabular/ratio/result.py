@@ -32,6 +32,7 @@ class TransitionRatio:
     row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
     counts : (S, A) moves of the log in each row
     details : what the method adds (sums, bounds, how much was undetermined)
+    tied : whether moves of one key share one value, so that rows that the log missed are not the prior's
 
     Examples
     --------
@@ -51,6 +52,7 @@ class TransitionRatio:
     row_sum_error: float
     counts: Array
     details: dict[str, Any] = field(default_factory=dict)
+    tied: bool = False
     _influence: Influence | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:

@@ -123,7 +123,7 @@ class Tied(Method):
             "pooled_row_sums": (float(used.min()), float(used.max())),
             "strength": kappa,
         }
-        return given.ratio(zeta, "tied", gap, details)
+        return replace(given.ratio(zeta, "tied", gap, details), tied=True)
 
 
 def _keys(tie: Any, rows: Rows) -> IntArray:

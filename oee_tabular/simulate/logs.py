@@ -70,6 +70,18 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
     return episode_log(mdp, rows, entries, starts, pi)
 
 
+def episodes_holding(
+    mdp: FiniteMDP, policy: Any, n: int, horizon: int, *, seed: Any, first: int | None = None
+) -> Transitions:
+    """Whole episodes that together have at least n moves: ``first`` of them, or as many as would do if none ended early, and
+    more where they do. A Generator draws afresh at each try; of any other seed the episodes tried before stay.
+    """
+    count = max(1, -(-n // horizon)) if first is None else first
+    while len(log := sample_episodes(mdp, policy, count, horizon, seed=seed)) < n:
+        count = int(np.ceil(1.2 * count * n / len(log))) + 1
+    return log
+
+
 def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) -> Transitions:
     """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
