@@ -90,27 +90,41 @@ def _check_within(numbers: Any, size: int, name: str) -> None:
 
 def _check_form(matrix: Any, name: str) -> None:
     """What conversion to CSR takes for granted; the other formats convert by Python's own indexing."""
+    check = {"csc": _check_csc, "bsr": _check_bsr, "coo": _check_coo, "lil": _check_lil, "dia": _check_dia}.get(
+        matrix.format
+    )
+    if check is not None:
+        check(matrix, name)
+
+
+def _check_csc(matrix: Any, name: str) -> None:
+    _check_compressed(matrix.data, matrix.indices, matrix.indptr, matrix.shape[::-1], name)
+
+
+def _check_bsr(matrix: Any, name: str) -> None:
     rows, columns = matrix.shape
-    if matrix.format == "csc":
-        _check_compressed(matrix.data, matrix.indices, matrix.indptr, (columns, rows), name)
-    elif matrix.format == "bsr":
-        high, wide = matrix.data.shape[1:] if matrix.data.ndim == 3 else (0, 0)
-        if high < 1 or wide < 1 or rows % high or columns % wide:
-            raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has shape {matrix.data.shape}")
-        _check_compressed(matrix.data, matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
-    elif matrix.format == "coo":
-        if not len(matrix.coords[0]) == len(matrix.coords[1]) == len(matrix.data):
-            lengths = [len(part) for part in (*matrix.coords, matrix.data)]
-            raise ValueError(f"{name} must have a row and a column for each value; it has {lengths}")
-        for part, size, axis in zip(matrix.coords, matrix.shape, ("row", "col"), strict=True):
-            _check_within(np.asarray(part), size, f"{name}.{axis}")
-    elif matrix.format == "lil":
-        bad = [k for k, (at, of) in enumerate(zip(matrix.rows, matrix.data, strict=True)) if len(at) != len(of)]
-        if bad or len(matrix.rows) != rows:
-            raise ValueError(
-                f"{name} must have a column for each value; row {bad[0] if bad else len(matrix.rows)} has not"
-            )
-    elif matrix.format == "dia" and (matrix.data.ndim != 2 or matrix.offsets.shape != matrix.data.shape[:1]):
+    high, wide = matrix.data.shape[1:] if matrix.data.ndim == 3 else (0, 0)
+    if high < 1 or wide < 1 or rows % high or columns % wide:
+        raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has shape {matrix.data.shape}")
+    _check_compressed(matrix.data, matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
+
+
+def _check_coo(matrix: Any, name: str) -> None:
+    if not len(matrix.coords[0]) == len(matrix.coords[1]) == len(matrix.data):
+        lengths = [len(part) for part in (*matrix.coords, matrix.data)]
+        raise ValueError(f"{name} must have a row and a column for each value; it has {lengths}")
+    for part, size, axis in zip(matrix.coords, matrix.shape, ("row", "col"), strict=True):
+        _check_within(np.asarray(part), size, f"{name}.{axis}")
+
+
+def _check_lil(matrix: Any, name: str) -> None:
+    bad = [k for k, (at, of) in enumerate(zip(matrix.rows, matrix.data, strict=True)) if len(at) != len(of)]
+    if bad or len(matrix.rows) != matrix.shape[0]:
+        raise ValueError(f"{name} must have a column for each value; row {bad[0] if bad else len(matrix.rows)} has not")
+
+
+def _check_dia(matrix: Any, name: str) -> None:
+    if matrix.data.ndim != 2 or matrix.offsets.shape != matrix.data.shape[:1]:
         raise ValueError(
             f"{name}.offsets must have one for each of {matrix.data.shape[:1]}; it has {matrix.offsets.shape}"
         )

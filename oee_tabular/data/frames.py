@@ -42,7 +42,15 @@ def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
     table = _eager(frame)
-    labels = [str(label) for label in table.columns]
+    asked = _asked([str(label) for label in table.columns], column_names)
+    columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
+    if "episode" in columns:
+        columns["episode"] = _numbered(columns["episode"])
+    return columns
+
+
+def _asked(labels: list[str], column_names: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Which of the frame's labels make each column."""
     taken = {field: _labels(field, given, labels) for field, given in column_names.items() if given is not None}
     asked = {field: taken.get(field, [field]) for field in COLUMNS if field in taken or field in labels}
     missing = [field for field in REQUIRED if field not in asked]
@@ -56,10 +64,7 @@ def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]
     _warn_resembling(
         [label for label in labels if label not in used], [field for field in COLUMNS if field not in asked]
     )
-    columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
-    if "episode" in columns:
-        columns["episode"] = _numbered(columns["episode"])
-    return columns
+    return asked
 
 
 def _eager(frame: Any) -> Any:

@@ -45,33 +45,32 @@ def found(path: Any) -> list[Part]:
     Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them.
     """
     given = [path] if isinstance(path, str | os.PathLike) else list(_checks.collection(path, "path", "paths of files"))
-    parts: list[Part] = []
-    for one in given:
-        name = _files.local(one)
-        place = Path(name)
-        if place.is_dir():
-            inside = [file for file in sorted(place.rglob("*")) if _meant(file.relative_to(place)) and file.is_file()]
-            parts += [Part(str(file), str(file), (), _fixed(file.relative_to(place))) for file in inside]
-            if not inside:
-                raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
-        elif place.is_file():
-            _require_ending(name)
-            parts.append(Part(name, name))
-        elif glob.has_magic(name):
-            some = [file for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
-            if not some:
-                raise FileNotFoundError(2, "no such file", name)
-            for file in some:
-                _require_ending(file)
-            parts += [Part(file, file, (), _fixed(Path(file))) for file in some]
-        else:
-            raise FileNotFoundError(2, "no such file", name)
+    parts = [part for one in given for part in _parts_at(_files.local(one))]
     again = {part.path for k, part in enumerate(parts) if part.path in {other.path for other in parts[:k]}}
     if again or not parts:
         raise ValueError(
             f"path must name each file once; {sorted(again)[0]!r} is named twice" if again else "path must name files"
         )
     return _of_one_schema([_with_header(part) for part in parts])
+
+
+def _parts_at(name: str) -> list[Part]:
+    """The files of a folder, a file, or those that a pattern names."""
+    place = Path(name)
+    if place.is_dir():
+        inside = [file for file in sorted(place.rglob("*")) if _meant(file.relative_to(place)) and file.is_file()]
+        if not inside:
+            raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
+        return [Part(str(file), str(file), (), _fixed(file.relative_to(place))) for file in inside]
+    if place.is_file():
+        _require_ending(name)
+        return [Part(name, name)]
+    some = [file for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
+    if not glob.has_magic(name) or not some:
+        raise FileNotFoundError(2, "no such file", name)
+    for file in some:
+        _require_ending(file)
+    return [Part(file, file, (), _fixed(Path(file))) for file in some]
 
 
 def _require_ending(name: str) -> None:

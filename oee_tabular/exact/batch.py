@@ -164,11 +164,8 @@ def evaluate_batch(
     steps = _checks.optional_horizon(horizon)
     single = isinstance(models, FiniteMDP | ReweightedModel)
     stack = models if isinstance(models, ModelStack) else stack_models([models] if single else models)  # type: ignore[list-item, arg-type]
-    if not isinstance(policies, np.ndarray) or policies.ndim == 0:
-        policies = _checks.collection(policies, "policies", "a sequence of policies")
+    policies = _policies(policies, None if single else len(stack))
     count = len(policies)
-    if not single and count != len(stack):
-        raise ValueError(f"policies must be as many as models ({len(stack)}); there are {count}")
     if steps is not None and steps > SHORT:
         steps = max(steps_of(steps, model) for model in stack.models)
     values: list[Array] = [np.full(1, np.nan)] * count
@@ -186,13 +183,25 @@ def evaluate_batch(
             for i, one in zip(at, found, strict=True):
                 values[i] = one
     for i in np.flatnonzero(np.isnan(errors)):
-        model = stack.models[0 if single else i]
-        policy = check_policy(policies[i], model, name=f"policies[{i}]", horizon=steps)
-        alone = evaluate_policy(model, policy, horizon=steps)
-        values[i], value[i], errors[i] = alone.values, alone.value, alone.error_bound
+        values[i], value[i], errors[i] = _alone(stack.models[0 if single else i], policies[i], int(i), steps)
     same = len({model.n_states for model in stack.models}) == 1
     table = np.array(values).reshape(count, stack.models[0].n_states) if same else tuple(values)
     return BatchValues(table, value, errors)
+
+
+def _policies(policies: Any, wanted: int | None) -> Any:
+    """A sequence of them, as many as there are models."""
+    if not isinstance(policies, np.ndarray) or policies.ndim == 0:
+        policies = _checks.collection(policies, "policies", "a sequence of policies")
+    if wanted is not None and len(policies) != wanted:
+        raise ValueError(f"policies must be as many as models ({wanted}); there are {len(policies)}")
+    return policies
+
+
+def _alone(model: Model, policy: Any, i: int, steps: int | None) -> tuple[Array, float, float]:
+    """V, J and the error bound of one policy by itself."""
+    found = evaluate_policy(model, check_policy(policy, model, name=f"policies[{i}]", horizon=steps), horizon=steps)
+    return found.values, found.value, found.error_bound
 
 
 def _stacked(policies: list[Any], shape: tuple[int, ...]) -> Array | None:

@@ -162,25 +162,37 @@ def interval(
             low, high = 2.0 * value - high, 2.0 * value - low
         return _sampled(low, high, float(values.std(ddof=1)), evidence, level, method, diagnostics)
     if method == "likelihood":
-        ends = [profile_end(evidence, level, sign) for sign in (-1.0, 1.0)]
-        added = {
-            "divergence": max(end.divergence for end in ends),
-            "iterations": max(end.iterations for end in ends),
-            "last_change": max(end.change for end in ends),
-            "promised": max(end.promised for end in ends),
-        }
-        return Interval(ends[0].value, ends[1].value, level, method, diagnostics | added)
+        return _likeliest(evidence, level, diagnostics)
+    return _guaranteed(evidence, level, kind, ball, diagnostics)
+
+
+def _likeliest(evidence: Evidence, level: float, diagnostics: dict[str, Any]) -> Interval:
+    """The ends of the profile likelihood."""
+    low, high = (profile_end(evidence, level, sign) for sign in (-1.0, 1.0))
+    added = {
+        "divergence": max(low.divergence, high.divergence),
+        "iterations": max(low.iterations, high.iterations),
+        "last_change": max(low.change, high.change),
+        "promised": max(low.promised, high.promised),
+    }
+    return Interval(low.value, high.value, level, "likelihood", diagnostics | added)
+
+
+def _guaranteed(
+    evidence: Evidence, level: float, kind: str, ball: Literal["kl", "l1"], diagnostics: dict[str, Any]
+) -> Interval:
+    """The extremes over all rows' balls, certified."""
     size = radii(evidence, level, kind, ball)
     low_end, high_end = (extreme_value(evidence, size, sign, ball=ball) for sign in (-1.0, 1.0))
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
-        return Interval(np.nan, np.nan, level, method, diagnostics, status)
+        return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
     certified: dict[str, Any] = {
         "radius": kind,
         "sweeps": max(low_end.sweeps, high_end.sweeps),
         "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
     }
-    return Interval(low_end.bound, high_end.bound, level, method, diagnostics | certified)
+    return Interval(low_end.bound, high_end.bound, level, "robust", diagnostics | certified)
 
 
 def _sampled(

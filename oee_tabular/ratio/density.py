@@ -157,16 +157,10 @@ def density_ratio(
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     _checks.boolean(normalized, "normalized")
-    weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
-    if weights[0].shape != weights[1].shape:
-        raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
+    weights = _weights(p, q)
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = _checks.box(lower, upper, normalized=normalized)
-    with np.errstate(over="ignore"):
-        totals = [float(w.sum()) for w in weights]
-    for total, name in zip(totals, ("p", "q"), strict=True):
-        if not 0.0 < total < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+    totals = _totals(weights)
     strength = _checks.ridge(ridge, totals[0])
     if features is not None or kernel is not None:
         if toward is not None or loss != "kl":
@@ -214,6 +208,22 @@ def density_ratio(
         (pk, qk), totals, g, value, gap, loss, ratio=_checks.freeze(full(g)), enclosure=(full(below), full(above)),
         normalizer=m - 1.0, n_undetermined=int((~known).sum()), trace=trace,
     )  # fmt: skip
+
+
+def _weights(p: Any, q: Any) -> list[Array]:
+    weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
+    if weights[0].shape != weights[1].shape:
+        raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
+    return weights
+
+
+def _totals(weights: list[Array]) -> list[float]:
+    with np.errstate(over="ignore"):
+        totals = [float(w.sum()) for w in weights]
+    for total, name in zip(totals, ("p", "q"), strict=True):
+        if not 0.0 < total < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+    return totals
 
 
 def _certified(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.mdp.policy_forms import policy_table
 
@@ -55,21 +56,35 @@ def record_episodes(
     limit = None if n_transitions is None else _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
-    n_states, n_actions = _sizes(env)
-    pi = _checks.float_array(_table(policy, n_states, n_actions), "policy", ndim=2)
-    if pi.shape[0] < n_states or pi.shape[1] != n_actions:
-        raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
-    _checks.require_nonnegative(pi, "policy")
-    _checks.require_sums_to_one(pi.sum(axis=1), "policy")
+    longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
+    pi = _table(policy, *_sizes(env))
+    rows = _stepped(env, pi, limit, episodes, longest, _checks.generator(seed))
+    states, actions, following_states, rewards, terminations, truncations, numbers = map(
+        np.array, zip(*rows, strict=True)
+    )
+    truncations[-1] |= not terminations[-1]
+    return Transitions(
+        states,
+        actions,
+        following_states,
+        rewards,
+        terminated=terminations,
+        truncated=truncations & ~terminations,
+        episode=numbers,
+        behavior_probability=pi[states, actions],
+    )
+
+
+def _stepped(
+    env: Any, pi: Array, limit: int | None, episodes: int | None, longest: int | None, generator: np.random.Generator
+) -> list[tuple[int, int, int, float, bool, bool, int]]:
+    """Rows s, a, s', r, terminated, truncated, episode: ``limit`` of them, or those of so many ``episodes``."""
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
-    generator = _checks.generator(seed)
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     rows: list[tuple[int, int, int, float, bool, bool, int]] = []
-    longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
-    episode, over, steps = 0, True, 0
-    state = 0
+    episode, over, steps, state = 0, True, 0, 0
     first_seed: int | None = int(generator.integers(2**31))
     progress = tqdm(total=limit or episodes, desc="recording", disable=None, delay=1.0, leave=False)
     while True:
@@ -93,26 +108,18 @@ def record_episodes(
         if limit is not None and len(rows) == limit:
             break
     progress.close()
-    states, actions, following_states, rewards, terminations, truncations, numbers = map(
-        np.array, zip(*rows, strict=True)
-    )
-    truncations[-1] |= not terminations[-1]
-    return Transitions(
-        states,
-        actions,
-        following_states,
-        rewards,
-        terminated=terminations,
-        truncated=truncations & ~terminations,
-        episode=numbers,
-        behavior_probability=pi[states, actions],
-    )
+    return rows
 
 
-def _table(policy: Any, n_states: int, n_actions: int) -> Any:
-    """A policy that is a function or a mapping of the observations, or an action for each, as (S, A)."""
+def _table(policy: Any, n_states: int, n_actions: int) -> Array:
+    """A policy, an action for each observation, a mapping or a function of them, as (S, A); S may be more."""
     numbered = SimpleNamespace(n_states=n_states, n_actions=n_actions, terminal_state=np.arange(n_states))
-    return policy_table(policy, numbered, "policy")
+    pi = _checks.float_array(policy_table(policy, numbered, "policy"), "policy", ndim=2)
+    if pi.shape[0] < n_states or pi.shape[1] != n_actions:
+        raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
+    _checks.require_nonnegative(pi, "policy")
+    _checks.require_sums_to_one(pi.sum(axis=1), "policy")
+    return pi
 
 
 def _sizes(env: Any) -> tuple[int, int]:
