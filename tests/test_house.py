@@ -1,6 +1,8 @@
 """The house: who imports whom: no circle of files or packages, at most twelve floors."""
 
 import ast
+import subprocess
+import sys
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -80,6 +82,17 @@ def test_no_circle_of_files():
 def test_at_most_twelve_floors():
     """Of packages, which have no circle either; what the core has of the wing it asks for by name, on use."""
     assert height(rooms_of(graph_of(ROOT, by_name=False))) <= FLOORS
+
+
+def test_the_core_does_not_import_the_wing():
+    code = (
+        "import sys, oee_tabular as oee\n"
+        "oee.tasks.gridworld, oee.Transitions, oee.report.evaluate\n"
+        "assert not [name for name in sys.modules if name.startswith('oee_tabular.continuous')]\n"
+        "from oee_tabular.data import ContinuousTransitions\n"
+        "assert ContinuousTransitions is oee.ContinuousTransitions\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_circles_are_found(tmp_path):

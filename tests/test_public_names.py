@@ -75,13 +75,22 @@ NAMES = {
 }
 
 
+FACES = ("data", "estimators", "inference", "report", "tasks")
+
+
 @pytest.mark.parametrize("module", NAMES)
 def test_the_names_are_where_they_were(module):
     loaded = importlib.import_module(module)
     assert [name for name in NAMES[module].split() if not hasattr(loaded, name)] == []
 
 
-@pytest.mark.parametrize("module", ["oee_tabular", "oee_tabular.estimators", "oee_tabular.inference"])
+@pytest.mark.parametrize("module", ["oee_tabular.data", "oee_tabular.report", "oee_tabular.tasks"])
+def test_a_face_lists_what_comes_on_use(module):
+    face = importlib.import_module(module)
+    assert set(face.__all__) <= set(dir(face))
+
+
+@pytest.mark.parametrize("module", ["oee_tabular", *(f"oee_tabular.{m}" for m in FACES)])
 def test_what_is_not_there_is_said(module):
     with pytest.raises(AttributeError, match=rf"module '{module}' has no attribute 'nothing'"):
         importlib.import_module(module).nothing  # noqa: B018
