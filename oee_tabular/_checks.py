@@ -8,15 +8,22 @@ import operator
 import os
 import sys
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+Column: TypeAlias = NDArray[Any]  # of a log: numbers, flags or names
+Seed: TypeAlias = (  # what numpy.random.default_rng takes
+    int | np.integer[Any] | Sequence[int] | np.random.SeedSequence | np.random.BitGenerator | np.random.Generator | None
+)
+# a policy as people have it (``mdp.check_policy``): probabilities, actions, a mapping by state, a function of a state
+PolicyLike: TypeAlias = ArrayLike | Sequence[object] | Mapping[Any, Any] | Callable[[Any], object]
 
 T = TypeVar("T")
 
@@ -284,7 +291,7 @@ def one_of(value: object, name: str, allowed: tuple[str, ...]) -> None:
         raise ValueError(f"{name} must be one of {words}; got {value!r}")
 
 
-def generator(seed: Any) -> np.random.Generator:
+def generator(seed: Seed) -> np.random.Generator:
     """``numpy.random.default_rng(seed)``, with an error that names the argument."""
     try:
         return np.random.default_rng(seed)

@@ -19,12 +19,11 @@ References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinf
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike, Seed
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.exact import action_values
 from oee_tabular.mdp import check_policy
@@ -97,7 +96,7 @@ class ScopeRL:
     def __post_init__(self) -> None:
         _checks.one_of(self.estimator, "estimator", SCOPE)
 
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Its ``estimate_policy_value``; it gives no standard error."""
         try:
             from scope_rl.ope.discrete import basic_estimators
@@ -138,7 +137,7 @@ class OfflineRLOPE:
     def __post_init__(self) -> None:
         _checks.one_of(self.estimator, "estimator", OFFLINE)
 
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Its ``predict``; it gives no standard error."""
         try:
             import torch

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
@@ -115,7 +114,7 @@ class Family:
         """The number of moves of a log with ``per_row`` moves per open row, at least 1."""
         return max(1, round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows))
 
-    def log(self, n: int, seed: Any) -> Transitions:
+    def log(self, n: int, seed: Seed) -> Transitions:
         """Exactly ``n`` moves of the data policy in the target: episodes, each cut at ``length``, the last where n is full.
 
         Parameters
@@ -133,7 +132,7 @@ class Family:
                 return Transitions(**{name: column[:size] for name, column in columns.items()})
             episodes *= 2
 
-    def problem(self, n: int, seed: Any) -> Problem:
+    def problem(self, n: int, seed: Seed) -> Problem:
         """The problem of ``log(n, seed)``."""
         return Problem(self.simulator, self.log(n, seed), horizon=self.horizon, behavior_policy=self.data_policy)
 

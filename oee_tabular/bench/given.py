@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.bench.families import families
 from oee_tabular.bench.family import Family
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
@@ -21,7 +22,7 @@ LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
 class Evaluated:
     """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
 
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """The printed value and interval of one policy."""
         from oee_tabular.report import evaluate
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oee_tabular._checks import Column
 from oee_tabular.data.columns import Log
 from oee_tabular.data.files import COLUMNS
 from oee_tabular.data.parts import FLAGS, NUMBERS, Part, as_parquet, unreadable
@@ -28,7 +29,7 @@ class Batch(NamedTuple):
     table, with what is wrong.
     """
 
-    columns: dict[str, NDArray[Any]]
+    columns: dict[str, Column]
     missing: dict[str, NDArray[np.bool_]]
     row: NDArray[np.int64]
     lost: list[tuple[int, str]]

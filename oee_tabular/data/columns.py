@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
 
 
@@ -21,9 +20,9 @@ class Log:
 
     FILES: ClassVar[files.Format]
 
-    state: NDArray[Any]
-    action: NDArray[Any]
-    next_state: NDArray[Any]
+    state: Column
+    action: Column
+    next_state: Column
     reward: Array | None
     terminated: BoolArray
     truncated: BoolArray
@@ -52,7 +51,7 @@ class Log:
             "timestep": timestep,
             "behavior_probability": behavior_probability,
         }
-        readers: dict[str, Callable[[Any, str], NDArray[Any]]] = {
+        readers: dict[str, Callable[[Any, str], Column]] = {
             "reward": lambda value, name: _checks.float_array(value, name, ndim=1),
             "terminated": booleans,
             "truncated": booleans,
@@ -60,7 +59,7 @@ class Log:
             "timestep": integers,
             "behavior_probability": lambda value, name: _checks.float_array(value, name, ndim=1),
         }
-        columns: dict[str, NDArray[Any] | None] = self._moves(state, action, next_state)
+        columns: dict[str, Column | None] = self._moves(state, action, next_state)
         columns |= {name: None if rest[name] is None else read(rest[name], name) for name, read in readers.items()}
         lengths = {name: len(column) for name, column in columns.items() if column is not None}
         if len(set(lengths.values())) > 1:
@@ -79,16 +78,16 @@ class Log:
             object.__setattr__(self, name, None if column is None else freeze(column))
 
     @staticmethod
-    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, Column | None]:
         """The three columns of a move, checked each for itself."""
         raise NotImplementedError
 
     @staticmethod
-    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+    def _apart(following: Column, state: Column) -> BoolArray:
         """Row by row, whether a next state and the state that follows it differ."""
         raise NotImplementedError
 
-    def _shown(self, state: NDArray[Any]) -> Any:
+    def _shown(self, state: Column) -> Any:
         """One row's state, as errors show it."""
         return state.tolist()
 
@@ -106,7 +105,7 @@ class Log:
         starts = self.episode_starts
         return None if starts is None else len(starts) - 1
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats."""
         return {name: getattr(self, name) for name in files.COLUMNS if getattr(self, name) is not None}
 
@@ -156,7 +155,7 @@ class Log:
             joined["episode"] = [part + first for part, first in zip(joined["episode"], after, strict=True)]
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
-    def draw(self, n: int, *, seed: Any) -> Self:
+    def draw(self, n: int, *, seed: Seed) -> Self:
         """A bag of n rows drawn without replacement, the paper's way of taking a sample."""
         size = _checks.positive_integer(n, "n")
         if size > len(self):
@@ -238,7 +237,7 @@ def _episode_starts(episode: IntArray) -> IntArray:
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)
 
 
-def _check_episodes(columns: dict[str, NDArray[Any] | None], starts: IntArray, log: Log) -> None:
+def _check_episodes(columns: dict[str, Column | None], starts: IntArray, log: Log) -> None:
     """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
     episode, state, next_state = columns["episode"], columns["state"], columns["next_state"]
     terminated, truncated, timestep = columns["terminated"], columns["truncated"], columns["timestep"]

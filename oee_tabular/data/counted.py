@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
 from oee_tabular._sparse import canonical, checked, row_of_entry
 from oee_tabular.data.columns import booleans, integers
 from oee_tabular.data.moves import Moves, counts_of
@@ -89,7 +88,7 @@ class TransitionCounts:
     behavior_probability: ClassVar[None] = None
 
     def __post_init__(self) -> None:
-        columns: dict[str, NDArray[Any]] = {
+        columns: dict[str, Column] = {
             name: integers(getattr(self, name), name) for name in ("state", "action", "next_state")
         }
         columns["count"] = _checks.float_array(self.count, "count", ndim=1)
@@ -151,7 +150,7 @@ class TransitionCounts:
         """The rows, with how many moves each stands for and what they paid."""
         return Moves(self.count, self.reward_sum, self.reward_min, self.reward_max)
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, Column]:
         """The columns that there are."""
         names = ("state", "action", "next_state", "count", "terminated", "reward_sum", "reward_min", "reward_max")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -212,9 +211,9 @@ class TransitionCounts:
             return from_arrays(unsealed(arrays))
 
 
-def to_arrays(log: TransitionCounts) -> dict[str, NDArray[Any]]:
+def to_arrays(log: TransitionCounts) -> dict[str, Column]:
     """The parts of counts as arrays."""
-    arrays: dict[str, NDArray[Any]] = log.columns() | {
+    arrays: dict[str, Column] = log.columns() | {
         "recording": np.array([int(value) for value in log.recording[:-1]]),
         "reasons": np.array(log.recording.reasons, dtype=np.str_),
     }
@@ -222,7 +221,7 @@ def to_arrays(log: TransitionCounts) -> dict[str, NDArray[Any]]:
     return arrays | {f"sample_{name}": column for name, column in kept.items()}
 
 
-def from_arrays(arrays: dict[str, NDArray[Any]]) -> TransitionCounts:
+def from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Counts from their parts."""
     known = ("state", "action", "next_state", "count", "terminated")
     rewards = {name: arrays[name] for name in ("reward_sum", "reward_min", "reward_max") if name in arrays}
@@ -238,12 +237,12 @@ def from_arrays(arrays: dict[str, NDArray[Any]]) -> TransitionCounts:
     )
 
 
-def sealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def sealed(arrays: dict[str, Column]) -> dict[str, Column]:
     """With a checksum (SHA-256) of names, types, shapes and bytes."""
     return arrays | {"checksum": np.array(_checksum(arrays))}
 
 
-def unsealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def unsealed(arrays: dict[str, Column]) -> dict[str, Column]:
     """Without the checksum; ValueError where it is another than that of the arrays."""
     rest = {name: array for name, array in arrays.items() if name not in ("checksum", _files.KIND)}
     if str(arrays["checksum"]) != _checksum(rest):
@@ -251,7 +250,7 @@ def unsealed(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return rest
 
 
-def _checksum(arrays: dict[str, NDArray[Any]]) -> str:
+def _checksum(arrays: dict[str, Column]) -> str:
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _files
+from oee_tabular._checks import Column
 from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
 from oee_tabular.mdp.naming import from_text, to_text
 
@@ -29,7 +30,7 @@ COLUMNS = (
     "timestep",
     "behavior_probability",
 )
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, Column]
 
 
 class Format:
@@ -63,7 +64,7 @@ class Format:
         """ValueError where a file with these labels is no log of this kind."""
         require_columns(name, self.required, labels)
 
-    def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
+    def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """ValueError where a Minari episode is none of such a log."""
         if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
             raise ValueError(
@@ -125,11 +126,11 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
     return {column: columns[column] for column in COLUMNS if column in columns}
 
 
-def _texts(names: NDArray[Any]) -> NDArray[Any]:
+def _texts(names: Column) -> Column:
     return np.array([str(item) for item in names], dtype=object)
 
 
-def _objects(stored: NDArray[Any], name: str) -> NDArray[Any]:
+def _objects(stored: Column, name: str) -> Column:
     names = from_text(stored, name)
     array = np.empty(len(names), dtype=object)
     array[:] = names
@@ -258,10 +259,10 @@ def minari_episodes(name: str) -> list[Any]:
         raise ValueError(f"{name!r} must be a Minari data set; {str(error) or type(error).__name__:.300}") from None
 
 
-def minari_columns(name: str, check: Callable[[NDArray[Any], NDArray[Any], str], None]) -> dict[str, NDArray[Any]]:
+def minari_columns(name: str, check: Callable[[Column, Column, str], None]) -> dict[str, Column]:
     """A Minari data set as columns; ``check(observations, actions, name)`` refuses an episode that is none of the log's."""
     episodes = minari_episodes(name)
-    parts: dict[str, list[NDArray[Any]]] = {column: [] for column in COLUMNS if column != "timestep"}
+    parts: dict[str, list[Column]] = {column: [] for column in COLUMNS if column != "timestep"}
     for number, episode in enumerate(episodes):
         observations, actions = np.asarray(episode.observations), np.asarray(episode.actions)
         check(observations, actions, name)

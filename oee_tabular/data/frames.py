@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oee_tabular import _checks
+from oee_tabular._checks import Column
 from oee_tabular.data.files import COLUMNS
 from oee_tabular.data.tables import SEPARATORS, meant
 from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number
@@ -97,7 +97,7 @@ def _meant(missing: list[str], labels: list[str]) -> str:
     return "" if any(mark in labels[0] for mark in SEPARATORS if len(labels) == 1) else meant(missing, labels)
 
 
-def _values(table: Any, label: str) -> NDArray[Any]:
+def _values(table: Any, label: str) -> Column:
     """A column's values; ValueError for a row that has none."""
     series = table[label]
     absent = series.is_null().to_numpy()
@@ -110,12 +110,12 @@ def _values(table: Any, label: str) -> NDArray[Any]:
     return values
 
 
-def _joined(parts: list[NDArray[Any]]) -> Any:
+def _joined(parts: list[Column]) -> Any:
     """One column as it is, several as tuples."""
     return parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
 
 
-def _numbered(episode: NDArray[Any]) -> NDArray[Any]:
+def _numbered(episode: Column) -> Column:
     """Episodes that have texts for numbers, in the order of their first rows."""
     if episode.dtype.kind not in "OU" or not all(isinstance(item, str) for item in episode):
         return episode
@@ -220,7 +220,7 @@ def _names_in(value: Any, name: str) -> list[Any] | None:
     return names
 
 
-def as_objects(names: tuple[Name, ...]) -> NDArray[Any]:
+def as_objects(names: tuple[Name, ...]) -> Column:
     """Names as an array of them, tuples whole."""
     array = np.empty(len(names), dtype=object)
     array[:] = names

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oee_tabular._checks import BoolArray, IntArray
+from oee_tabular._checks import BoolArray, Column, IntArray
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
 _TRUE, _FALSE = ("true", "1", "1.0"), ("false", "0", "0.0")
@@ -23,7 +22,7 @@ class Limits(NamedTuple):
     kept: int = 200_000
 
 
-def _numbers(column: NDArray[Any]) -> NDArray[Any]:
+def _numbers(column: Column) -> Column:
     """Text as numbers, nan where it is none."""
     if column.dtype.kind not in "OUT":
         return column
@@ -32,7 +31,7 @@ def _numbers(column: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(pd.to_numeric(pd.Series(column).astype(object), errors="coerce"))
 
 
-def _whole(column: NDArray[Any], low: int | None, high: int, above: str) -> tuple[IntArray, list[Fault]]:
+def _whole(column: Column, low: int | None, high: int, above: str) -> tuple[IntArray, list[Fault]]:
     values, faults = _numbers(column), []
     if values.dtype.kind == "f":
         odd = ~((np.abs(values) <= 2.0**53) & (values == np.floor(values)))
@@ -55,35 +54,35 @@ def _range(size: int) -> str:
     return "must be below 2**53" if size == LARGEST else f"must be in 0..{size - 1}"
 
 
-def _states(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _states(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     return _whole(column, 0, limits.states, _range(limits.states))
 
 
-def _actions(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _actions(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     return _whole(column, 0, limits.actions, _range(limits.actions))
 
 
-def _steps(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _steps(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     return _whole(column, 0, LARGEST, _range(LARGEST))
 
 
-def _names(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _names(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     return _whole(column, None, 2**63, "must be below 2**63")
 
 
-def _rewards(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _rewards(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     values = _numbers(column).astype(np.float64, copy=False)
     fine = np.isfinite(values)
     return values, [] if fine.all() else [(~fine, "must be finite", "")]
 
 
-def _probabilities(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _probabilities(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     values = _numbers(column).astype(np.float64, copy=False)
     fine = (values >= 0) & (values <= 1)
     return values, [] if fine.all() else [(~fine, "must be in [0, 1]", "")]
 
 
-def _flags(column: NDArray[Any], limits: Limits) -> tuple[NDArray[Any], list[Fault]]:
+def _flags(column: Column, limits: Limits) -> tuple[Column, list[Fault]]:
     if column.dtype.kind == "b":
         return column, []
     if column.dtype.kind in "iuf":

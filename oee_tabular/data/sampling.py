@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular._checks import BoolArray, IntArray
+from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import _counting
 
 _SAMPLED = ("state", "action", "next_state", "reward", "terminated", "truncated", "timestep", "behavior_probability")
@@ -38,7 +37,7 @@ class Episodes:
         self.salt = int.from_bytes(hashlib.sha256(self.label.encode()).digest()[:8], "little")
 
     def add(
-        self, columns: dict[str, NDArray[Any]], bad: BoolArray, nameless: BoolArray, row: IntArray, lost: list[int]
+        self, columns: dict[str, Column], bad: BoolArray, nameless: BoolArray, row: IntArray, lost: list[int]
     ) -> None:
         """The next rows, without the numbers that are ``lost``; those without a name are lost as well."""
         self.pending += lost
@@ -92,7 +91,7 @@ class Episodes:
         if len(runs):
             self.runs.append(runs)
 
-    def _tell(self, columns: dict[str, NDArray[Any]], fault: IntArray, at: IntArray, row: IntArray) -> None:
+    def _tell(self, columns: dict[str, Column], fault: IntArray, at: IntArray, row: IntArray) -> None:
         """Refuse, or note, rows that do not go on with their episode."""
         for kind, rule in (
             (
@@ -111,7 +110,7 @@ class Episodes:
                 column = {_counting.TIMESTEP: "timestep", _counting.APART: "state", _counting.EARLY: "episode"}[kind]
                 self.bad(column + " in order", rule.format(row[k], columns["episode"][k], columns[column][k]), 0)
 
-    def done(self) -> tuple[dict[str, NDArray[Any]], list[int]]:
+    def done(self) -> tuple[dict[str, Column], list[int]]:
         """The sample; how many episodes, the shortest, the longest, how many without an end, how many broken."""
         number = int(self.carried[_counting.ORDINAL]) + 1
         _counting.close(self.carried)
@@ -150,10 +149,10 @@ class Sample:
 
     def __post_init__(self) -> None:
         self.most = np.uint64(2**64 - 1)
-        self.held: list[dict[str, NDArray[Any]]] = []
+        self.held: list[dict[str, Column]] = []
         self.moves = 0
 
-    def add(self, rows: dict[str, NDArray[Any]]) -> None:
+    def add(self, rows: dict[str, Column]) -> None:
         """More rows, with their ``key``; those of an episode stand together."""
         keep = rows["key"] <= self.most
         self.held.append(rows if keep.all() else {name: column[keep] for name, column in rows.items()})
@@ -161,7 +160,7 @@ class Sample:
         if self.moves > 2 * self.size:
             self.cut()
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, Column]:
         """What is kept."""
         self.cut()
         return self.held[0] if self.held else {}

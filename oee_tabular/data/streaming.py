@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files, _workers
+from oee_tabular._checks import Column
 from oee_tabular.data import parts as files
 from oee_tabular.data import tally
 from oee_tabular.data.counted import KIND, Recording, TransitionCounts, sealed, unsealed
@@ -121,7 +122,7 @@ class Run:
             return
         begun = time.monotonic()
         key, sums = tally.in_order(*self.moves.contents())
-        arrays: dict[str, NDArray[Any]] = {
+        arrays: dict[str, Column] = {
             "key": key,
             "sums": sums,
             "facts": self.total.facts,
@@ -165,7 +166,7 @@ class Run:
         )  # fmt: skip
         self._keep(sample, int(arrays["most"]))
 
-    def _keep(self, rows: dict[str, NDArray[Any]], most: int) -> None:
+    def _keep(self, rows: dict[str, Column], most: int) -> None:
         """Episodes of one more file, numbered on: they stay in the order of the files."""
         self.sample.most = min(self.sample.most, np.uint64(most))
         if rows:

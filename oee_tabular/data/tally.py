@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, Column, IntArray
 from oee_tabular.data import _counting
 from oee_tabular.data.batches import Batch, batches
 from oee_tabular.data.parts import Part
@@ -32,7 +31,7 @@ class Counted(NamedTuple):
     reasons: tuple[str, ...]
     rewarded: bool
     by_episodes: bool
-    sample: dict[str, NDArray[Any]]
+    sample: dict[str, Column]
     most: int
 
 
@@ -132,9 +131,9 @@ class Tally:
             lost = wrong.get("episode", np.zeros(len(bad), dtype=np.bool_))
             self.episodes.add(columns, bad, lost, batch.row, [row for row, _ in batch.lost])
 
-    def _read(self, batch: Batch) -> tuple[dict[str, NDArray[Any]], dict[str, BoolArray]]:
+    def _read(self, batch: Batch) -> tuple[dict[str, Column], dict[str, BoolArray]]:
         """The columns as a log has them, and of each the rows with a bad value."""
-        columns: dict[str, NDArray[Any]] = {}
+        columns: dict[str, Column] = {}
         wrong: dict[str, BoolArray] = {}
         first: list[tuple[int, str, str]] = []
         for name, column in batch.columns.items():
@@ -167,7 +166,7 @@ class Tally:
 
     def done(self) -> Counted:
         """What was counted."""
-        sample: dict[str, NDArray[Any]] = {}
+        sample: dict[str, Column] = {}
         most = np.uint64(2**64 - 1)
         facts = np.zeros(8, dtype=np.int64)
         if self.episodes is not None:
@@ -184,7 +183,7 @@ class Tally:
                        int(most))  # fmt: skip
 
 
-def _rows(columns: dict[str, NDArray[Any]], keep: Any) -> Any:
+def _rows(columns: dict[str, Column], keep: Any) -> Any:
     """The moves of some rows, each one of it."""
     ended = columns["terminated"].astype(np.int64) if "terminated" in columns else np.zeros_like(columns["state"])
     pay = columns["reward"][keep] if "reward" in columns else np.zeros(0)

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import BoolArray, IntArray
+from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
 from oee_tabular.data.frames import as_objects, coded, episode_columns, frame_columns, is_frame
@@ -102,18 +101,18 @@ class Transitions(Log):
                 )
 
     @staticmethod
-    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, Column | None]:
         numbers = {"state": state, "action": action, "next_state": next_state}
         return {name: integers(column, name) for name, column in numbers.items()}
 
     @staticmethod
-    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+    def _apart(following: Column, state: Column) -> BoolArray:
         return np.asarray(following != state)
 
-    def _shown(self, state: NDArray[Any]) -> Any:
+    def _shown(self, state: Column) -> Any:
         return state.tolist() if self.state_names is None else worded(self.state_names, state)
 
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats; names where it has names."""
         found = super().columns()
         for column, names in (

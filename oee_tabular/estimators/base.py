@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError, exponent
@@ -148,7 +148,7 @@ class Estimator(Protocol):
     'holds'
     """
 
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Estimate J of ``policy`` in the target of ``problem``."""
         ...
 
@@ -192,7 +192,7 @@ def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]
     """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
 
     @functools.wraps(call)
-    def answer(self: Any, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def answer(self: Any, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         try:
             return call(self, problem, policy, seed=seed)
         except DivergentKernelError as divergence:

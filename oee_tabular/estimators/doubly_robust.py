@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
@@ -89,7 +89,7 @@ class DoublyRobust(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
@@ -68,7 +68,7 @@ class ImportanceSampling(ExactLimit):
         _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         log = problem.recorded

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_steps
@@ -22,10 +22,10 @@ OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
 def population(
     simulator: FiniteMDP,
     target: FiniteMDP,
-    policy: Any,
+    policy: PolicyLike,
     *,
     data_distribution: Any = None,
-    behavior_policy: Any = None,
+    behavior_policy: PolicyLike | None = None,
     horizon: int | None = None,
 ) -> Population:
     """The arguments of every ``limit``, checked: shapes, and the target inside the simulator's support."""
@@ -58,10 +58,10 @@ class ExactLimit:
         self,
         simulator: FiniteMDP,
         target: FiniteMDP,
-        policy: Any,
+        policy: PolicyLike,
         *,
         data_distribution: Any = None,
-        behavior_policy: Any = None,
+        behavior_policy: PolicyLike | None = None,
         horizon: int | None = None,
     ) -> float:
         """The exact population limit, bias included, of a policy's estimated value.

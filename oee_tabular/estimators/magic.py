@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import ROUNDING, Estimate, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
@@ -63,7 +62,7 @@ class Magic(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
@@ -68,7 +67,7 @@ class Marginalized(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
         pi = checked_policy(problem, policy)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
@@ -159,7 +158,7 @@ class DualDice(ExactLimit):
     """
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         if problem.horizon is not None:

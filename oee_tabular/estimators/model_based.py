@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
@@ -58,7 +58,7 @@ class ModelBased(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         totals = row_sums(problem.counts)

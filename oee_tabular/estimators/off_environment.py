@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
@@ -103,7 +103,7 @@ class OffEnvironment(ExactLimit):
         _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
         pi = checked_policy(problem, policy)
         generator = _checks.generator(seed)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular._sparse import align, find
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
@@ -101,7 +101,7 @@ class Problem:
     simulator: FiniteMDP
     log: Transitions | TransitionCounts
     horizon: int | None = None
-    behavior_policy: Any = None
+    behavior_policy: Array | None = None
     simulator_data: Any = None
     rewards: Literal["simulator", "log"] = "simulator"
     episodes: Transitions | None = None
@@ -112,7 +112,7 @@ class Problem:
         simulator: FiniteMDP,
         log: Any,
         horizon: int | None = None,
-        behavior_policy: Any = None,
+        behavior_policy: PolicyLike | None = None,
         simulator_data: Any = None,
         rewards: Literal["simulator", "log"] = "simulator",
         episodes: Transitions | None = None,
@@ -237,7 +237,7 @@ class Problem:
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
 
 
-def checked_policy(problem: object, policy: Any) -> Array:
+def checked_policy(problem: object, policy: PolicyLike) -> Array:
     """A policy of ``problem``, (S, A); a ValueError for what is no Problem or no policy of it."""
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 

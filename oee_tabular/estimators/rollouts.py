@@ -8,12 +8,11 @@ Exact values and variances exist by dynamic programming; this shows what samplin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.mdp import FiniteMDP
@@ -55,7 +54,7 @@ def product_estimate(
     weighting: str,
     self_normalized: bool,
     n_rollouts: int,
-    seed: Any,
+    seed: Seed,
 ) -> Estimate:
     """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error

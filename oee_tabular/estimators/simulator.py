@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from oee_tabular import _checks
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Basis, Estimate, without_divergence
@@ -37,7 +38,7 @@ class Simulator(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
@@ -99,7 +100,7 @@ class Oracle(ExactLimit):
 
     @one_thread
     @without_divergence
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
         pi = checked_policy(problem, policy)
         ratio = true_ratio(self.target, problem.simulator)

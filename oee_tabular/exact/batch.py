@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
 from oee_tabular.exact.values import evaluate_policy
@@ -198,7 +198,7 @@ def _policies(policies: Any, wanted: int | None) -> Any:
     return policies
 
 
-def _alone(model: Model, policy: Any, i: int, steps: int | None) -> tuple[Array, float, float]:
+def _alone(model: Model, policy: PolicyLike, i: int, steps: int | None) -> tuple[Array, float, float]:
     """V, J and the error bound of one policy by itself."""
     found = evaluate_policy(model, check_policy(policy, model, name=f"policies[{i}]", horizon=steps), horizon=steps)
     return found.values, found.value, found.error_bound

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import dot, one_thread
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
@@ -27,7 +27,9 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import steps_of
 
 
-def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, horizon: int | None = None) -> float:
+def efficiency_bound(
+    target: FiniteMDP, policy: PolicyLike, data_distribution: Any, *, horizon: int | None = None
+) -> float:
     """lim n * variance of the best estimator of J from n target transitions.
 
     sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / data_distribution(x); for r(s, a) and an infinite horizon
@@ -56,7 +58,7 @@ def efficiency_bound(target: FiniteMDP, policy: Any, data_distribution: Any, *, 
 
 
 @one_thread
-def leading_bias(target: FiniteMDP, policy: Any, data_distribution: Any) -> float:
+def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Any) -> float:
     """lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
 
     gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
@@ -96,7 +98,7 @@ def leading_bias(target: FiniteMDP, policy: Any, data_distribution: Any) -> floa
 def ratio_of_ratios_variance(
     simulator: FiniteMDP,
     target: FiniteMDP,
-    policy: Any,
+    policy: PolicyLike,
     data_distribution: Any,
     simulator_distribution: Any,
     *,
@@ -164,8 +166,8 @@ def ratio_of_ratios_variance(
 
 def trajectory_efficiency_bound(
     mdp: FiniteMDP,
-    behavior_policy: Any,
-    policy: Any,
+    behavior_policy: PolicyLike,
+    policy: PolicyLike,
     *,
     horizon: int,
     model: Literal["mdp", "tree", "stationary"] = "mdp",
@@ -268,7 +270,9 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
         )
 
 
-def _problem(target: FiniteMDP, policy: Any, distribution: Any, name: str, horizon: int | None) -> tuple[Array, Array]:
+def _problem(
+    target: FiniteMDP, policy: PolicyLike, distribution: Any, name: str, horizon: int | None
+) -> tuple[Array, Array]:
     """The gradient on the target's entries, and the distribution as (S*A,)."""
     _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:

@@ -6,12 +6,12 @@ alone (the light cone of the support of mu_0), and each step backward leaves its
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import readable, rows_of
 from oee_tabular.mdp import check_policy
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 STRICT = 1e-9  # the compiled check is stricter than check_policy, which decides where sums are odd
 
 
-def policy_to_read(policy: Any, model: Model, horizon: int) -> Array:
+def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
     from oee_tabular.exact._finite import stochastic
 
@@ -117,7 +117,7 @@ def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
     return np.asarray(_finite.frontier(rows_of(model.transitions), *given, model.discount, *rooms, visited, keep))
 
 
-def policy_values_by_horizon(mdp: Model, policy: Any, *, horizon: int) -> Array:
+def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:
     """J of every horizon up to T, from one pass: J_t = sum_{k<t} gamma^k E[r_k].
 
     Parameters

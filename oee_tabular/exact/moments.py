@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact.recursions import Moments, moments_of, per_decision, scaled_moments, steps_followed
 from oee_tabular.exact.system import exponent, readable
@@ -29,7 +30,7 @@ KINDS = _, WHOLE = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
 
 
-def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, sources: bool = False) -> Moments:
+def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = None, sources: bool = False) -> Moments:
     """Mean and variance of the return G = sum_t gamma^t r_t of one episode.
 
     Var G = Var V_0(s_0) + sum_t gamma^2t E Var[r_t + gamma V_{t+1}(s_{t+1}) | s_t].
@@ -58,7 +59,7 @@ def return_moments(mdp: FiniteMDP, policy: Any, *, horizon: int | None = None, s
 def weighted_return_moments(
     simulator: FiniteMDP,
     zeta: Any,
-    policy: Any,
+    policy: PolicyLike,
     *,
     kind: Kind = "per_decision",
     horizon: int | None = None,
@@ -109,8 +110,8 @@ def weighted_return_moments(
 
 def policy_is_moments(
     mdp: FiniteMDP,
-    behavior_policy: Any,
-    policy: Any,
+    behavior_policy: PolicyLike,
+    policy: PolicyLike,
     *,
     kind: Kind = "per_decision",
     horizon: int | None = None,
@@ -154,7 +155,7 @@ def policy_is_moments(
 def doubly_robust_moments(
     simulator: FiniteMDP,
     zeta: Any,
-    policy: Any,
+    policy: PolicyLike,
     *,
     baseline: Any = None,
     horizon: int,

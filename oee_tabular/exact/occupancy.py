@@ -4,13 +4,13 @@ make of values: the derivative of J with respect to each transition probability,
 
 from __future__ import annotations
 
-from typing import Any, Literal, overload
+from typing import Literal, overload
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
@@ -23,15 +23,17 @@ from oee_tabular.mdp.horizons import optional_steps
 
 @overload
 def occupancy(
-    mdp: Model, policy: Any, *, horizon: int | None = ..., of: Literal["state", "state_action"] = ...
+    mdp: Model, policy: PolicyLike, *, horizon: int | None = ..., of: Literal["state", "state_action"] = ...
 ) -> Array: ...
 @overload
-def occupancy(mdp: Model, policy: Any, *, horizon: int | None = ..., of: Literal["transition"]) -> sparse.csr_array: ...
+def occupancy(
+    mdp: Model, policy: PolicyLike, *, horizon: int | None = ..., of: Literal["transition"]
+) -> sparse.csr_array: ...
 
 
 def occupancy(
     mdp: Model,
-    policy: Any,
+    policy: PolicyLike,
     *,
     horizon: int | None = None,
     of: Literal["state", "state_action", "transition"] = "state_action",
@@ -91,7 +93,7 @@ def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
 
 
 def transition_gradient(
-    model: Model, policy: Any, *, horizon: int | None = None, values_of: Model | None = None
+    model: Model, policy: PolicyLike, *, horizon: int | None = None, values_of: Model | None = None
 ) -> Array:
     """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray
+from oee_tabular._checks import Array, BoolArray, PolicyLike
 from oee_tabular.exact import finite
 from oee_tabular.exact.reweighted import MODELS, Model, require_model
 from oee_tabular.exact.system import (
@@ -54,7 +54,9 @@ def policy_rewards(model: Model, policy: Array) -> Array:
     return np.asarray(_policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
 
 
-def evaluate_policy(model: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> PolicyValues:
+def evaluate_policy(
+    model: Model, policy: PolicyLike, *, horizon: int | None = None, certify: bool = False
+) -> PolicyValues:
     """V, J and a bound on their error.
 
     Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
@@ -182,7 +184,7 @@ def _normalise(model: Model) -> float:
     return 1.0 - model.discount
 
 
-def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normalized: bool = False) -> float:
+def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, normalized: bool = False) -> float:
     """J = E[sum_t gamma^t r_t] from the initial distribution, exactly, by dynamic programming (eq. 3.1).
 
     Parameters
@@ -211,7 +213,7 @@ def policy_value(mdp: Model, policy: Any, *, horizon: int | None = None, normali
     return float(_said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 
 
-def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify: bool = False) -> Array:
+def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, certify: bool = False) -> Array:
     """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
 
     Parameters
@@ -230,7 +232,7 @@ def state_values(mdp: Model, policy: Any, *, horizon: int | None = None, certify
     return np.asarray(_said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
 
 
-def action_values(mdp: Model, policy: Any, *, horizon: int | None = None) -> Array:
+def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
     """Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
 
     Parameters

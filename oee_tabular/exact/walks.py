@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
 from oee_tabular._sparse import align, canonical, checked, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import readable, rows_of, spectral_radius
@@ -126,7 +126,7 @@ def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
     return w
 
 
-def weight_moments(simulator: FiniteMDP, zeta: Any, policy: Any, *, horizon: int) -> tuple[Array, Array]:
+def weight_moments(simulator: FiniteMDP, zeta: Any, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
     """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
     In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
@@ -166,7 +166,7 @@ def radius_of(matrix: sparse.csr_array) -> float:
 
 
 @one_thread
-def weight_growth(simulator: FiniteMDP, zeta: Any, policy: Any) -> float:
+def weight_growth(simulator: FiniteMDP, zeta: Any, policy: PolicyLike) -> float:
     """log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
 
     Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the moves that recur. Of a reducible chain the

@@ -8,14 +8,13 @@ Weissman et al., Inequalities for the L1 deviation of the empirical distribution
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse, special
 from scipy.sparse import csgraph
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
 from oee_tabular._sparse import align, on_pattern, row_of_entry
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, reweight
@@ -53,7 +52,7 @@ class Evidence:
 
 
 def gather(
-    problem: Problem, policy: Any, lower_ratio: float | None = None, upper_ratio: float | None = None
+    problem: Problem, policy: PolicyLike, lower_ratio: float | None = None, upper_ratio: float | None = None
 ) -> Evidence:
     """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
     model = problem.model

@@ -8,13 +8,11 @@ Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import stats
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
@@ -38,7 +36,7 @@ def delta_ends(evidence: Evidence, confidence: float) -> tuple[float, float, flo
 
 
 def bootstrap_values(
-    problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Any
+    problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed
 ) -> tuple[float, Array]:
     """J of the model, and of the models of ``n_bootstrap`` resamples of transitions or of whole episodes."""
     generator = _checks.generator(seed)

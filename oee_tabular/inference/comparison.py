@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
@@ -105,7 +105,7 @@ def compare_policies(
     confidence: float = 0.95,
     n_draws: int = 10_000,
     n_bootstrap: int = 400,
-    seed: Any = 0,
+    seed: Seed = 0,
 ) -> Comparison:
     """Differences between policies evaluated on the same log, and how probable it is that each is the best.
 

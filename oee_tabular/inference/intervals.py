@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
@@ -77,7 +78,7 @@ class Interval:
 @one_thread
 def interval(
     problem: Problem,
-    policy: Any,
+    policy: PolicyLike,
     *,
     method: Method = "likelihood",
     confidence: float = 0.95,
@@ -88,7 +89,7 @@ def interval(
     bootstrap: Literal["percentile", "basic"] = "percentile",
     resample: Literal["transitions", "episodes"] = "transitions",
     n_bootstrap: int = 400,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> Interval:
     """How sure the log makes the value of a policy in the target. Rewards are taken as known.
 

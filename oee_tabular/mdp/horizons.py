@@ -7,6 +7,7 @@ import warnings
 from typing import Any, Protocol
 
 from oee_tabular import _checks
+from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
 from oee_tabular.mdp.policy_forms import changes_with_time
 
@@ -81,7 +82,7 @@ def followed(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, ke
     return steps
 
 
-def steps_of(horizon: Any, model: Rewarding, policy: Any = None, *, kept: float = 1.0) -> int:
+def steps_of(horizon: Any, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0) -> int:
     """A horizon as a positive int, as far as it is ``followed`` in ``model``; with a policy (T, S, A) to its end."""
     steps = _checks.positive_integer(horizon, "horizon")
     if steps <= SHORT or changes_with_time(policy):
@@ -91,6 +92,8 @@ def steps_of(horizon: Any, model: Rewarding, policy: Any = None, *, kept: float 
     return followed(steps, rate, ahead=model.n_states, work=model.transitions.nnz, kept=kept)
 
 
-def optional_steps(horizon: Any, model: Rewarding, policy: Any = None, *, kept: float = 1.0) -> int | None:
+def optional_steps(
+    horizon: Any, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0
+) -> int | None:
     """``steps_of``, or None for the infinite sum."""
     return None if horizon is None else steps_of(horizon, model, policy, kept=kept)

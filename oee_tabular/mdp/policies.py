@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.mdp.policy_forms import Sized, are_several, is_policy_by_state, policy_table
 
 
@@ -18,7 +18,7 @@ def require_sized(mdp: object) -> None:
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
 
-def check_policy(policy: Any, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
+def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
     """``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
     A policy of the environment's own number of states is extended to the twins that termination appended, where any
@@ -129,7 +129,7 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
 
 
-def _beside(policy: Any, name: str, other: Any) -> Any:
+def _beside(policy: PolicyLike, name: str, other: Any) -> Any:
     """(S,) integers as (S, A), where the other policy is (S, A)."""
     array = _checks.as_array(policy, name)
     if array.ndim != 1 or array.dtype.kind not in "iu" or np.ndim(other) != 2:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.mdp.naming import Name, Names, is_name, names_of, number_of, numbers_of, plain
 
 
@@ -28,7 +28,7 @@ class Sized(Protocol):
         """(S0,): its length is the number of the environment's own states."""
 
 
-def policy_table(policy: Any, mdp: Sized, name: str) -> Any:
+def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """A policy in one of these forms as (S0, A) or (S, A); any other, an array among them, as it is.
 
     Raises
@@ -64,7 +64,7 @@ def are_several(policies: Any, mdp: Sized) -> bool:
     return _depth(first) == 1 and len(first) in sizes and not one
 
 
-def changes_with_time(policy: Any) -> bool:
+def changes_with_time(policy: PolicyLike | None) -> bool:
     """Whether a policy is (T, S, A)."""
     return _depth(policy) == 3
 
@@ -81,7 +81,7 @@ def _is_number(key: Any) -> bool:
     return isinstance(key, int | np.integer) and not isinstance(key, bool)
 
 
-def _of_actions(policy: Any, mdp: Sized, name: str) -> Any:
+def _of_actions(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """One action a state, by number or name."""
     called, sizes = names_of(mdp).actions, (mdp.n_states, len(mdp.terminal_state))
     items: Any = _tuples(policy, called, mdp.n_actions)
@@ -110,7 +110,7 @@ def _of_actions(policy: Any, mdp: Sized, name: str) -> Any:
     return table
 
 
-def _tuples(policy: Any, names: tuple[Name, ...] | None, n_actions: int) -> list[Any] | None:
+def _tuples(policy: PolicyLike, names: tuple[Name, ...] | None, n_actions: int) -> list[Any] | None:
     """A list of the tuples that actions are called; None for anything else, rows of probabilities among it."""
     if not isinstance(policy, list | tuple) or names is None:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp.arrays import canonical_table, check_layout
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
@@ -65,7 +65,7 @@ def arguments_of_log(
     return _arguments(moves, rewards, law, n_actions, (state_names, action_names), layout)
 
 
-def arguments_of_env(env: Any, samples_per_pair: Any, seed: Any, max_steps: Any) -> dict[str, Any]:
+def arguments_of_env(env: Any, samples_per_pair: Any, seed: Seed, max_steps: Any) -> dict[str, Any]:
     """The arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
     wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, Box
+from oee_tabular._checks import Array, Box, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.features import Kernel
@@ -101,7 +101,7 @@ def density_ratio(
     step_size: float = 0.1,
     batch_size: int = 64,
     n_iterations: int = 10_000,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> RatioFit:
     """The ratio p/q as the solution of a convex program.
 
@@ -241,7 +241,7 @@ def _certified(
 
 def _class_fit(
     p: Array, q: Array, totals: list[float], matrix: Array, details: dict[str, Any], box: Box, ridge: float,
-    normalized: bool, solver: Any, sgd: Sgd | None, seed: Any,
+    normalized: bool, solver: Any, sgd: Sgd | None, seed: Seed,
 ) -> RatioFit:  # fmt: skip
     """``density_ratio`` over g = Phi w."""
     program, found, trace = fit_cells(

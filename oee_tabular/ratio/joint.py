@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Box
+from oee_tabular._checks import Array, Box, PolicyLike
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, _joint, statements
 from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
@@ -92,7 +92,7 @@ class Joint(Method):
     ridge: float | Callable[[float], float] = 0.0
     solver: str = "dual"
     data: SimulatorData = field(default=None, repr=False)
-    behavior_policy: Any = field(default=None, repr=False)
+    behavior_policy: PolicyLike | None = field(default=None, repr=False)
 
     HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Box
+from oee_tabular._checks import Array, Box, Seed
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import interior, statements
@@ -108,7 +108,7 @@ def fit_cells(
     normalized: bool,
     solver: str,
     sgd: Sgd | None,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> tuple[LinearProgram, LinearSolution, SgdTrace | None]:
     """g = Phi w for distributions p and q on the same cells; the program, its solution and the trace of "sgd"."""
     _refuse_thin_box(box, normalized)

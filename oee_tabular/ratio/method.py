@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray
+from oee_tabular._checks import Array, BoolArray, Seed
 from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
@@ -40,7 +40,7 @@ class Given:
     horizon: int | None = None
     simulator_data: SimulatorData = None
     behavior_policy: Array | None = None
-    seed: Any = None
+    seed: Seed = None
 
     def ratio(
         self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
@@ -70,7 +70,7 @@ class Quotient(Method):
     normalized: bool = True
     solver: str | Sgd = "dual"
     data: SimulatorData = field(default=None, repr=False)
-    behavior_policy: Any = field(default=None, repr=False)
+    behavior_policy: PolicyLike | None = field(default=None, repr=False)
     functions: Network | None = None
 
     HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
@@ -156,7 +156,7 @@ def check_simulator_data(value: object) -> None:
         raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {value!r}")
 
 
-def simulator_weights(given: Given, data: SimulatorData, behavior_policy: Any) -> Array:
+def simulator_weights(given: Given, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:
     """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given.
 
     ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.ratio import dual, interior
 from oee_tabular.ratio._sgd import project
 from oee_tabular.ratio.statements import LinearProgram
@@ -73,7 +72,7 @@ class SgdTrace:
     error: Array
 
 
-def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Any) -> tuple[Array, SgdTrace]:
+def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed) -> tuple[Array, SgdTrace]:
     """g after all iterations, from g = 1, and about fifty points of its trace.
 
     ``program`` is that of ``dual.kl_coordinates``; 0 < lower, upper finite.
@@ -93,7 +92,7 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd,
 
 
 def descend_linear(
-    program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Any
+    program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Seed
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
     phi = np.ascontiguousarray(program.features)
@@ -137,7 +136,7 @@ def _trained(
 class _Draws:
     """Shares of the entries in batches drawn from p and from q."""
 
-    def __init__(self, p: Array, q: Array, batch_size: int, seed: Any) -> None:
+    def __init__(self, p: Array, q: Array, batch_size: int, seed: Seed) -> None:
         self._generator = _checks.generator(seed)
         self._sums = [np.cumsum(weights) for weights in (p, q)]
         self._size, self._n = batch_size, len(p)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import dual
@@ -38,7 +38,7 @@ def fit_network(
     upper: float,
     ridge: float | Callable[[Any], Any],
     toward: float | None,
-    seed: Any,
+    seed: Seed,
 ) -> RatioFit:
     """p / q on the cells by a network: counts (or probabilities) p, q and the columns of the cells.
 
@@ -70,7 +70,7 @@ def fit_network(
     )
 
 
-def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Any) -> RowFit:
+def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Seed) -> RowFit:
     """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
 
     Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. ``details``:

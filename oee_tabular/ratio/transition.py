@@ -25,6 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
@@ -96,8 +97,8 @@ def transition_ratio(
     values_of: Any = None,
     horizon: int | None = None,
     simulator_data: SimulatorData = None,
-    behavior_policy: Any = None,
-    seed: Any = None,
+    behavior_policy: PolicyLike | None = None,
+    seed: Seed = None,
     **options: Any,
 ) -> TransitionRatio:
     """zeta(s, a, s') = P_target / P_simulator from a log of the target.

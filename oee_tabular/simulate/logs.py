@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import steps_of
 
 
-def stream_key(seed: Any) -> np.uint64:
+def stream_key(seed: Seed) -> np.uint64:
     """A 64-bit key from anything that ``numpy.random.default_rng`` takes."""
     return np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
 
 
-def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, *, seed: Any) -> Transitions:
+def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed) -> Transitions:
     """Episodes from the initial distribution, each of at most ``horizon`` steps.
 
     An episode terminates on entering an absorbing state that pays nothing; one that is still going at the horizon is
@@ -71,7 +71,7 @@ def sample_episodes(mdp: FiniteMDP, policy: Any, n_episodes: int, horizon: int, 
 
 
 def episodes_holding(
-    mdp: FiniteMDP, policy: Any, n: int, horizon: int, *, seed: Any, first: int | None = None
+    mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed, first: int | None = None
 ) -> Transitions:
     """Whole episodes that together have at least n moves: ``first`` of them, or as many as would do if none ended early, and
     more where they do. A Generator draws afresh at each try; of any other seed the episodes tried before stay.
@@ -82,7 +82,7 @@ def episodes_holding(
     return log
 
 
-def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Any) -> Transitions:
+def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Seed) -> Transitions:
     """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
     A bag, without episodes or termination: absorbing states are drawn from like any other.

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -81,11 +81,11 @@ class SampledReturns:
 
 def sample_returns(
     mdp: FiniteMDP,
-    policy: Any,
+    policy: PolicyLike,
     n_episodes: int,
     horizon: int,
     *,
-    seed: Any,
+    seed: Seed,
     zeta: Any = None,
     kind: Literal["per_decision", "trajectory"] = "per_decision",
     n_lanes: int = 64,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import steps_of
@@ -128,7 +128,7 @@ class Sampler:
 
 def sampler(
     mdp: FiniteMDP, policy: Array, n: int, horizon: int, *,
-    seed: Any, zeta: Any = None, lanes: int = 64, name: str = "n_episodes",
+    seed: Seed, zeta: Any = None, lanes: int = 64, name: str = "n_episodes",
 ) -> Sampler:  # fmt: skip
     """The engine for a checked policy; ``zeta`` as in ``sample_returns``, None: no weights; ``name``: what n is called."""
     from oee_tabular.exact.walks import factors_of  # not at import: logs do without

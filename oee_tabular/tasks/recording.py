@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp.policy_forms import policy_table
 
 
 def record_episodes(
     env: Any,
-    policy: Any,
+    policy: PolicyLike,
     *,
     n_transitions: int | None = None,
     n_episodes: int | None = None,
     max_steps: int | None = None,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> Transitions:
     """Step ``env`` under ``policy`` and write down what it does.
 
@@ -111,7 +111,7 @@ def _stepped(
     return rows
 
 
-def _table(policy: Any, n_states: int, n_actions: int) -> Array:
+def _table(policy: PolicyLike, n_states: int, n_actions: int) -> Array:
     """A policy, an action for each observation, a mapping or a function of them, as (S, A); S may be more."""
     numbered = SimpleNamespace(n_states=n_states, n_actions=n_actions, terminal_state=np.arange(n_states))
     pi = _checks.float_array(policy_table(policy, numbered, "policy"), "policy", ndim=2)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -119,7 +119,7 @@ class Subject:
         return float(found)
 
 
-def call(estimator: Any, problem: Problem, policy: Array, seed: Any, where: str) -> Estimate:
+def call(estimator: Any, problem: Problem, policy: Array, seed: Seed, where: str) -> Estimate:
     """``estimator(problem, policy, seed=seed)``, well-formed, or ``Broken``."""
     with guarded(f"estimator(problem, policy, seed={seed})", where):
         found = estimator(problem, policy, seed=seed)

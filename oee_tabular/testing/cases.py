@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
@@ -60,11 +60,11 @@ class Case:
         """(S, A): how the rows of a log are distributed."""
         return recorded(self.target, self.behavior, self.steps)
 
-    def log(self, n: int, *, seed: Any) -> Transitions:
+    def log(self, n: int, *, seed: Seed) -> Transitions:
         """``n`` episodes of the behaviour policy in the target."""
         return sample_episodes(self.target, self.behavior, n, self.steps, seed=seed)
 
-    def logs(self, n: int, repetitions: int, *, seed: Any) -> Iterator[Transitions]:
+    def logs(self, n: int, repetitions: int, *, seed: Seed) -> Iterator[Transitions]:
         """``repetitions`` independent logs of ``n`` episodes (one after the other of a single draw)."""
         whole = self.log(n * repetitions, seed=seed)
         starts, columns = whole.episode_starts, whole.columns()
@@ -73,7 +73,7 @@ class Case:
             rows = slice(starts[k * n], starts[(k + 1) * n])
             yield Transitions(**{name: column[rows] for name, column in columns.items()})
 
-    def problem(self, n: int, *, seed: Any) -> Problem:
+    def problem(self, n: int, *, seed: Seed) -> Problem:
         """The problem of a log of ``n`` episodes."""
         return self.problem_of(self.log(n, seed=seed))
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oee_tabular import _checks, _printing
+from oee_tabular._checks import Seed
 from oee_tabular.testing import invariances, laws, manners
 from oee_tabular.testing.calls import Broken, Subject, name_of, one_thread
 from oee_tabular.testing.cases import case
@@ -200,7 +201,7 @@ def check_estimator(
     return Verdicts(title, subject.claims, seed, verdicts)
 
 
-def check_numbers(seed: Any, repetitions: Any) -> None:
+def check_numbers(seed: Seed, repetitions: Any) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ValueError(f"seed must be an integer of at least 0; got {seed!r}")

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from oee_tabular._checks import PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.exact import policy_value
@@ -179,7 +179,7 @@ def _plain(state: Any) -> Any:
     return tuple(part.tobytes() if isinstance(part, np.ndarray) else part for part in state)
 
 
-def _arrays(problem: Problem, policy: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
     yield "policy", policy
     yield "problem.behavior_policy", problem.behavior_policy
     for name, column in problem.log.columns().items():

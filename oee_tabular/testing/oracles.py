@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
@@ -129,10 +129,10 @@ class Comparison:
 def compare_with_oracle(
     estimator: Any,
     pair: tuple[FiniteMDP, FiniteMDP],
-    policy: Any,
+    policy: PolicyLike,
     *,
     n: int,
-    behavior_policy: Any = None,
+    behavior_policy: PolicyLike | None = None,
     data_distribution: Any = None,
     repetitions: int = 200,
     seed: int = 0,

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 
@@ -225,7 +225,7 @@ def logs(
     mdp: FiniteMDP,
     *,
     kind: Literal["episodes", "transitions"] | None = "episodes",
-    behavior_policy: Any = None,
+    behavior_policy: PolicyLike | None = None,
     max_episodes: int = 4,
     max_steps: int = 5,
     rewards: bool = True,

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse, special
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.linear import DivergentKernelError
@@ -68,7 +68,7 @@ def unnormalised_bound(
 
 
 def unnormalised_sides(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
 ) -> Sides:
     """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
 
@@ -131,7 +131,7 @@ def _long(gamma: float) -> int:
 
 
 def normalised_sides(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
 ) -> Sides:
     """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at the pair's own eta and R.
 
@@ -153,7 +153,7 @@ def normalised_sides(
     )
 
 
-def path_kl(target: FiniteMDP, model: Model, policy: Any, *, horizon: int, ratio: Any = None) -> Array:
+def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: Any = None) -> Array:
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
     By the chain rule [1] the divergence of the first t moves under K from those under P'. inf from the first move on that K
@@ -231,7 +231,7 @@ def kl_path_bound(path_divergence: Any, reward_bound: float, discount: float) ->
 
 
 def kl_path_sides(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
 ) -> Sides:
     """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
 
@@ -284,7 +284,7 @@ def _constants(
     )
 
 
-def _error(target: FiniteMDP, model: Model, policy: Any, horizon: int | None) -> float:
+def _error(target: FiniteMDP, model: Model, policy: PolicyLike, horizon: int | None) -> float:
     """|J(K) - J'|; inf where J(K) does not exist (nothing is paid: 0)."""
     truth = policy_value(target, policy, horizon=horizon)
     pi = check_policy(policy, target, horizon=horizon)

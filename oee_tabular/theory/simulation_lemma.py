@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, on_pattern
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
 from oee_tabular.exact.reweighted import Model
@@ -77,7 +77,7 @@ class SimulationLemma:
 
 
 def simulation_lemma(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
 ) -> SimulationLemma:
     """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._checks import PolicyLike
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP
@@ -114,7 +115,7 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
 
 
 def value_error_sides(
-    target: FiniteMDP, model: Model, policy: Any, *, horizon: int, error: float, nu: float, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, error: float, nu: float, ratio: Any = None
 ) -> Sides:
     """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.samples.kernel import fit_kernel
@@ -44,7 +44,7 @@ def density_ratio_samples(
     features: Callable[[Array], Any] | str | None = None,
     kernel: str | Kernel | None = None,
     n_centers: int = 100,
-    seed: Any = 0,
+    seed: Seed = 0,
 ) -> SampleRatio:
     """The ratio of the density of ``x_p`` to that of ``x_q``.
 
