@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
@@ -32,16 +33,16 @@ class Log:
 
     def __init__(
         self,
-        state: Any,
-        action: Any,
-        next_state: Any,
-        reward: Any = None,
+        state: ArrayLike,
+        action: ArrayLike,
+        next_state: ArrayLike,
+        reward: ArrayLike | None = None,
         *,
-        terminated: Any = None,
-        episode: Any = None,
-        timestep: Any = None,
-        behavior_probability: Any = None,
-        truncated: Any = None,
+        terminated: ArrayLike | None = None,
+        episode: ArrayLike | None = None,
+        timestep: ArrayLike | None = None,
+        behavior_probability: ArrayLike | None = None,
+        truncated: ArrayLike | None = None,
     ) -> None:
         rest = {
             "reward": reward,
@@ -78,7 +79,7 @@ class Log:
             object.__setattr__(self, name, None if column is None else freeze(column))
 
     @staticmethod
-    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, Column | None]:
+    def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
         """The three columns of a move, checked each for itself."""
         raise NotImplementedError
 

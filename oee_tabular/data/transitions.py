@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
@@ -72,16 +73,16 @@ class Transitions(Log):
 
     def __init__(
         self,
-        state: Any,
-        action: Any,
-        next_state: Any,
-        reward: Any = None,
+        state: ArrayLike,
+        action: ArrayLike,
+        next_state: ArrayLike,
+        reward: ArrayLike | None = None,
         *,
-        terminated: Any = None,
-        episode: Any = None,
-        timestep: Any = None,
-        behavior_probability: Any = None,
-        truncated: Any = None,
+        terminated: ArrayLike | None = None,
+        episode: ArrayLike | None = None,
+        timestep: ArrayLike | None = None,
+        behavior_probability: ArrayLike | None = None,
+        truncated: ArrayLike | None = None,
         state_names: Any = None,
         action_names: Any = None,
     ) -> None:
@@ -101,7 +102,7 @@ class Transitions(Log):
                 )
 
     @staticmethod
-    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, Column | None]:
+    def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
         numbers = {"state": state, "action": action, "next_state": next_state}
         return {name: integers(column, name) for name, column in numbers.items()}
 

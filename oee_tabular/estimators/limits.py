@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -24,7 +23,7 @@ def population(
     target: FiniteMDP,
     policy: PolicyLike,
     *,
-    data_distribution: Any = None,
+    data_distribution: ArrayLike | None = None,
     behavior_policy: PolicyLike | None = None,
     horizon: int | None = None,
 ) -> Population:
@@ -60,7 +59,7 @@ class ExactLimit:
         target: FiniteMDP,
         policy: PolicyLike,
         *,
-        data_distribution: Any = None,
+        data_distribution: ArrayLike | None = None,
         behavior_policy: PolicyLike | None = None,
         horizon: int | None = None,
     ) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -28,7 +29,7 @@ from oee_tabular.mdp.horizons import steps_of
 
 
 def efficiency_bound(
-    target: FiniteMDP, policy: PolicyLike, data_distribution: Any, *, horizon: int | None = None
+    target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike, *, horizon: int | None = None
 ) -> float:
     """lim n * variance of the best estimator of J from n target transitions.
 
@@ -58,7 +59,7 @@ def efficiency_bound(
 
 
 @one_thread
-def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Any) -> float:
+def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike) -> float:
     """lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
 
     gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
@@ -99,7 +100,7 @@ def ratio_of_ratios_variance(
     simulator: FiniteMDP,
     target: FiniteMDP,
     policy: PolicyLike,
-    data_distribution: Any,
+    data_distribution: ArrayLike,
     simulator_distribution: Any,
     *,
     horizon: int | None = None,
@@ -271,7 +272,7 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
 
 
 def _problem(
-    target: FiniteMDP, policy: PolicyLike, distribution: Any, name: str, horizon: int | None
+    target: FiniteMDP, policy: PolicyLike, distribution: ArrayLike, name: str, horizon: int | None
 ) -> tuple[Array, Array]:
     """The gradient on the target's entries, and the distribution as (S*A,)."""
     _checks.instance(target, FiniteMDP, "target")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular._checks import Array
@@ -86,7 +87,7 @@ def zeta_error(zeta: TransitionRatio, target: FiniteMDP, simulator: FiniteMDP) -
     return float(np.abs(zeta.values.data - truth)[live].mean())
 
 
-def rmse(errors: Any) -> float:
+def rmse(errors: ArrayLike) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(errors))))
 

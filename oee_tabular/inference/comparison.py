@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from oee_tabular import _checks, _printing
@@ -223,7 +224,7 @@ class Selection:
     absolute_error: float
 
 
-def selection_measures(estimates: Any, truths: Any, *, k: int = 1) -> Selection:
+def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -> Selection:
     """Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
 
     Parameters

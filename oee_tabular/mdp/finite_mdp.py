@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
@@ -115,7 +116,7 @@ class FiniteMDP(Made):
         discount: float,
         *,
         terminal_state: Any = None,
-        layout: Any = None,
+        layout: ArrayLike | None = None,
         state_names: Any = None,
         action_names: Any = None,
     ) -> None:
@@ -230,7 +231,7 @@ class FiniteMDP(Made):
         """The same MDP with another discount."""
         return self._changed(discount=discount)
 
-    def with_layout(self, layout: Any) -> Self:
+    def with_layout(self, layout: ArrayLike | None) -> Self:
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
         return self._changed(layout=layout)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
@@ -15,7 +16,7 @@ from oee_tabular.mdp.finite_mdp import FiniteMDP
 DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 
-def displacements(mdp: FiniteMDP, *, layout: Any = None) -> tuple[Array, IntArray]:
+def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[Array, IntArray]:
     """How far each transition leads: layout[s'] - layout[s], or s' - s in the states' numbers where there is no layout.
 
     Parameters

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 
@@ -50,7 +50,7 @@ class Assumptions:
         )
 
 
-def check_assumptions(p: Any, q: Any, *, lower: float, upper: float) -> Assumptions:
+def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float) -> Assumptions:
     """Whether assumptions V.1 and V.2 hold of the distributions p, q (counts are scaled) and the box [lower, upper].
 
     Parameters

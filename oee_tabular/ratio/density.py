@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Box, Seed
@@ -84,8 +85,8 @@ class RatioFit:
 
 @one_thread
 def density_ratio(
-    p: Any,
-    q: Any,
+    p: ArrayLike,
+    q: ArrayLike,
     *,
     lower: float | None = None,
     upper: float | None = None,
@@ -96,7 +97,7 @@ def density_ratio(
     solver: str | Sgd = "dual",
     features: Any = None,
     kernel: str | Kernel | None = None,
-    coordinates: Any = None,
+    coordinates: ArrayLike | None = None,
     n_centers: int = N_CENTERS,
     step_size: float = 0.1,
     batch_size: int = 64,
@@ -210,7 +211,7 @@ def density_ratio(
     )  # fmt: skip
 
 
-def _weights(p: Any, q: Any) -> list[Array]:
+def _weights(p: ArrayLike, q: ArrayLike) -> list[Array]:
     weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
     if weights[0].shape != weights[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")

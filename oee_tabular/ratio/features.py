@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
@@ -173,7 +174,7 @@ def feature_array(features: Any, simulator: FiniteMDP) -> Array:
     return array.reshape(matrix.nnz, -1)
 
 
-def action_displacement(simulator: FiniteMDP, coordinates: Any) -> Array:
+def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     """Indicator features of (action, displacement), which share what is learned between all states.
 
     Parameters

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Box, Seed
@@ -63,7 +64,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
 
 
 def class_features(
-    features: Any, kernel: str | Kernel | None, coordinates: Any, n_centers: int, n: int
+    features: Any, kernel: str | Kernel | None, coordinates: ArrayLike, n_centers: int, n: int
 ) -> tuple[Array, dict[str, Any]]:
     """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates."""
     if features is not None:
@@ -144,7 +145,7 @@ def _refuse_thin_box(box: Box, normalized: bool) -> None:
         raise ValueError(f"the box of a linear class must have {rule}; it is [{box.lower:g}, {box.upper:g}]")
 
 
-def move_points(simulator: FiniteMDP, coordinates: Any) -> Array:
+def move_points(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
     places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
     _checks.require_finite(places, "coordinates")

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
@@ -144,7 +145,7 @@ class TransitionRatio:
         parts = step.change, step.standard_error, step.unseen, step.change_error
         return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
 
-    def _aligned(self, gradient: Any) -> Array:
+    def _aligned(self, gradient: ArrayLike) -> Array:
         array = _checks.float_array(gradient, "gradient", ndim=1)
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, PolicyLike
@@ -133,7 +134,7 @@ def compare_with_oracle(
     *,
     n: int,
     behavior_policy: PolicyLike | None = None,
-    data_distribution: Any = None,
+    data_distribution: ArrayLike | None = None,
     repetitions: int = 200,
     seed: int = 0,
     horizon: int | None = None,

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from oee_tabular import _checks
@@ -21,7 +21,7 @@ from oee_tabular.theory.bounds import divergence_terms
 from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
 
 
-def renyi_divergence(p: Any, q: Any, order: float) -> float:
+def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     """D_a(p || q) = log(sum p^a q^{1-a}) / (a - 1) in nats; a = 1: KL(p || q), a = inf: log max p/q.
 
     Parameters
@@ -95,7 +95,7 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
 
 
 def estimation_sides(
-    g: Any, p: Any, q: Any, *, n: int, mu: float, nu: float, confidence: float, constant: float
+    g: ArrayLike, p: ArrayLike, q: ArrayLike, *, n: int, mu: float, nu: float, confidence: float, constant: float
 ) -> Sides:
     """Theorem 1 on tables: left = max |g - p/q|^2 over the cells with p + q > 0, right = ``estimation_bound``.
 
@@ -207,7 +207,7 @@ def _chernoff(log_term: float, mean: float) -> float:
     return small if small <= 1.0 else (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
 
 
-def excess_risk(g: Any, p: Any, q: Any) -> Sides:
+def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
     """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p log g, phi(u) = u - 1 - log u.
 
     left is the difference of the two risks, right the expectation, which is accurate for g near g* as well; they are
@@ -237,7 +237,7 @@ def excess_risk(g: Any, p: Any, q: Any) -> Sides:
     return Sides(risks[0] - risks[1], right)
 
 
-def squared_error_sides(g: Any, p: Any, q: Any, *, mu: float | None = None) -> Sides:
+def squared_error_sides(g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float | None = None) -> Sides:
     """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls L2(P), not the sup norm.
 
     Parameters
