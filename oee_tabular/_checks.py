@@ -171,7 +171,7 @@ class Box(NamedTuple):
     upper: float
 
 
-def box(lower: Any, upper: Any, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
+def box(lower: object, upper: object, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
     """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
     nu = 0.0 if lower is None else number_in(lower, names[0], 0.0, np.inf)
     mu = np.inf if upper is None else number_in(upper, names[1], 0.0, np.inf, infinite=True)
@@ -186,7 +186,7 @@ def box(lower: Any, upper: Any, *, normalized: bool, names: tuple[str, str] = ("
     return Box(nu, mu)
 
 
-def ridge(value: Any, n: float) -> float:
+def ridge(value: object, n: float) -> float:
     """lambda_n as a finite nonnegative number: given, or a function of the sample size."""
     name = f"ridge({n:g})" if callable(value) else "ridge"
     return number_in(value(n) if callable(value) else value, name, 0.0, np.inf)
@@ -279,7 +279,7 @@ def free_memory() -> float:
     return min(known)
 
 
-def optional_horizon(horizon: Any) -> int | None:
+def optional_horizon(horizon: object) -> int | None:
     """None (the infinite sum) or a number of rewards of at least 1."""
     return None if horizon is None else positive_integer(horizon, "horizon")
 

@@ -130,7 +130,7 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
     return text.encode()
 
 
-def _defused(value: Any) -> Any:
+def _defused(value: object) -> Any:
     if not isinstance(value, str):
         return value
     text = "\n".join(value.splitlines()) if "\r" in value else value  # a bare one ends the line, and is not quoted

@@ -33,7 +33,7 @@ class Evaluated:
 REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
 
 
-def chosen_estimators(given: Any) -> dict[str, Any]:
+def chosen_estimators(given: object) -> dict[str, Any]:
     """Name -> spec or estimator, each tried once, of what ``run`` takes; ValueError for one that is unknown or is none."""
     if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
         given = [given]
@@ -55,7 +55,7 @@ def chosen_estimators(given: Any) -> dict[str, Any]:
     return found
 
 
-def _name_of(item: Any, taken: Mapping[str, Any]) -> str:
+def _name_of(item: object, taken: Mapping[str, Any]) -> str:
     name = str(getattr(item, "__name__", type(item).__name__))
     while name in taken:
         name += "'"
@@ -156,7 +156,7 @@ def _named(spec: str | None, seed: int) -> Mapping[str, Family]:
         return _called(own_object(spec, "families", "my_package.mine:families"), seed)
 
 
-def _called(given: Any, seed: int) -> Mapping[str, Family]:
+def _called(given: object, seed: int) -> Mapping[str, Family]:
     """The mapping that a function makes, or a mapping itself."""
     if not isinstance(given, Mapping) and not callable(given):
         raise ValueError(f"families must be names, a function or a mapping; got {given!r}")

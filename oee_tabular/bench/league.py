@@ -235,7 +235,7 @@ def _width_over(cells: pd.DataFrame, name: str, other: str) -> dict[str, float]:
     return {f"{size:g}": float(ratio[size]) for size in WIDE if size in ratio.index and not math.isnan(ratio[size])}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Without nan, which is not JSON."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}

@@ -184,7 +184,7 @@ def facts_of(family: Family, problem: Problem) -> Row:
     }
 
 
-def measure(name: str, given: Any, family: Family, problem: Problem, seed: int) -> Row:
+def measure(name: str, given: object, family: Family, problem: Problem, seed: int) -> Row:
     """The row of one estimator on one log: value, error, interval, seconds, status; what it raises is its status."""
     row: Row = {"estimator": name, "value": math.nan, "error": math.nan, "lower": math.nan, "upper": math.nan,
                 "interval": "", "seconds": math.nan, "status": "ok"}  # fmt: skip

@@ -6,13 +6,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.data.counted import TransitionCounts
+from oee_tabular.data.parts import Paths
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
 
 
-def _open(path: Any, **options: Any) -> TransitionCounts:
+def _open(path: Paths, **options: Any) -> TransitionCounts:
     """Count a log of any size, in memory of the size of its counts: what ``Problem`` takes where no log fits.
 
     Parameters

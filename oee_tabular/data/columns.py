@@ -185,7 +185,7 @@ class Log:
             raise ValueError(f"{_files.local(path)!r}: {error}") from None
 
 
-def integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
+def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
     """A column of whole numbers, at least ``low``; ValueError with the row, the rule and the value found."""
     try:
         array = np.array(value)
@@ -209,7 +209,7 @@ def integers(value: Any, name: str, *, low: int | None = 0) -> IntArray:
     return whole
 
 
-def booleans(value: Any, name: str) -> BoolArray:
+def booleans(value: object, name: str) -> BoolArray:
     """A column of booleans, of 0 and 1, or of their words; ValueError with the row and the value found."""
     array = _checks.as_array(value, name)
     if array.ndim != 1:

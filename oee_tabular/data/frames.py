@@ -79,7 +79,7 @@ def _eager(frame: Any) -> Any:
         raise ValueError(f"frame must have columns that differ; {error}") from None
 
 
-def _labels(field: str, given: Any, labels: list[str]) -> list[str]:
+def _labels(field: str, given: object, labels: list[str]) -> list[str]:
     """The frame's labels of one field: one, or several of which a name is made."""
     group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
     for label in group:
@@ -179,7 +179,7 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
     return moves, 0
 
 
-def coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+def coded(columns: dict[str, Any], given: object, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
     """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
     texts = {column: _names_in(value, column) for column, value in columns.items()}
     found = {column: items for column, items in texts.items() if items is not None}
@@ -195,7 +195,7 @@ def coded(columns: dict[str, Any], given: Any, name: str) -> tuple[list[Any], tu
     return list(codes), check_names(list(first), name, len(first))
 
 
-def _names_in(value: Any, name: str) -> list[Any] | None:
+def _names_in(value: object, name: str) -> list[Any] | None:
     """The items of a column of names; None for a column of anything else, which its own reader judges."""
     if isinstance(value, list | tuple):
         items, told = list(value), (str, tuple)

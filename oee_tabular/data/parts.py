@@ -9,15 +9,16 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from oee_tabular import _checks, _files
 from oee_tabular.data.files import COLUMNS, TABLES, Format
 from oee_tabular.data.tables import csv_header, require_columns, require_module, warn_left_out
 
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
 ENDINGS = (*TABLES, ".npz")
 _ENDS = 2**20  # bytes at either end of a file by which it is known again
 FLAGS = ("terminated", "truncated")
@@ -39,7 +40,7 @@ class Part:
         return frozenset((*self.columns, *(label for label, _ in self.fixed))) & frozenset(COLUMNS)
 
 
-def found(path: Any) -> list[Part]:
+def found(path: Paths) -> list[Part]:
     """The files that a path, a folder, a pattern or a list of them names, in the order of their names.
 
     Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them.
@@ -114,7 +115,7 @@ def _with_header(part: Part) -> Part:
     return Part(part.path, part.name, tuple(labels), fixed)
 
 
-def _require_kind(part: Part, label: str, kind: Any) -> None:
+def _require_kind(part: Part, label: str, kind: object) -> None:
     import pyarrow as pa
 
     fits = pa.types.is_integer(kind) or pa.types.is_floating(kind) or (label in FLAGS and pa.types.is_boolean(kind))

@@ -34,7 +34,7 @@ SECONDS = 2.0  # between two such writings, at least
 
 
 def count_log(
-    path: Any,
+    path: files.Paths,
     *,
     n_states: int | None = None,
     n_actions: int | None = None,

@@ -276,7 +276,7 @@ class Transitions(Log):
         return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
 
 
-def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
+def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
     """A log in the simulator's numbers: Transitions, a data frame, or a list of episodes; ValueError for anything else."""
     if isinstance(value, list | tuple):
         return Transitions.from_episodes(value, simulator=simulator)

@@ -98,7 +98,7 @@ def _faulty(environment: Any, probability: float, generator: np.random.Generator
     class Faults(gymnasium.ActionWrapper[Any, Any, Any]):
         """With ``probability`` a uniformly random action is executed; the log keeps the one that was chosen."""
 
-        def action(self, action: Any) -> Any:
+        def action(self, action: object) -> Any:
             if generator.random() < probability:
                 return int(generator.integers(self.env.action_space.n))  # type: ignore[attr-defined]
             return action

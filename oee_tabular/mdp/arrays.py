@@ -103,7 +103,7 @@ def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]
     return canonical(sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False)
 
 
-def terminal_states(value: Any, n_states: int) -> IntArray:
+def terminal_states(value: object, n_states: int) -> IntArray:
     """(S0,) numbers of states, checked."""
     array = _checks.as_array(value, "terminal_state")
     if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
@@ -114,7 +114,7 @@ def terminal_states(value: Any, n_states: int) -> IntArray:
     return array.astype(np.int64)
 
 
-def check_layout(value: Any, n_states: int, name: str = "layout") -> Array:
+def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
     """``value``, (S,) or (S, c) finite numbers, as a new (S, c) array that is not writable."""
     array = _checks.float_array(value, name, ndim=(1, 2))
     if len(array) != n_states or array.size == 0:

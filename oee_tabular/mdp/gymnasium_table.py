@@ -97,7 +97,7 @@ def _map_of(base: Any, n_states: int) -> Array | None:
     return None
 
 
-def _names(given: Any, size: int) -> tuple[Name, ...] | None:
+def _names(given: object, size: int) -> tuple[Name, ...] | None:
     """An environment's own names where they are names for each."""
     try:
         return None if given is None else check_names(given, "names", size)

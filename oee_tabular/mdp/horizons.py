@@ -82,7 +82,7 @@ def followed(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, ke
     return steps
 
 
-def steps_of(horizon: Any, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0) -> int:
+def steps_of(horizon: object, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0) -> int:
     """A horizon as a positive int, as far as it is ``followed`` in ``model``; with a policy (T, S, A) to its end."""
     steps = _checks.positive_integer(horizon, "horizon")
     if steps <= SHORT or changes_with_time(policy):
@@ -93,7 +93,7 @@ def steps_of(horizon: Any, model: Rewarding, policy: PolicyLike | None = None, *
 
 
 def optional_steps(
-    horizon: Any, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0
+    horizon: object, model: Rewarding, policy: PolicyLike | None = None, *, kept: float = 1.0
 ) -> int | None:
     """``steps_of``, or None for the infinite sum."""
     return None if horizon is None else steps_of(horizon, model, policy, kept=kept)

@@ -36,19 +36,19 @@ class Names:
     states: tuple[Name, ...] | None = None
     actions: tuple[Name, ...] | None = None
 
-    def state(self, number: Any) -> str:
+    def state(self, number: object) -> str:
         """A state in words: its name, or its number."""
         return worded(self.states, number)
 
-    def action(self, number: Any) -> str:
+    def action(self, number: object) -> str:
         """An action in words."""
         return worded(self.actions, number)
 
-    def pair(self, state: Any, action: Any) -> str:
+    def pair(self, state: object, action: object) -> str:
         """``s=hall, a=left``."""
         return f"s={self.state(state)}, a={self.action(action)}"
 
-    def move(self, state: Any, action: Any, following: Any) -> str:
+    def move(self, state: object, action: object, following: Any) -> str:
         """``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(following)}"
 
@@ -69,7 +69,7 @@ def worded(names: tuple[Name, ...] | None, number: Any) -> str:
     return str(names[int(number)])
 
 
-def check_names(value: Any, name: str, size: int) -> tuple[Name, ...]:
+def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     """``value`` as a tuple of ``size`` names: texts, or tuples of texts and numbers; no two alike, none that reads as a number.
 
     Raises
@@ -107,7 +107,7 @@ def check_names(value: Any, name: str, size: int) -> tuple[Name, ...]:
     return names
 
 
-def plain(item: Any) -> Any:
+def plain(item: object) -> Any:
     """A name without numpy's types: lists and arrays in it are tuples."""
     if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and item.ndim == 0):
         return item.item()
@@ -116,7 +116,7 @@ def plain(item: Any) -> Any:
     return item
 
 
-def is_name(item: Any) -> bool:
+def is_name(item: object) -> bool:
     """A text, or a tuple of texts and numbers (or of such tuples) that is not empty."""
     if isinstance(item, tuple):
         return bool(item) and all(_is_part(part) for part in item)
@@ -160,7 +160,9 @@ def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
     return _lookup(_Same(names))
 
 
-def number_of(item: Any, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the simulator's") -> int:
+def number_of(
+    item: object, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the simulator's"
+) -> int:
     """The number of a state or an action given by name or by number; ValueError with the nearest name.
 
     Examples

@@ -77,7 +77,7 @@ def _depth(value: Any) -> int:
         return 0
 
 
-def _is_number(key: Any) -> bool:
+def _is_number(key: object) -> bool:
     return isinstance(key, int | np.integer) and not isinstance(key, bool)
 
 
@@ -188,6 +188,6 @@ def _row(choice: Any, mdp: Sized, names: Names, name: str) -> Array:
     return row
 
 
-def _is_action(given: Any, names: Names) -> bool:
+def _is_action(given: object, names: Names) -> bool:
     """A text is to be an action; a tuple where it is one's name, else it is probabilities."""
     return isinstance(given, str) or (is_name(given) and given in numbers_of(names.actions or ()))

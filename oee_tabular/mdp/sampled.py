@@ -239,7 +239,7 @@ class Tables(Sized, Protocol):
     transition_rewards: sparse.csr_array | None
 
 
-def supporting(mdp: Tables, log: Any, epsilon: Any) -> dict[str, Any]:
+def supporting(mdp: Tables, log: Any, epsilon: object) -> dict[str, Any]:
     """What changes in an MDP that is to allow the log's moves; ``FiniteMDP.with_support_of`` explains them."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _moves_of(mdp, log)
@@ -302,7 +302,7 @@ def _require_log(log: Any) -> None:
 
 
 def _sized(
-    size: Any, names: Any, own: tuple[Name, ...] | None, columns: tuple[IntArray, ...], label: str
+    size: object, names: Any, own: tuple[Name, ...] | None, columns: tuple[IntArray, ...], label: str
 ) -> tuple[int, tuple[Name, ...] | None]:
     """How many states or actions there are, and their names."""
     largest = max(int(column.max()) for column in columns)

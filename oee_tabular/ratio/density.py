@@ -256,7 +256,7 @@ def _class_fit(
     )  # fmt: skip
 
 
-def _nonnegative(value: Any, name: str) -> Array:
+def _nonnegative(value: object, name: str) -> Array:
     array = _checks.float_array(value, name, ndim=1)
     _checks.require_nonnegative(array, name)
     return array

@@ -64,7 +64,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
 
 
 def class_features(
-    features: Any, kernel: str | Kernel | None, coordinates: ArrayLike, n_centers: int, n: int
+    features: Any, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
 ) -> tuple[Array, dict[str, Any]]:
     """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates."""
     if features is not None:

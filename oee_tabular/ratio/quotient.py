@@ -137,7 +137,7 @@ class Quotient(Method):
         return fit_network(self.functions, p, q, columns, (given.simulator.n_states, n_actions), **options)
 
 
-def refuse_words(ridge: Any, method: str) -> None:
+def refuse_words(ridge: object, method: str) -> None:
     """A ridge chosen on the data is the conditional program's alone."""
     if isinstance(ridge, str):
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")

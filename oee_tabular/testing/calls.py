@@ -157,7 +157,7 @@ def malformed(answer: Any) -> str:
     return ""
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> bool:
     """A Python or numpy real number (no boolean)."""
     return isinstance(value, float | int | np.floating | np.integer) and not isinstance(value, bool)
 

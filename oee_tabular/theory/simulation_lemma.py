@@ -199,7 +199,7 @@ def check_box(nu: float, mu: float) -> tuple[float, float]:
     return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
 
 
-def in_box(value: Any, name: str, nu: float, mu: float) -> Array:
+def in_box(value: object, name: str, nu: float, mu: float) -> Array:
     """The values of a g as an array, or ValueError where one is outside [nu, mu]."""
     array = _checks.float_array(value, name, ndim=1)
     bad = np.flatnonzero(~((array >= nu) & (array <= mu)))

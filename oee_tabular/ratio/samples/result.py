@@ -41,7 +41,7 @@ class SampleRatio:
     _dimension: int = field(repr=False)
     details: dict[str, Any] = field(default_factory=dict)
 
-    def at(self, x: Any) -> Array:
+    def at(self, x: ArrayLike) -> Array:
         """g at new points, (n,) or (n, d)."""
         points = sample_points(x, "x")
         if points.shape[1] != self._dimension:
@@ -51,7 +51,7 @@ class SampleRatio:
         return self._function(points)
 
 
-def sample_points(value: Any, name: str) -> Array:
+def sample_points(value: object, name: str) -> Array:
     """(n, d) finite points from (n,) or (n, d); at least 2 of a sample, 1 of "x"."""
     array = _checks.float_array(value, name, ndim=(1, 2))
     _checks.require_finite(array, name)
