@@ -1,1 +1,1 @@
-"""Changes that nobody tuned for: tasks with every parameter free, and what estimates are worth when some are mistaken."""
+"""Changes that nobody tuned for: tasks with every parameter free, and what estimates are worth there."""

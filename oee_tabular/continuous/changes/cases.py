@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -127,8 +128,8 @@ def _noisy(**changes: Any) -> Case:
 
 
 _CARTPOLE = Case(
-    "CartPole", CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS, horizon=100,
-    episodes=4000, scale=1.0 - DISCOUNT, grid=(32, 32),
+    "CartPole", CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS,
+    horizon=100, episodes=4000, scale=1.0 - DISCOUNT, grid=(32, 32),
 )  # fmt: skip
 _PENDULUM = Case("Pendulum", classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
 _CAR = Case("MountainCar", classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
@@ -146,8 +147,8 @@ def _reacher(length: float) -> Case:
 def _arm(name: str) -> Case:
     target = kinova.KinovaArm(**TARGETS[name])  # type: ignore[arg-type]
     return Arm(
-        "Kinova", kinova.KinovaArm(), target, kinova.kinova_policy, sizes=(1250,), deltas=(0.0, 0.3),
-        horizon=kinova.HORIZON, episodes=20,
+        "Kinova", kinova.KinovaArm(), target, functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
+        deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=20,
     )  # fmt: skip
 
 

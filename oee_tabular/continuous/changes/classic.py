@@ -1,4 +1,4 @@
-"""Gymnasium's classic control with every parameter free, vectorised: simulators and targets of ``oee reproduce changes``.
+"""Gymnasium's classic control with every parameter free, vectorised, for ``oee reproduce changes``.
 
 By default a step is Gymnasium's own (tests/continuous/test_changes.py); CartPole has the paper's noise.
 """
