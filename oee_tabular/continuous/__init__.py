@@ -22,6 +22,7 @@ _MODULES = {
     "changes.experiment": ("CHANGES",),
     "closure": ("Closure",),
     "support": ("defensive_mixture",),
+    "residual_value": ("corrected_value",),
     "discretization": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("Settings", "evaluate_continuous"),
