@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
+    from oee_tabular.continuous.residual_value import corrected_value
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
@@ -52,6 +53,7 @@ __all__ = [
     "VisitedCells",
     "arm_cells",
     "cartpole_policy",
+    "corrected_value",
     "defensive_mixture",
     "fit_hand",
     "gridworld",

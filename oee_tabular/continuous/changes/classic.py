@@ -1,0 +1,202 @@
+"""Gymnasium's classic control with every parameter free, vectorised, for ``oee reproduce changes``.
+
+By default a step is Gymnasium's own (tests/continuous/test_changes.py); CartPole has the paper's noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular.continuous.cartpole.dynamics import CartPole
+from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+
+
+@dataclass(frozen=True)
+class ChangedCartPole(CartPole):
+    """CartPole with more that may differ.
+
+    Parameters
+    ----------
+    pole, force : factors on the pole's length (its mass stays) and on the pushes
+    joint, cart : friction of the joint (N m s) and, dry, of the cart (N)
+    push : constant angular acceleration, a wind (rad/s^2)
+    gusts : standard deviation of further noise on the angular velocity
+    """
+
+    pole: float = 1.0
+    force: float = 1.0
+    joint: float = 0.0
+    cart: float = 0.0
+    push: float = 0.0
+    gusts: float = 0.0
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step."""
+        x_dot, angle, speed = states[:, 1:].T
+        half, mass = 0.5 * self.pole, 0.1
+        total = 1.0 + mass
+        force = self.force * self.actions[actions] - self.cart * np.sign(x_dot)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        pulled = (force + mass * half * speed**2 * sine) / total
+        turned = self.gravity * sine - cosine * pulled - self.joint * speed / (mass * half)
+        turned = turned / (half * (4.0 / 3.0 - mass * cosine**2 / total)) + self.push
+        moved = pulled - mass * half * turned * cosine / total
+        following = states + 0.02 * np.stack([x_dot, moved, speed, turned], axis=1) + self.noise * disturbance
+        following[:, 3] += self.gusts * disturbance[:, 3]
+        return Moves(following, np.ones(len(states)), self.terminated(following))
+
+
+class Plain(ContinuousTask):
+    """No noise, discretised coordinates that are the state's."""
+
+    n_disturbances = 0
+
+    def parameters(self) -> dict[str, Any]:
+        """Every field."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, float)}
+
+
+@dataclass(frozen=True)
+class Pendulum(Plain):
+    """Gymnasium's Pendulum-v1, torques -2, 0 and 2 N m; the state is (angle, speed), not the observation."""
+
+    mass: float = 1.0
+    length: float = 1.0
+    gravity: float = 10.0
+    friction: float = 0.0
+    torque: float = 1.0
+    name: str = field(default="Pendulum", init=False)
+
+    state_names = feature_names = ("angle", "speed")
+    actions = freeze(np.array([-2.0, 0.0, 2.0]))
+    feature_low, feature_high = freeze(np.array([-np.pi, -8.0])), freeze(np.array([np.pi, 8.0]))
+    periodic, terminates = (True, False), False
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step."""
+        angle, speed = states.T
+        asked = self.actions[actions]
+        pulled = 3.0 * self.gravity / (2.0 * self.length) * np.sin(angle)
+        turned = pulled + 3.0 / (self.mass * self.length**2) * (self.torque * asked - self.friction * speed)
+        faster = np.clip(speed + turned * 0.05, -8.0, 8.0)
+        upright = (angle + np.pi) % (2.0 * np.pi) - np.pi
+        cost = upright**2 + 0.1 * speed**2 + 0.001 * asked**2
+        return Moves(np.stack([angle + faster * 0.05, faster], axis=1), -cost, np.zeros(len(states), dtype=np.bool_))
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """Any angle, slow."""
+        return rng.uniform(-1.0, 1.0, (n, 2)) * [np.pi, 1.0]
+
+
+@dataclass(frozen=True)
+class MountainCar(Plain):
+    """Gymnasium's MountainCar-v0."""
+
+    gravity: float = 0.0025
+    force: float = 0.001
+    name: str = field(default="MountainCar", init=False)
+
+    state_names = feature_names = ("position", "speed")
+    actions = freeze(np.array([-1.0, 0.0, 1.0]))
+    feature_low, feature_high = freeze(np.array([-1.2, -0.07])), freeze(np.array([0.6, 0.07]))
+    periodic, terminates = (False, False), True
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step."""
+        place, speed = states.T
+        faster = np.clip(speed + self.actions[actions] * self.force - np.cos(3.0 * place) * self.gravity, -0.07, 0.07)
+        place = np.clip(place + faster, -1.2, 0.6)
+        faster = np.where((place == -1.2) & (faster < 0), 0.0, faster)
+        following = np.stack([place, faster], axis=1)
+        return Moves(following, np.full(len(states), -1.0), self.terminated(following))
+
+    def terminated(self, states: Array) -> BoolArray:
+        """On the hill."""
+        return np.asarray((states[:, 0] >= 0.5) & (states[:, 1] >= 0.0))
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """At rest in the valley."""
+        return np.column_stack([rng.uniform(-0.6, -0.4, n), np.zeros(n)])
+
+
+@dataclass(frozen=True)
+class Acrobot(Plain):
+    """Gymnasium's Acrobot-v1: one step of Runge and Kutta of 0.2 s; centres of mass in the middle of the links."""
+
+    mass_1: float = 1.0
+    mass_2: float = 1.0
+    length_1: float = 1.0
+    torque: float = 1.0
+    name: str = field(default="Acrobot", init=False)
+
+    state_names = feature_names = ("angle_1", "angle_2", "speed_1", "speed_2")
+    actions = freeze(np.array([-1.0, 0.0, 1.0]))
+    feature_low = freeze(-np.array([np.pi, np.pi, 4.0 * np.pi, 9.0 * np.pi]))
+    feature_high = freeze(np.array([np.pi, np.pi, 4.0 * np.pi, 9.0 * np.pi]))
+    periodic, terminates = (True, True, False, False), True
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step."""
+        torque, dt = self.torque * self.actions[actions], 0.2
+        k1 = self._rates(states, torque)
+        k2 = self._rates(states + dt / 2.0 * k1, torque)
+        k3 = self._rates(states + dt / 2.0 * k2, torque)
+        k4 = self._rates(states + dt * k3, torque)
+        following = states + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        following[:, :2] = (following[:, :2] + np.pi) % (2.0 * np.pi) - np.pi
+        following = np.clip(following, self.feature_low, self.feature_high)
+        over = self.terminated(following)
+        return Moves(following, np.where(over, 0.0, -1.0), over)
+
+    def _rates(self, states: Array, torque: Array) -> Array:
+        first, second, speed_1, speed_2 = states.T
+        m1, m2, l1, c1, c2, g = self.mass_1, self.mass_2, self.length_1, 0.5 * self.length_1, 0.5, 9.8
+        sine, cosine = np.sin(second), np.cos(second)
+        d1 = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2.0 * l1 * c2 * cosine) + 2.0
+        d2 = m2 * (c2**2 + l1 * c2 * cosine) + 1.0
+        phi2 = m2 * c2 * g * np.sin(first + second)
+        phi1 = -m2 * l1 * c2 * sine * (speed_2**2 + 2.0 * speed_2 * speed_1)
+        phi1 = phi1 + (m1 * c1 + m2 * l1) * g * np.sin(first) + phi2
+        faster_2 = torque + d2 / d1 * phi1 - m2 * l1 * c2 * speed_1**2 * sine - phi2
+        faster_2 = faster_2 / (m2 * c2**2 + 1.0 - d2**2 / d1)
+        return np.stack([speed_1, speed_2, -(d2 * faster_2 + phi1) / d1, faster_2], axis=1)
+
+    def terminated(self, states: Array) -> BoolArray:
+        """The tip is a link above the joint."""
+        return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 0] + states[:, 1]) > 1.0)
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """Hanging, almost at rest."""
+        return rng.uniform(-0.1, 0.1, (n, 4))
+
+
+def noisy(wanted: IntArray, delta: float) -> Array:
+    """(n, 3) the action wanted (0, 1 or 2), a share delta of them at random."""
+    return np.asarray(np.eye(3)[wanted] * (1.0 - delta) + delta / 3.0)
+
+
+def swinging(delta: float) -> StatePolicy:
+    """Pendulum: by energy, then balance."""
+
+    def policy(states: Array) -> Array:
+        angle, speed = (states[:, 0] + np.pi) % (2.0 * np.pi) - np.pi, states[:, 1]
+        energy = speed**2 / 6.0 + 5.0 * (np.cos(angle) - 1.0)
+        up = np.where(energy < 0.0, 1.0, -1.0) * np.sign(speed)
+        wanted = np.where(np.abs(angle) < 0.6, -8.0 * angle - 2.0 * speed, up)
+        return noisy(np.clip(np.round(wanted), -1.0, 1.0).astype(np.int64) + 1, delta)
+
+    return policy
+
+
+def rocking(delta: float) -> StatePolicy:
+    """MountainCar: the way that it moves."""
+    return lambda states: noisy(np.where(states[:, 1] >= 0.0, 2, 0), delta)
+
+
+def pumping(delta: float) -> StatePolicy:
+    """Acrobot: the way that the second link turns."""
+    return lambda states: noisy(np.where(states[:, 3] >= 0.0, 2, 0), delta)
