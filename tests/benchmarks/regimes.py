@@ -90,7 +90,9 @@ def quantecon(mdp, policy):
 
     def call():
         kernel, rewards = kernel_of(mdp, policy)
-        return DiscreteDP(rewards, sparse.csr_matrix(kernel), mdp.discount, np.arange(n), nothing).evaluate_policy(nothing)
+        return DiscreteDP(rewards, sparse.csr_matrix(kernel), mdp.discount, np.arange(n), nothing).evaluate_policy(
+            nothing
+        )
 
     return call
 

@@ -11,10 +11,10 @@ from oee_tabular.exact.system import Solve, System
 
 @dataclass(frozen=True)
 class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states V takes .6 of the time of ``Krylov``.
+    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain ``BiCGStab``.
 
-    Measured on 10 000 states with tests/benchmarks/regimes.py. It gives up as soon as four sweeps leave .45 of what the states'
-    changes differ by; from there on ``Krylov`` is as fast.
+    Measured on 10 000 states with the policies of tests/benchmarks/regimes.py. It gives up as soon as four sweeps leave .45 of
+    what the states' changes differ by; from there on plain ``BiCGStab`` is as fast.
     """
 
     name: str = "value iteration"
