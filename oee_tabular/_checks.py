@@ -44,13 +44,13 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
     try:
         given: Any = np.array(value)
-        if np.iscomplexobj(given):
+        if given.dtype.kind == "c":
             raise TypeError("complex numbers")
         if given.dtype.kind in "USMm" or holds_words(given):
             raise TypeError("text or dates")
         if given.dtype.kind not in "biufO":
             raise TypeError(f"it holds {given.dtype}, no numbers")
-        array = np.array(given, dtype=np.float64)
+        array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
@@ -85,9 +85,9 @@ def require_finite(array: Array, name: str) -> None:
 
 def require_nonnegative(array: Array, name: str) -> None:
     """Every entry is a finite number, none below 0."""
-    require_finite(array, name)
-    if array.size == 0 or array.min() >= 0:
+    if array.size == 0 or (array.min() >= 0 and array.max() < np.inf):
         return
+    require_finite(array, name)
     bad = np.argwhere(array < 0)
     if bad.size:
         first = tuple(bad[0])
@@ -96,14 +96,14 @@ def require_nonnegative(array: Array, name: str) -> None:
 
 def require_sums_to_one(sums: Array, name: str) -> None:
     """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the tolerance."""
-    bad = np.argwhere(~(np.abs(sums - 1.0) <= SUM_TOLERANCE))
-    if len(bad):  # of a single sum the index is empty: its size says nothing
-        first = tuple(bad[0])
-        where = place(name, first) if first else name
-        more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
-        raise ValueError(
-            f"{where} must sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {float(sums[first]):.10g}{more}"
-        )
+    fine = np.abs(sums - 1.0) <= SUM_TOLERANCE
+    if fine.all():
+        return
+    bad = np.argwhere(~fine)
+    first = tuple(bad[0])  # of a single sum the index is empty: its size says nothing
+    where = place(name, first) if first else name
+    more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
+    raise ValueError(f"{where} must sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {float(sums[first]):.10g}{more}")
 
 
 def scaled_if_single(array: Array, given: object) -> Array:

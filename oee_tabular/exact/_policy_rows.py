@@ -5,6 +5,18 @@ from numba import njit
 
 
 @njit(cache=True)
+def lone(weights):
+    """The action that has weight 1 where all others have none; else -1."""
+    found = -1
+    for action in range(len(weights)):
+        if weights[action] != 0.0:
+            if found >= 0 or weights[action] != 1.0:
+                return -1
+            found = action
+    return found
+
+
+@njit(cache=True)
 def average_rows(rows, policy):
     """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them."""
     indptr, indices, data = rows
@@ -15,6 +27,14 @@ def average_rows(rows, policy):
     sums, mark = np.zeros(n_states), np.zeros(n_states, dtype=np.uint32)
     kept = 0
     for state in range(n_states):
+        only = lone(policy[state])
+        if only >= 0:
+            for k in range(indptr[state * n_actions + only], indptr[state * n_actions + only + 1]):
+                if data[k] != 0.0:
+                    columns[kept], values[kept] = indices[k], data[k]
+                    kept += 1
+            starts[state + 1] = kept
+            continue
         begin = filled = kept
         for action in range(n_actions):
             weight = policy[state, action]
@@ -64,6 +84,23 @@ def range_of_sums(kernel, formed):
         largest = max(largest, total)
         entries = max(entries, indptr[i + 1] - indptr[i])
     return smallest, largest * (1.0 + (np.float64(entries) + formed) * np.finfo(np.float64).eps)
+
+
+@njit(cache=True)
+def times(kernel, transpose, x, out):
+    """out = K x, or K^T x by scattering, which no row of uneven length holds up."""
+    indptr, indices, data, _ = kernel
+    if transpose:
+        out[:] = 0.0
+    for i in range(len(x)):
+        total, own = 0.0, x[i]
+        for k in range(indptr[i], indptr[i + np.uint32(1)]):
+            if transpose:
+                out[indices[k]] += data[k] * own
+            else:
+                total += data[k] * x[indices[k]]
+        if not transpose:
+            out[i] = total
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Optimal policies by policy iteration, each policy evaluated exactly."""
+"""Optimal policies: modified policy iteration, then policy iteration with exact values, which certifies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact.values import action_values
+from oee_tabular.exact.system import rows_of
+from oee_tabular.exact.values import action_values, infinite_values, said
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import followed
 from oee_tabular.mdp.policies import deterministic_policy
@@ -15,9 +16,9 @@ from oee_tabular.mdp.policies import deterministic_policy
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """A deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
 
-    Policy iteration (Puterman, Markov Decision Processes, 1994, section 6.4) with exact evaluation: an action is changed
-    only where another one is better by more than rounding, so it ends; of equally good actions the first is taken.
-    With a horizon, backward induction.
+    Modified policy iteration until the actions stand, then policy iteration (Puterman, Markov Decision Processes, 1994,
+    sections 6.5 and 6.4) with exact evaluation, once where they were right: an action is changed only where another one is
+    better by more than rounding, so it ends; of equally good actions the first is taken. With a horizon, backward induction.
 
     Parameters
     ----------
@@ -38,29 +39,30 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()  # but not when there is no time left
     [[1, 0], [0, 0], [0, 0]]
     """
+    from oee_tabular.exact import _planning
+
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.optional_horizon(horizon)
     if steps is not None:
         size = mdp.rewards.size
         return _backward_induction(mdp, followed(steps, 1.0, work=mdp.transitions.nnz, kept=size))
-    states = np.arange(mdp.n_states)
-    actions = np.argmax(mdp.rewards, axis=1)
+    model = rows_of(mdp.transitions), mdp.rewards, mdp.discount
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
         actions = _first_best(action_values(mdp, uniform))
+    else:
+        actions = _planning.modified(*model, 1e-9)
     while True:
-        q = action_values(mdp, deterministic_policy(actions, mdp.n_actions))
-        tolerance = 1e-11 * max(1.0, float(np.abs(q).max()))
-        better = q.max(axis=1) > q[states, actions] + tolerance
+        policy = deterministic_policy(actions, mdp.n_actions)
+        first, better = _planning.better(*model, said(infinite_values(mdp, policy).values), actions, 1e-11)
         if not better.any():
             # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
-            best = actions if mdp.discount == 1.0 else _first_best(q, tolerance)
-            return deterministic_policy(best, mdp.n_actions)
-        actions = np.where(better, _first_best(q, tolerance), actions)
+            return policy if mdp.discount == 1.0 else deterministic_policy(first, mdp.n_actions)
+        actions = np.where(better, first, actions)
 
 
-def _first_best(q: Array, tolerance: float = 0.0) -> _checks.IntArray:
-    return np.asarray(np.argmax(q >= q.max(axis=1, keepdims=True) - tolerance, axis=1))
+def _first_best(q: Array) -> _checks.IntArray:
+    return np.asarray(np.argmax(q, axis=1))
 
 
 def _backward_induction(mdp: FiniteMDP, horizon: int) -> Array:

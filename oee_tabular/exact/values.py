@@ -158,7 +158,7 @@ def _certified(
     return PolicyValues(found.high, float(value), found.error_bound, found.method, found.certified)
 
 
-def _said(values: Any) -> Any:
+def said(values: Any) -> Any:
     """The same values, with a warning where one is not finite."""
     if not np.isfinite(values).all():
         warnings.warn("a value is beyond the largest float: it is infinite, or not a number", stacklevel=3)
@@ -208,9 +208,9 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     factor = _normalise(mdp) if _checks.boolean(normalized, "normalized") else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
-        return value if np.isfinite(value) else float(_said(value))
+        return value if np.isfinite(value) else float(said(value))
     steps = steps_of(horizon, mdp, policy)
-    return float(_said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
+    return float(said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 
 
 def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, certify: bool = False) -> Array:
@@ -229,7 +229,7 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    return np.asarray(_said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
+    return np.asarray(said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
@@ -251,4 +251,4 @@ def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None)
     steps = optional_steps(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
-    return np.asarray(_said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))
+    return np.asarray(said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))

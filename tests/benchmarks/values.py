@@ -69,8 +69,8 @@ def pardiso(kernel, rewards, discount):
     return lambda: solver.solve(matrix, rewards)
 
 
-def mdpsolver(kernel, rewards, discount):
-    """mdpsolver's modified policy iteration with one action, Gauss-Seidel updates."""
+def mdpsolver(kernel, rewards, discount, algorithm="mpi", update="standard"):
+    """mdpsolver with one action."""
     import mdpsolver
 
     starts = kernel.indptr.tolist()
@@ -83,7 +83,7 @@ def mdpsolver(kernel, rewards, discount):
     )
 
     def call():
-        model.solve(algorithm="mpi", update="gs", tolerance=1e-9, parallel=False, initValueVector=nothing)
+        model.solve(algorithm=algorithm, update=update, tolerance=1e-9, parallel=False, initValueVector=nothing)
         return np.array(model.getValueVector())
 
     return call

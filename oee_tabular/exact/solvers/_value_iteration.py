@@ -2,28 +2,30 @@
 
     x_{n+1} = b + gamma K x_n;    x* = x_{n+1} + g / (1 - g) (x_{n+1} - x_n),    g = gamma times the sum of a row [1, 6.6.3].
 
+The transposed sweeps keep the sum of what x misses, so that they begin with an x of the right sum: sum(x*) = sum(b) / (1 - g).
+
 Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
 
 import numpy as np
 from numba import njit
 
+from oee_tabular.exact._policy_rows import times
+
 
 @njit(cache=True)
-def sweeps(kernel, mass, b, relative):
-    """x, for rows with the sum ``mass``; None where the spread of the change does not fall like 2^-sweeps, or after 200."""
-    indptr, indices, data, discount = kernel
+def sweeps(kernel, mass, transpose, b, relative):
+    """x, for rows with the sum ``mass``; None where four sweeps leave half of the spread of the change."""
     n = len(b)
-    x, new = b.copy(), np.empty(n)
-    allowed = np.inf
-    carried = discount * mass
-    for _ in range(200):
+    carried = kernel.discount * mass
+    over = carried / (1.0 - carried)
+    x, new = b + (over * b.mean() if transpose else 0.0), np.empty(n)
+    allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))  # rounding grows with a row
+    for sweep in range(200):
+        times(kernel, transpose, x, new)
         low, high, largest = np.inf, -np.inf, 0.0
         for i in range(n):
-            total = 0.0
-            for k in range(indptr[i], indptr[i + 1]):
-                total += data[k] * x[indices[k]]
-            value = b[i] + discount * total
+            value = b[i] + kernel.discount * new[i]
             new[i] = value
             change = value - x[i]
             low = min(low, change)
@@ -31,14 +33,13 @@ def sweeps(kernel, mass, b, relative):
             largest = max(largest, abs(value))
         x, new = new, x
         spread = high - low
-        shift = carried / (1.0 - carried) * (0.5 * (low + high))
-        failing = not spread <= allowed
-        near = max(relative, 8e-16) * max(largest, abs(shift))
+        shift = 0.0 if transpose else over * (0.5 * (low + high))
+        failing = sweep % 4 == 0 and not spread <= allowed
+        near = max(relative, floor) * max(largest, abs(shift))
         if spread <= near or (failing and spread <= 64.0 * near):  # rounding keeps it from falling any more
-            for i in range(n):
-                x[i] += shift
-            return x
+            return x + shift
         if failing:
             return None
-        allowed = 0.5 * (4.0 * spread if allowed == np.inf else allowed)
+        if sweep % 4 == 0:
+            allowed = 0.45 * spread
     return None

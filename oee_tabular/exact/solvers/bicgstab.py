@@ -1,4 +1,4 @@
-"""BiCGSTAB with a modified diagonal incomplete LU, on what an independent set of states leaves."""
+"""BiCGSTAB: plain where the graph of a system expands, else with an incomplete LU, on what an independent set of states leaves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from oee_tabular.exact.solvers import _bicgstab, _reduction
+from oee_tabular.exact.solvers import _bicgstab, _krylov, _reduction
 from oee_tabular.exact.system import Solve, System
 
 
@@ -18,19 +18,28 @@ class BiCGStab:
     ``reduced`` : whether an independent set of states is eliminated before, exactly, where what is left has at most 2.5 times
     as many entries. On grids of 300 x 300 that is 1.9 to 4.5 times as fast for policies that get somewhere (a random walk: 1 to
     1.7), at 100 x 100 1.2 to 1.9 times.
+    ``plain`` : without a preconditioner, constants taken out where rows have one sum; for graphs where a few steps lead
+    everywhere, of whose inverse an incomplete LU has next to nothing. Random graphs of 10 000 states that value iteration leaves
+    (2 next states; blocks that seldom meet) take a third of the time, near discount 1 down to a hundredth. It gives up where the
+    residual does not fall to a tenth in 40 steps.
     """
 
     reduced: bool = True
+    plain: bool = False
     name: str = "BiCGSTAB"
     direct: bool = False
 
     def suits(self, system: System) -> bool:
-        """All systems."""
-        return True
+        """All systems; plain, by a breadth-first search that ends early."""
+        return not self.plain or bool(_krylov.expands(system.kernel))
 
     def prepare(self, system: System) -> Solve:
         """The reduced system and its factors."""
         kernel, transpose = system.kernel, system.transpose
+        if self.plain:
+            carried = kernel.discount * system.largest
+            even = system.largest - system.smallest <= 1e-8 and carried < 1.0 - 1e-9
+            return partial(_krylov.solve, kernel, carried if even else 0.0, transpose)
         # weight 1 keeps row sums, which counts near discount 1; a little below it the iteration is steadier in a drift
         weight = 1.0 - min(0.1, max(0.001, 0.15 * np.sqrt(1.0 - kernel.discount)))
         order, place = _bicgstab.breadth_first(kernel)

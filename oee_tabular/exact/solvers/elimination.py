@@ -11,9 +11,9 @@ from oee_tabular.exact.system import Solve, System
 
 @dataclass(frozen=True)
 class DenseLU:
-    """O(S^3). Of random kernels of up to 32 states 2.7 to 3.2 times as fast as BiCGSTAB, of 64 1.9 times."""
+    """O(S^3). Of 64 states in a grid or with dense rows 1.3 to 1.5 times as fast as the best of the others, of fewer more."""
 
-    up_to: int = 32
+    up_to: int = 64
     name: str = "dense LU"
     direct: bool = True
 

@@ -11,9 +11,10 @@ from oee_tabular.exact.system import Solve, System
 
 @dataclass(frozen=True)
 class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: random MDPs of 2000 to 10 000 states are 9 to 15 times as fast as by BiCGSTAB.
+    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain ``BiCGStab``.
 
-    It gives up as soon as a sweep does not halve what the states' changes differ by.
+    Measured on 10 000 states with the policies of tests/benchmarks/regimes.py. It gives up as soon as four sweeps leave .45 of
+    what the states' changes differ by; from there on plain ``BiCGStab`` is as fast.
     """
 
     name: str = "value iteration"
@@ -21,9 +22,8 @@ class ValueIteration:
 
     def suits(self, system: System) -> bool:
         """Rows of one sum, so that a constant stays constant; gamma times it below 1."""
-        same = system.largest - system.smallest <= 1e-8
-        return same and not system.transpose and system.kernel.discount * system.largest < 1.0 - 1e-9
+        return system.largest - system.smallest <= 1e-8 and system.kernel.discount * system.largest < 1.0 - 1e-9
 
     def prepare(self, system: System) -> Solve:
         """Nothing is worked out before."""
-        return partial(_value_iteration.sweeps, system.kernel, system.largest)
+        return partial(_value_iteration.sweeps, system.kernel, system.largest, system.transpose)

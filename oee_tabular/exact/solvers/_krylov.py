@@ -1,0 +1,112 @@
+"""BiCGSTAB without a preconditioner [1], for rows with one sum s, of the system from which the eigenvalue 1 - gamma s is taken.
+
+    M' = M + c 11^T / n,    c = gamma s:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
+
+M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not matter. The vector updates and dot products
+of a step ride on four passes; the sum of a vector is taken where it is made.
+
+Reference: [1] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
+"""
+
+import numpy as np
+from numba import njit
+
+from oee_tabular.exact._policy_rows import times
+
+FLOOR = 4e-16  # of the residual relative to x
+WINDOW = 40  # steps in which the residual is to fall to a tenth
+
+
+@njit(cache=True)
+def expands(kernel):
+    """Whether half of the states are met by searches along the rows of at most log2(S) + 2 steps, each from a state not met."""
+    indptr, indices, _, _ = kernel
+    n = len(indptr) - 1
+    queue, seen = np.empty(n, dtype=np.uint32), np.zeros(n, dtype=np.bool_)
+    head = tail = root = 0
+    while 2 * tail < n:
+        while seen[root]:
+            root += 1
+        queue[tail], seen[root] = root, True
+        tail += 1
+        for _ in range(np.log2(n) + 2):
+            level = tail
+            while head < level:
+                state = queue[head]
+                head += 1
+                for k in range(indptr[state], indptr[state + np.uint32(1)]):
+                    j = indices[k]
+                    if not seen[j]:
+                        seen[j] = True
+                        queue[tail] = j
+                        tail += 1
+        if head < tail:  # there is more, further away
+            break
+    return 2 * tail >= n
+
+
+@njit(cache=True)
+def product(kernel, transpose, constant, p, first, out):
+    """out = M p + constant, or M^T p + constant; first . out, p . out, out . out."""
+    times(kernel, transpose, p, out)
+    with_first, with_p, with_out = 0.0, 0.0, 0.0
+    for i in range(len(p)):
+        value = p[i] + (constant - kernel.discount * out[i])
+        out[i] = value
+        with_first += first[i] * value
+        with_p += p[i] * value
+        with_out += value * value
+    return with_first, with_p, with_out
+
+
+@njit(cache=True)
+def bicgstab(kernel, transpose, shared, first, relative):
+    """y, its residual below ``relative`` times b's or the floor; None where it does not fall to a tenth in 40 steps."""
+    n = len(first)
+    x, r, p, v, w = np.zeros(n), first.copy(), first.copy(), np.empty(n), np.empty(n)
+    rho, size, sum_p, part = 0.0, 0.0, 0.0, shared / n
+    for i in range(n):
+        rho += r[i] * r[i]
+        sum_p += p[i]
+        size = max(size, abs(r[i]))
+    goal, largest, largest_x, allowed, steps = relative * size, size, 0.0, np.inf, 0
+    while largest > max(goal, FLOOR * largest_x):
+        if steps % WINDOW == 0:
+            if not largest <= allowed:
+                return None
+            allowed = 0.1 * largest
+        steps += 1
+        along, _, _ = product(kernel, transpose, part * sum_p, p, first, v)
+        if along == 0.0 or not np.isfinite(along):
+            break
+        alpha, sum_s, first_s = rho / along, 0.0, 0.0
+        for i in range(n):
+            r[i] -= alpha * v[i]  # the half step's residual
+            sum_s += r[i]
+            first_s += first[i] * r[i]
+        first_w, ws, ww = product(kernel, transpose, part * sum_s, r, first, w)
+        omega = ws / ww if ww > 0.0 else 0.0
+        new = first_s - omega * first_w
+        # nowhere to go: what was found stands, and is refined
+        beta = (new / rho) * (alpha / omega) if omega != 0.0 and rho != 0.0 else 0.0
+        rho, largest, largest_x, sum_p = new, 0.0, 0.0, 0.0
+        for i in range(n):
+            x[i] += alpha * p[i] + omega * r[i]
+            r[i] -= omega * w[i]
+            p[i] = r[i] + beta * (p[i] - omega * v[i])
+            sum_p += p[i]
+            largest = max(largest, abs(r[i]))
+            largest_x = max(largest_x, abs(x[i]))
+        if beta == 0.0 or not np.isfinite(beta):
+            break
+    return x
+
+
+@njit(cache=True)
+def solve(kernel, shared, transpose, b, relative):
+    """x, for ``shared`` = gamma s, or 0 where rows differ in their sums."""
+    over = shared / (1.0 - shared)
+    if transpose:
+        return bicgstab(kernel, True, shared, b + over * b.mean(), relative)
+    y = bicgstab(kernel, False, shared, b, relative)
+    return None if y is None else y + over * y.mean()
