@@ -27,7 +27,7 @@ def _shape(values):
 
 
 def check_01_a(answer):
-    """V(0) of the machine that always runs slow, discount 0.9."""
+    """V(0) of the motor that always runs slow, discount 0.9."""
     hint = "V(0) = 1 + 0.9 (0.9 V(0) + 0.1 V(1)) and V(1) = 0.9 (0.1 V(0) + 0.9 V(1)); solve the second for V(1) first."
     _judge(answer, 95 / 14, hint, 0.001)
 
@@ -39,9 +39,9 @@ def check_01_b(answer):
 
 
 def check_01_c(answer):
-    """Episodes for a standard error of 0.1, at a variance of 57.766."""
+    """Episodes for a standard error of 0.1, at a variance of 278.204."""
     hint = "standard error = sqrt(variance / n); solve for n and round up."
-    _judge(answer, 5777, hint, 0.0002)
+    _judge(answer, 27_821, hint, 0.0002)
 
 
 def check_02_a(answer):
