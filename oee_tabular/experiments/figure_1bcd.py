@@ -84,10 +84,10 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     sizes = sorted(table.n.unique())
     n = 3162 if 3162 in sizes else sizes[-1]
     mean = table[table.n == n].groupby("estimator").error.mean()
-    path, mixed = (min(names, key=mean.get) for names in (("IS", "PDIS", "WIS"), ("doubly robust", "marginalised")))
+    path, mixed = (str(mean[rows].idxmin()) for rows in (["IS", "PDIS", "WIS"], ["doubly robust", "marginalised"]))
     titles = [
         f"n = {n}: OEE is off by {mean['OEE, exact']:.2g}, the simulator by {mean['simulator']:.2g}",
-        f"As products, the same ratios err {mean['OEE, product'] / mean['OEE, exact']:.0f} times as much",
+        f"As products, its ratios err {mean['OEE, product'] / mean['OEE, exact']:.0f} times as much at n = {n}",
         f"Weights of whole paths are off by {mean[path]:.2g} at best ({path})",
         f"With a model beside them: off by {mean[mixed]:.2g} ({mixed})",
     ]

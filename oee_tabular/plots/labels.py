@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.plots.style import literally
 
@@ -23,7 +24,7 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     Parameters
     ----------
     ax : with lines that have labels
-    fontsize : in points
+    fontsize : in points, below 100
 
     Examples
     --------
@@ -33,6 +34,7 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     >>> [text.get_text() for text in ax.texts], ax.get_legend()
     (['low', 'high'], None)
     """
+    _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
     lines = [line for line in ax.get_lines() if not str(line.get_label()).startswith("_")]
     named = [(line, end) for line in lines if (end := _end(np.asarray(line.get_xydata()))) is not None]
     if named:

@@ -75,7 +75,7 @@ def _findings(mean: pd.Series[float], gravities: Iterable[float], n: int) -> lis
     rows: list[list[str]] = [[], [], [], []]
     for g in gravities:
         by = mean.xs(g, level="gravity")
-        cells = by[list(ON_CELLS)].drop("simulator").idxmin()
+        cells = str(by[list(ON_CELLS)].drop("simulator").idxmin())
         weights = by[["IS, per decision", "IS, self-normalised"]].min()
         where = "the target is the simulator" if g == SIMULATED else f"the simulator is off by {by['simulator']:.2g}"
         rows[0].append(f"gravity {g:g} m/s²: {where}")
