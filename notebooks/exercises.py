@@ -27,7 +27,7 @@ def _shape(values):
 
 
 def check_01_a(answer):
-    """V(0) of the machine that always runs slow, discount 0.9."""
+    """V(0) of the motor that always runs slow, discount 0.9."""
     hint = "V(0) = 1 + 0.9 (0.9 V(0) + 0.1 V(1)) and V(1) = 0.9 (0.1 V(0) + 0.9 V(1)); solve the second for V(1) first."
     _judge(answer, 95 / 14, hint, 0.001)
 
@@ -39,9 +39,9 @@ def check_01_b(answer):
 
 
 def check_01_c(answer):
-    """Episodes for a standard error of 0.1, at a variance of 57.766."""
+    """Episodes for a standard error of 0.1, at a variance of 278.204."""
     hint = "standard error = sqrt(variance / n); solve for n and round up."
-    _judge(answer, 5777, hint, 0.0002)
+    _judge(answer, 27_821, hint, 0.0002)
 
 
 def check_02_a(answer):
@@ -144,3 +144,106 @@ def check_05_e(answer):
     assert isinstance(answer, bool), f"{answer!r} is not right. Hint: answer True or False; {hint}"
     assert answer is False, f"{answer!r} is not right. Hint: {hint}"
     print("Right: False.")
+
+
+# ---- 00, and 06 to 10 --------------------------------------------------------------------------------------------------
+
+
+def check_00_a(answer):
+    """0.99^13: the arrival with the 14th move."""
+    hint = "the robot needs 7 moves down and 7 to the right; the reward of the k-th move counts 0.99^(k - 1)."
+    _judge(answer, 0.99**13, hint)
+
+
+def check_06_a(answer):
+    """Mean |1 - zeta| of an open cell's row: once 9/7, three times 1/3."""
+    hint = "zeta is 9/7 for one next state and 1/3 for three; take the mean of the four distances from 1."
+    _judge(answer, 4 / 7, hint)
+
+
+def check_06_b(answer):
+    """(1 - 0.99) times 40 rewards."""
+    hint = "40 rewards, t = 0 to 39: (1 - 0.99) times the sum of 0.99^t is 1 - 0.99^40."
+    _judge(answer, 1 - 0.99**40, hint)
+
+
+def check_06_c(answer):
+    """Theorem 2's two sides at T = 2, no discount, epsilon = 0.1, nu = 0.9."""
+    hint = (
+        "the weights of t = 1 and 2 are 1.1 and 1.1^2 in place of 1: add both errors, square; the bound has t / 0.9^t."
+    )
+    _judge(answer, ((0.1 + 0.21) ** 2, 2 * 0.01 * (1 / 0.9 + 2 / 0.81)), hint)
+
+
+def check_07_a(answer):
+    """Both ends of P'(first) of a row (0.7, 0.3) in the box 0.25 to 1.6."""
+    hint = "both probabilities have bounds, and they add up to 1: what do those of the second leave for the first?"
+    _judge(answer, (0.52, 0.925), hint)
+
+
+def check_07_b(answer):
+    """300 moves over two pairs whose standard deviations are 1 and 2."""
+    hint = "n_sa is proportional to the square root of c_sa, that is to the standard deviation: as 1 to 2."
+    _judge(answer, (100, 200), hint)
+
+
+def check_07_c(answer):
+    """Moves for a standard error of 0.05 by the uniform design, whose bound is 56.5201."""
+    hint = "the variance is bound / n; set its square root to 0.05, with bound['uniform'] of the cell above."
+    _judge(answer, 56.5201 / 0.05**2, hint, 0.02)
+
+
+def check_08_a(answer):
+    """The four corners' shares of a point (0.25, 0.5) in its cell."""
+    hint = "along each side the nearer vertex gets more: 0.75 and 0.25, 0.5 and 0.5; a corner gets the product."
+    _judge(answer, (0.375, 0.375, 0.125, 0.125), hint)
+
+
+def check_08_b(answer):
+    """Moves a row of 80 000, on 10^4 and on 32^4 vertices with two actions."""
+    hint = "two actions, so 2 * 10^4 rows, and 2 * 32^4: divide 80 000 by each."
+    _judge(answer, (4.0, 80_000 / (2 * 32**4)), hint, 0.02)
+
+
+def check_08_c(answer):
+    """0.45 * 0.51 / 0.50."""
+    hint = (
+        "the simulator's own value is 0.51 / 0.50 times what the grid says; the estimate is mended by the same factor."
+    )
+    _judge(answer, 0.459, hint, 0.002)
+
+
+def check_09_a(answer):
+    """The target is one of five lengths in the tenth that is averaged."""
+    hint = "at worst 0.1 m never makes the move, and of the five lengths the target's alone does: its share is 0.1 / 5."
+    _judge(answer, 50, hint)
+
+
+def check_09_b(answer):
+    """1250 moves over 27 commands."""
+    hint = "5 goals, 10 runs to each, 25 commands a run; divide by the number of different commands."
+    _judge(answer, 1250 / 27, hint, 0.01)
+
+
+def check_09_c(answer):
+    """zeta of one and of two boxes: 1.4 steps, against the defensive simulator."""
+    hint = "1.4 steps are 0.6 and 0.4; the simulator has 0.9 at 1 step, and 0.05 at 0.5 and at 1.5, each shared by two boxes."
+    _judge(answer, (0.6 / 0.95, 0.4 / 0.025), hint)
+
+
+def check_10_a(answer):
+    """J and the estimator's limit of the survival chain at T = 3."""
+    hint = "J is the sum of 0.9^t 0.7^t; divided by who is alive, 0.7^t drops out. t is 0, 1, 2."
+    _judge(answer, (1 + 0.63 + 0.63**2, 1 + 0.9 + 0.81), hint)
+
+
+def check_10_b(answer):
+    """Logs that show a bias of 0.02 beside a standard deviation of 0.1 at four standard errors."""
+    hint = "the mean of k logs has a standard error of 0.1 / sqrt(k); make four of them 0.02."
+    _judge(answer, 400, hint)
+
+
+def check_10_c(answer):
+    """The statement's two sides: reward 1 while in the state, left with 0.01, discount 0.9."""
+    hint = "J' = 1 / (1 - 0.9) and J = 1 / (1 - 0.9 * 0.99); the statement allows 2 * 1 * 0.01 / (1 - 0.9)."
+    _judge(answer, (10 - 1 / (1 - 0.9 * 0.99), 0.2), hint)

@@ -258,8 +258,33 @@ def walk(following):
         (lambda ax: plots.plot_coverage([1, 1], (1, 2), ax, over=[True]), "over must have 2 entries"),
         (lambda ax: plots.plot_states([1.0], [1, 2], ax), "recorded must have 1 entries, one a state; it has 2"),
         (lambda ax: plots.plot_states([1.0], [1], ax, top=0), "top must be a positive integer; it is 0"),
+        (lambda ax: plots.label_ends(ax, fontsize=0), r"fontsize must be in \(0, 100\); it is 0"),
     ],
 )
 def test_bad_input_is_named(call, text, ax):
     with pytest.raises(ValueError, match=text):
         call(ax)
+
+
+def test_names_stand_at_the_ends_of_lines(ax):
+    x = np.arange(4.0)
+    plots.plot_curves(
+        x, {"high": 3 * x, "low $1": x, "gone": [1.0, 5.0, np.nan, np.nan], "none": np.full(4, np.nan)}, ax
+    )
+    plots.label_ends(ax)
+    assert ax.get_legend() is None
+    assert words(ax) == ["high", "low $1", "gone"]
+    heights = ax.transAxes.inverted().transform(ax.transData.transform([(0, 9.0), (0, 3.0), (0, 5.0)]))[:, 1]
+    np.testing.assert_allclose([text.get_position()[1] for text in ax.texts], heights)
+    assert [text.get_color() for text in ax.texts] == [line.get_color() for line in ax.get_lines()[:3]]
+    drawn(ax)
+
+
+def test_names_do_not_overlap(ax):
+    plots.plot_curves([0.0, 1.0], {f"curve {k}": [0.0, 1.0 + 1e-3 * k] for k in range(5)}, ax)
+    ax.set_ylim(0.0, 2.0)
+    drawn(plots.label_ends(ax))
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert all(below.y1 <= above.y0 for below, above in zip(boxes[:-1], boxes[1:], strict=True))
+    middle = np.mean([text.get_position()[1] for text in ax.texts])
+    assert abs(middle - 0.501) < 1e-6  # moved no further than it takes: as far up as down

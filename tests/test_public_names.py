@@ -31,6 +31,9 @@ NAMES = {
         stack_models state_values trajectory_efficiency_bound transition_gradient weight_growth weight_moments
         weighted_return_moments
     """,
+    "oee_tabular.experiments": """
+        Embedded embedded_default published table
+    """,
     "oee_tabular.inference": """
         Comparison EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
         compare_policies corrected_value_error_bound estimation_bound estimation_sides excess_risk interval
@@ -43,7 +46,7 @@ NAMES = {
         FiniteMDP check_policy displacements mix uniform_policy
     """,
     "oee_tabular.plots": """
-        COLORS LINES MARKERS detect_grid figure_png figure_svg plot_coverage plot_curves plot_errors plot_grid
+        COLORS LINES MARKERS detect_grid figure_png figure_svg label_ends plot_coverage plot_curves plot_errors plot_grid
         plot_intervals plot_occupancy plot_ratio plot_states plot_values plot_variance_growth
     """,
     "oee_tabular.ratio": """

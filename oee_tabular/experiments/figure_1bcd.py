@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,15 +12,17 @@ from oee_tabular._sparse import on_pattern
 from oee_tabular.estimators import OffEnvironment, Oracle, Problem
 from oee_tabular.exact import occupancy, policy_value, weighted_return_moments
 from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, episodes_for, estimators_of, grids
-from oee_tabular.experiments.panels import Errors, Panels, panels
+from oee_tabular.experiments.panels import Panels, panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
+from oee_tabular.plots import label_ends, plot_errors
 from oee_tabular.plots.style import marks
 from oee_tabular.ratio import true_ratio
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 N_ROLLOUTS = 100  # the products' own
@@ -42,7 +45,8 @@ CURVES = {  # and their names in ``oee evaluate``
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
     """10 x 10 grid, slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s') everywhere; a log of n moves of the
-    uniform policy. Left: means and the 10% to 90% range over the seeds, dashed the true values. Importance sampling
+    uniform policy. Left: means and the 10% to 90% range over the seeds, dashed the true values. Above: by models and
+    ratios of dynamics; below: by ratios of policies, beside the same OEE. Importance sampling
     gets the whole episodes behind the drawn moves, cut at T, and the true behaviour policy; products are means of 100
     rollouts. Points outside the left panel's axis are in the table; exact_sd in table.csv is the products' exact
     standard deviation.
@@ -71,29 +75,45 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
+BY_MODEL = ("simulator", "OEE, exact", "OEE, product", "oracle, exact", "oracle, product", "model-based")
+BY_EPISODES = ("IS", "OEE, exact", "PDIS", "WIS", "doubly robust", "marginalised")
+
+
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Errors of all at n = 3162, and their mean over delta against n."""
+    """Values at n = 3162, and their mean error over delta against n; ratios of the dynamics above, of policies below."""
     sizes = sorted(table.n.unique())
     n = 3162 if 3162 in sizes else sizes[-1]
-    first, second = panels(figure, [f"the value at n = {n}", "mean |error| over the three policies"], size=(6.4, 4.6))
-    part = table[table.n == n]
-    names = list(part.estimator.unique())
+    mean = table[table.n == n].groupby("estimator").error.mean()
+    path, mixed = (str(mean[rows].idxmin()) for rows in (["IS", "PDIS", "WIS"], ["doubly robust", "marginalised"]))
+    titles = [
+        f"n = {n}: OEE is off by {mean['OEE, exact']:.2g}, the simulator by {mean['simulator']:.2g}",
+        f"As products, its ratios err {mean['OEE, product'] / mean['OEE, exact']:.0f} times as much at n = {n}",
+        f"Weights of whole paths are off by {mean[path]:.2g} at best ({path})",
+        f"With a model beside them: off by {mean[mixed]:.2g} ({mixed})",
+    ]
+    axes = panels(figure, titles, columns=2, size=(6.4, 4.2))
+    for names, (left, right) in zip((BY_MODEL, BY_EPISODES), (axes[:2], axes[2:]), strict=True):
+        part = table[table.estimator.isin(names)]
+        _values(part[part.n == n], names, left)
+        by_n = part.groupby(["estimator", "n"]).error.mean()
+        plot_errors(sizes, {name: by_n[name] for name in names}, right, slope=None, ylabel=MEAN_ERROR)
+        label_ends(right)
+
+
+def _values(part: pd.DataFrame, names: Sequence[str], ax: Axes) -> None:
+    """Mean and 10% to 90% of the seeds, dashed the true values; colours and marks as in the panel to the right."""
     for k, name in enumerate(names):
         own = part[part.estimator == name]
-        shift = (k - (len(names) - 1) / 2) * 0.026
+        shift = (k - (len(names) - 1) / 2) * 0.045
         low, high = own.groupby("delta").value.quantile(0.1), own.groupby("delta").value.quantile(0.9)
         middle = own.groupby("delta").value.mean()
-        spread = np.abs([middle - low, high - middle])
-        first.errorbar(middle.index + shift, middle, yerr=spread, ms=4, lw=1, label=name, **marks(k))
-    for delta in sorted(part.delta.unique()):
-        truth = float(part[part.delta == delta].truth.iloc[0])
-        first.hlines(truth, delta - 0.17, delta + 0.17, color="black", lw=1, ls=(0, (4, 2)), zorder=0)
-    first.set_ylim(float(part.truth.min()) - 1.0, float(part.truth.max()) + 1.0)
-    first.set_xticks(list(DELTAS))
-    first.set_xlabel("delta: the policy is delta expert + (1 - delta) uniform")
-    first.set_ylabel("value times (1 - discount)")
-    first.legend()
-    Errors("error", "estimator", ylabel=MEAN_ERROR).draw(table, second)
+        ax.errorbar(middle.index + shift, middle, yerr=np.abs([middle - low, high - middle]), ms=4, lw=1, **marks(k))
+    truth = part.groupby("delta").truth.first()
+    ax.hlines(truth, truth.index - 0.17, truth.index + 0.17, color="black", lw=1, ls=(0, (4, 2)), zorder=0)
+    ax.set_ylim(float(truth.min()) - 1.0, float(truth.max()) + 1.0)
+    ax.set_xticks(list(DELTAS))
+    ax.set_xlabel("delta: the policy is delta expert + (1 - delta) uniform")
+    ax.set_ylabel("value times (1 - discount); dashed: true")
 
 
 FIGURE_1BCD = Experiment(

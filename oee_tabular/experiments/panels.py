@@ -10,6 +10,7 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.plots import plot_curves, plot_errors
+from oee_tabular.plots.style import shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,8 +74,8 @@ class Panels:
             self.beneath(ax, rows)
         where = sorted(rows[self.x].unique())
         curves, bands = self._points(rows, where)
-        shown = {name: y for name, y in curves.items() if not (y <= self.least).all()}
-        self._plot(where, shown, {name: band for name, band in bands.items() if name in shown}, ax)
+        drawn = {name: y for name, y in curves.items() if not (y <= self.least).all()}
+        self._plot(where, drawn, {name: band for name, band in bands.items() if name in drawn}, ax)
         ax.set(**self.axes)
 
     def title_of(self, values: Mapping[str, Any]) -> str:
@@ -103,11 +104,19 @@ class Panels:
 
 @dataclass(frozen=True)
 class Errors(Panels):
-    """Errors against n, both logarithmic, with a line of ``slope`` (None: none)."""
+    """Errors against n, both logarithmic, with a line of ``slope`` (None: none).
+
+    With ``lowest`` the title says which curve is lowest at the last n, as far as it has a value there.
+    """
 
     slope: float | None = None
+    lowest: bool = True
 
     def _plot(self, where: list[Any], curves: dict[str, Array], bands: dict[str, Band], ax: Axes) -> None:
+        ends = {name: y[-1] for name, y in curves.items() if np.isfinite(y[-1])}
+        if self.lowest and len(ends) > 1:
+            best = min(ends, key=lambda name: ends[name])
+            ax.set_title(f"{ax.get_title()}\n{shown(best)} ends lowest: {ends[best]:.2g}", fontsize="medium")
         plot_errors(where, curves, ax, bands=bands, slope=self.slope, xlabel=self.xlabel, ylabel=self.ylabel)
 
 

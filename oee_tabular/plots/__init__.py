@@ -6,6 +6,7 @@ with units. ``figure_png`` and ``figure_svg`` make a file's content of what a fu
 
 from oee_tabular.plots.curves import plot_curves, plot_errors, plot_variance_growth
 from oee_tabular.plots.grids import detect_grid, plot_coverage, plot_grid, plot_occupancy, plot_ratio
+from oee_tabular.plots.labels import label_ends
 from oee_tabular.plots.style import COLORS, LINES, MARKERS, figure_png, figure_svg
 from oee_tabular.plots.values import plot_intervals, plot_states, plot_values
 
@@ -16,6 +17,7 @@ __all__ = [
     "detect_grid",
     "figure_png",
     "figure_svg",
+    "label_ends",
     "plot_coverage",
     "plot_curves",
     "plot_errors",

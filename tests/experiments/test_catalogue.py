@@ -6,8 +6,10 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
+from oee_tabular import experiments
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.output import figures, summary_of
 from oee_tabular.experiments.registry import Stream
@@ -47,6 +49,29 @@ def test_the_saved_results_are_of_the_full_sweep(name):
     assert set(EXPERIMENTS[name].keys) <= set(saved(name).columns)
     for page in (RESULTS / name / "summary.md", RESULTS / "index.md"):
         assert EXPERIMENTS[name].caption in page.read_text()
+
+
+@pytest.mark.parametrize("experiment", list(EXPERIMENTS), ids=lambda experiment: experiment.id)
+def test_a_panel_has_six_curves_at_most(experiment):
+    table, figure = saved(experiment.id), Figure()
+    experiment.draw(table, summary_of(experiment, table), figure)
+    shown = [ax for ax in figure.axes if ax.get_visible()]
+    assert shown
+    for ax in shown:
+        curves = [line for line in ax.get_lines() if len(line.get_xdata()) > 2 and not line.get_label().startswith("_")]
+        beside = ("slope", "true value", "true (Monte Carlo)", "zeta = 1")  # what the curves are held against
+        assert len([line for line in curves if not line.get_label().startswith(beside)]) <= 6, ax.get_title()
+
+
+def test_a_table_by_name():
+    one = experiments.table("estimands", delta=0.5)
+    assert one.equals(EXPERIMENTS["estimands"].table(delta=[0.5]))
+    assert not one.equals(experiments.table("estimands", delta=0.5, seed=1))
+    assert set(experiments.table("estimands", delta=0.5, repetitions=2).repetition) == {0, 1}
+    with pytest.raises(ValueError, match=r"experiment must be one of fig1a, .*; got 'estimand'; nearest: estimands"):
+        experiments.table("estimand")
+    with pytest.raises(ValueError, match="axes must be among delta; got 'n'"):
+        experiments.table("estimands", n=3)
 
 
 def test_a_stream_is_that_of_the_cell():

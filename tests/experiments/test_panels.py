@@ -89,6 +89,18 @@ def test_errors_are_logarithmic_with_a_slope(table):
     assert_allclose(lines(sloped)["slope -1"].get_ydata(), lines(sloped)["first"].get_ydata())
 
 
+def test_the_title_says_which_error_ends_lowest(table):
+    table = table.assign(error=table.error.abs())
+    axes = drawn(Errors("error", "name", by=("case",)), table).axes
+    for ax, case in zip(axes, (0.5, 0.25), strict=True):
+        ends = {name: line.get_ydata()[-1] for name, line in lines(ax).items()}
+        best = min(ends, key=ends.get)
+        assert ax.get_title() == f"case = {case:g}\n{best} ends lowest: {ends[best]:.2g}"
+    assert drawn(Errors("error", "name", by=("case",), lowest=False), table).axes[0].get_title() == "case = 0.5"
+    alone = drawn(Errors("error", "name", by=("case",)), table[table.name == "first"])
+    assert alone.axes[0].get_title() == "case = 0.5"  # nothing to compare it with
+
+
 def test_panels_beside_each_other(table):
     both = [Panels("error", "name", title="{case:g}: error"), Panels("spread", "name", title="spread at {case}")]
     figure = drawn(Beside(both, by=("case",), columns=2), table)

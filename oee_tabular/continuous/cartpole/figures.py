@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,15 @@ import numpy as np
 from oee_tabular.continuous.cartpole.truth import DELTAS, SIMULATED
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.panels import panels
+from oee_tabular.plots import label_ends
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DRAWN_VALUES = ("simulator", "OEE, calibrated", "model-based", "IS, self-normalised")
+ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model")
+OTHERS = ("simulator", "OEE, calibrated", "IS, per decision", "IS, self-normalised", "oracle", "oracle, calibrated")
 PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
 PAPER_COLOR = "0.35"
 DELTA = "delta (share of the uniform policy)"
@@ -41,19 +44,18 @@ def styles(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 
 def figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Values; errors at each delta for both n; mean errors of both kinds of target."""
-    gravities, sizes = sorted(table.gravity.unique()), sorted(table.n.unique(), reverse=True)
-    own = table[table.target == "compiled"]
-    rows = [f"values, n = {sizes[0]}", *(f"errors, n = {n}" for n in sizes), "mean error over delta"]
-    titles = [f"gravity {g:g} m/s²{' (simulated)' if g == SIMULATED else ''}: {row}" for row in rows for g in gravities]
-    axes = panels(figure, titles, columns=len(gravities), size=(4.5, 3.3))
-    grid = np.array(axes).reshape(len(rows), len(gravities))
+    """Values; errors at each delta, of two groups of estimators; mean errors of both kinds of target."""
+    gravities, n = sorted(table.gravity.unique()), int(table.n.max())
+    own = table[(table.target == "compiled") & (table.n == n)]
+    mean = own.groupby(["estimator", "gravity"]).error.mean()
+    axes = panels(figure, _findings(mean, gravities, n), columns=len(gravities), size=(4.5, 3.3))
+    grid = np.array(axes).reshape(4, len(gravities))
     style = styles(table)
     for column, gravity in enumerate(gravities):
         part = own[own.gravity == gravity]
-        _values(grid[0, column], part[part.n == sizes[0]], gravity, style)
-        for row, n in enumerate(sizes, 1):
-            _errors(grid[row, column], part[part.n == n], style)
+        _values(grid[0, column], part, gravity, style)
+        _errors(grid[1, column], part[part.estimator.isin(ON_CELLS)], style)
+        _errors(grid[2, column], part[part.estimator.isin(OTHERS)], style)
         _means(grid[-1, column], table[table.gravity == gravity], summary, style)
     for shared in grid:
         for ax in shared[1:]:
@@ -63,7 +65,24 @@ def figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None
     grid[0, 0].set_ylabel("value times (1 - discount)")
     for ax in grid[1:-1, 0]:
         ax.set_ylabel("mean |error| of the value\ntimes (1 - discount)")
-    _legend(figure, (*grid[1], *grid[0], *grid[-1]), ncols=2 if len(gravities) == 1 else 6)
+    for ax in grid[:-1, -1]:  # the same lines in every panel of a row
+        label_ends(ax, fontsize=7.5)
+    _legend(figure, grid[-1], ncols=2 if len(gravities) == 1 else 6)
+
+
+def _findings(mean: pd.Series[float], gravities: Iterable[float], n: int) -> list[str]:
+    """The title of every panel, row by row: what it shows, in numbers."""
+    rows: list[list[str]] = [[], [], [], []]
+    for g in gravities:
+        by = mean.xs(g, level="gravity")
+        cells = str(by[list(ON_CELLS)].drop("simulator").idxmin())
+        weights = by[["IS, per decision", "IS, self-normalised"]].min()
+        where = "the target is the simulator" if g == SIMULATED else f"the simulator is off by {by['simulator']:.2g}"
+        rows[0].append(f"gravity {g:g} m/s²: {where}")
+        rows[1].append(f"n = {n}: least error {by[cells]:.1g}, {cells}")
+        rows[2].append(f"importance sampling {weights:.1g} at best, OEE {by['OEE, calibrated']:.1g}")
+        rows[3].append("mean over delta, for every n")
+    return [title for row in rows for title in row]
 
 
 def _legend(figure: Figure, axes: Iterable[Axes], *, ncols: int) -> None:
@@ -80,9 +99,8 @@ def _values(ax: Axes, part: pd.DataFrame, gravity: float, style: dict[str, Any])
 
     truth = [float(part[f"truth_{delta:g}"].iloc[0]) for delta in DELTAS]
     ax.plot(DELTAS, truth, color=ink(), lw=3.5, alpha=0.25, label="true (Monte Carlo)", zorder=0)
-    for name in DRAWN_VALUES:
-        values = part[part.estimator == name][[f"value_{delta:g}" for delta in DELTAS]]
-        ax.plot(DELTAS, values.mean(), label=name, **style[name])
+    values = part[part.estimator == "OEE, calibrated"][[f"value_{delta:g}" for delta in DELTAS]]
+    ax.plot(DELTAS, values.mean(), label="OEE, calibrated", **style["OEE, calibrated"])
     for series, (name, marker) in PAPERS.items():
         points = paper.curve("cartpole", f"gravity={gravity}", series)
         if len(points):
@@ -133,26 +151,24 @@ def _means(ax: Axes, part: pd.DataFrame, summary: pd.DataFrame, style: dict[str,
 
 
 def resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """Error against cost without data; against n in two and in four dimensions."""
-    left, middle, right = panels(
-        figure, ["the target itself on the states, no data", "two dimensions, from n moves", "the whole state, from n moves"],
-        size=(5.2, 4.2),
-    )  # fmt: skip
-    _cost(left, table[table.n == 0])
+    """Error against cost without data; against n in two dimensions, raw and calibrated, and in four."""
+    names = ["the target itself on the states, no data", "two dimensions, from n moves", "the same, calibrated",
+             "the whole state, from n moves"]  # fmt: skip
+    axes = panels(figure, names, columns=2, size=(6.0, 4.0))
+    whole = table.states.str.startswith("whole")
+    kinds = [["OEE"], ["OEE, calibrated"], ["OEE", "OEE, calibrated"]]
+    _cost(axes[0], table[table.n == 0])
+    for ax, kind, rows in zip(axes[1:], kinds, (~whole, ~whole, whole), strict=True):
+        _against_n(ax, table[(table.n > 0) & rows & table.estimator.isin(kind)])
     level = table[table.estimator == "simulator"].error.mean()
-    for ax, whole in ((middle, False), (right, True)):
-        own = table[(table.n > 0) & (table.states.str.startswith("whole") == whole)]
-        _against_n(ax, own)
-    for ax in (left, middle, right):
+    for ax in axes:
         ax.axhline(level, color="0.5", lw=1.2, ls=":", label="simulator")
         ax.set_yscale("log")
         ax.grid(visible=True)
         ax.set_ylabel("mean |error| times (1 - discount)")
-        ax.legend(fontsize="x-small", ncols=2, loc="upper center")
-    low = min(ax.get_ylim()[0] for ax in (left, middle, right))
-    high = max(ax.get_ylim()[1] for ax in (left, middle, right))
-    for ax in (left, middle, right):
-        ax.set_ylim(low, 8 * high)
+        ax.sharey(axes[0])
+    for ax in axes:
+        label_ends(ax)
 
 
 def _cost(ax: Axes, table: pd.DataFrame) -> None:
@@ -185,8 +201,8 @@ def _against_n(ax: Axes, table: pd.DataFrame) -> None:
     from oee_tabular.plots.style import COLORS, MARKERS
 
     for k, (states, own) in enumerate(table.groupby("states", sort=False)):
-        for estimator, line in (("OEE", "--"), ("OEE, calibrated", "-")):
-            part = own[own.estimator == estimator]
+        for estimator, part in own.groupby("estimator", sort=False):
+            line = "-" if estimator == "OEE, calibrated" else "--"
             each = part.pivot_table("error", "n", "repetition")
             color = COLORS[k]
             ax.plot(each.index, each.mean(axis=1), ls=line, marker=MARKERS[k], ms=5, color=color,
@@ -201,13 +217,14 @@ def _against_n(ax: Axes, table: pd.DataFrame) -> None:
 
 
 def data(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
-    """A panel for each n and gravity."""
-    sizes, gravities = sorted(table.n.unique()), sorted(table.gravity.unique())
-    names = [f"gravity {g:g} m/s², n = {n}" for n in sizes for g in gravities]
-    axes = panels(figure, names, columns=len(gravities), size=(4.6, 3.6))
+    """A panel for each n, group of estimators and gravity."""
+    gravities = sorted(table.gravity.unique())
+    rows = [(n, names) for n in sorted(table.n.unique()) for names in (ON_CELLS, OTHERS)]
+    titles = [f"gravity {g:g} m/s², n = {n}" for n, _ in rows for g in gravities]
+    axes = panels(figure, titles, columns=len(gravities), size=(4.6, 3.3))
     style = styles(table)
-    for ax, (n, gravity) in zip(axes, [(n, g) for n in sizes for g in gravities], strict=True):
-        part = table[(table.n == n) & (table.gravity == gravity)]
+    for ax, ((n, names), gravity) in zip(axes, itertools.product(rows, gravities), strict=True):
+        part = table[(table.n == n) & (table.gravity == gravity) & table.estimator.isin(names)]
         for name, own in part.groupby("estimator", sort=False):
             groups = own.groupby("behavior").error
             ax.plot(groups.mean(), label=name, **style[str(name)])
@@ -220,7 +237,8 @@ def data(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         ax.set_xticks(sorted(table.behavior.unique()))
         ax.grid(visible=True)
         ax.sharey(axes[0])
-    _legend(figure, axes[:1], ncols=2 if len(gravities) == 1 else 5)
+    for ax in axes[len(gravities) - 1 :: len(gravities)]:
+        label_ends(ax)
 
 
 def choice(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:

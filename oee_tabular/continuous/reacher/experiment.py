@@ -152,13 +152,13 @@ def published(summary: pd.DataFrame) -> list[float]:
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Value against delta for each length (at the largest n), ours and the paper's."""
-    from oee_tabular.plots import plot_curves
+    from oee_tabular.plots import label_ends, plot_curves
 
     lengths = sorted(table.length.unique(), reverse=True)
     n = int(table.n.max())
     names = [f"links of {length:g} m, n = {n}: {whose}" for length in lengths for whose in ("ours", "the paper's")]
     axes = iter(panels(figure, names, columns=2, size=(6.4, 4.4)))
-    shown = (WEIGHTED, AVERAGED, UNKNOWN, SIMULATOR, OWN_REWARD, MODEL, LINEAR, ORACLE)
+    shown = (WEIGHTED, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN, ORACLE)
     for length in lengths:
         part = table[(table.length == length) & (table.n == n)].set_index("series")
         values, right = part[[f"value_{d}" for d in DELTAS]], part[[f"truth_{d}" for d in DELTAS]].iloc[0].to_numpy()
@@ -166,7 +166,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         curves = {name: found.mean(axis=0) for name, found in each.items()}
         bands = {name: (found.min(axis=0), found.max(axis=0)) for name, found in each.items()}
         label = {"xlabel": "delta: share of random actions", "ylabel": "value (discounted sum of 100 rewards)"}
-        plot_curves(DELTAS, curves, next(axes), bands=bands, truth=right, **label)
+        label_ends(plot_curves(DELTAS, curves, next(axes), bands=bands, truth=right, **label))
         ax = next(axes)
         true = paper.curve("reacher", _setting(length), "true_value")
         theirs = {name: paper.curve("reacher", _setting(length), name) for name in PUBLISHED.values()}
@@ -177,7 +177,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
             continue
         lines = {name: points["mean"].to_numpy() for name, points in theirs.items()}
         ends = {name: (points["lo"].to_numpy(), points["hi"].to_numpy()) for name, points in theirs.items()}
-        plot_curves(true["x"].to_numpy(), lines, ax, bands=ends, truth=true["mean"].to_numpy(), **label)
+        label_ends(plot_curves(true["x"].to_numpy(), lines, ax, bands=ends, truth=true["mean"].to_numpy(), **label))
 
 
 FIGURE_3 = Experiment(
