@@ -19,7 +19,17 @@ import tempfile
 import venv
 from pathlib import Path
 
-PEERS = ("quantecon", "pypardiso", "mdpsolver", "pymdptoolbox", "mdptoolbox-hiive", "jax", "envpool", "python-flint", "psutil")
+PEERS = (
+    "quantecon",
+    "pypardiso",
+    "mdpsolver",
+    "pymdptoolbox",
+    "mdptoolbox-hiive",
+    "jax",
+    "envpool",
+    "python-flint",
+    "psutil",
+)
 TASKS = ("values", "horizon", "rollouts", "start", "regimes", "planning")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 XLA = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1", "JAX_ENABLE_X64": "1"}
