@@ -72,7 +72,7 @@ def modified(rows, rewards, discount, relative):
 
 @njit(cache=True)
 def better(rows, rewards, discount, values, actions, relative):
-    """For values of these actions, in each state: the first of the best actions up to rounding; whether it is better by more."""
+    """For values of these actions: the first of a state's best actions up to rounding, and whether it is better by more."""
     indptr, indices, data = rows
     n_states, n_actions = rewards.shape
     q, row, largest = np.empty((n_states, n_actions)), np.uint32(0), 1.0

@@ -108,3 +108,33 @@ def test_equal_actions_up_to_rounding_are_equal():
     rows = np.ones((1, 2, 1))
     for rewards in ([[0.1 + 0.2, 0.3]], [[0.3, 0.1 + 0.2]]):
         assert_array_equal(oee.optimal_policy(FiniteMDP(rows, np.array(rewards), [1.0], 0.0)), [[1.0, 0.0]])
+
+
+@pytest.mark.parametrize("discount", [0.5, 0.99, 0.99999])
+def test_plans_of_random_mdps_cannot_be_improved(discount):
+    """And one exact evaluation certifies: modified policy iteration had found them."""
+    from oee_tabular.exact import _planning
+    from oee_tabular.exact.system import rows_of
+
+    mdp = random_mdp(np.random.default_rng(0), n_states=60, n_actions=5, discount=discount)
+    plan = oee.optimal_policy(mdp)
+    q = oee.action_values(mdp, plan)
+    assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
+    found = _planning.modified(rows_of(mdp.transitions), mdp.rewards, discount, 1e-9)
+    assert_array_equal(found, plan.argmax(axis=1))
+
+
+def test_a_plan_does_not_rest_on_the_sweeps(monkeypatch):
+    """From whatever actions they leave, exact evaluation goes on to the best."""
+    from oee_tabular.exact import _planning
+
+    mdp = oee.tasks.gridworld(6, 0.3)
+    plan = oee.optimal_policy(mdp)
+    monkeypatch.setattr(_planning, "modified", lambda rows, rewards, discount, relative: np.zeros(36, dtype=np.int64))
+    assert_array_equal(oee.optimal_policy(mdp), plan)
+
+
+def test_plans_of_rewards_near_the_largest_float_end():
+    mdp = FiniteMDP(np.ones((1, 2, 1)), np.array([[1e308, 1.5e308]]), [1.0], 0.99)
+    with pytest.warns(UserWarning, match="beyond the largest float"):
+        assert oee.optimal_policy(mdp).sum() == 1.0

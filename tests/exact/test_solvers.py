@@ -30,7 +30,7 @@ from oee_tabular.exact.solvers.elimination import DenseLU
 from oee_tabular.exact.solvers.library import expands
 from oee_tabular.exact.system import System, spectral_radius
 
-OTHERS = (DenseLU(up_to=700), BiCGStab(reduced=False))  # as the options have it
+OTHERS = (DenseLU(up_to=700), BiCGStab(reduced=False), BiCGStab(plain=True))  # as the options have it
 
 
 @dataclass
@@ -170,6 +170,36 @@ def test_a_dense_model_of_two_halves_that_hardly_meet():
     mdp = FiniteMDP(p[:, None], np.arange(450.0), np.ones(450) / 450, 1 - 1e-9)
     found = exact.evaluate_policy(mdp, np.ones((450, 1)))
     assert found.error_bound < 1e-3 * np.abs(found.values).max()
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("discount", [0.99, 0.99999])
+def test_graphs_that_expand_are_solved_without_a_preconditioner(discount, transpose):
+    """By sweeps where they mix; blocks that seldom meet by plain BiCGSTAB, whose steps the discount does not add to."""
+    random, n = random_rows(2000, 3), 2000
+    blocks = sparse.csr_array(
+        0.999 * sparse.block_diag([random_rows(500, 5)] * 4) + 0.001 * sparse.csr_array(random_rows(n, 5))
+    )
+    b = np.random.default_rng(0).normal(size=n)
+    assert solve_policy_system(random_rows(n, 8), b, discount, transpose=transpose).method == "value iteration"
+    system, solver = System.of(blocks, discount, transpose), BiCGStab(plain=True)
+    assert _value_iteration.sweeps(system.kernel, system.largest, transpose, b, 0.0) is None
+    assert solver.suits(system)
+    found = refine(system, b, solver.prepare(system), solver.name)
+    assert found.largest <= found.rounding
+    truth = np.linalg.solve(system.matrix().toarray(), b)
+    assert_allclose(found.x, truth, rtol=0, atol=1e-12 / (1 - discount) * np.abs(truth).max())
+    assert not solver.suits(System.of(grid(25), discount))
+    assert not solver.suits(System.of(cycle(500), discount))
+    assert solver.suits(System.of(random, discount))
+
+
+def test_rounding_of_long_rows_does_not_stop_the_sweeps():
+    rng = np.random.default_rng(0)
+    rows = rng.random((600, 600))
+    rows /= rows.sum(axis=1, keepdims=True)
+    for discount in (0.99, 0.99999):
+        assert solve_policy_system(sparse.csr_array(rows), rng.normal(size=600), discount).method == "value iteration"
 
 
 def test_a_large_tree_near_discount_one():
