@@ -100,6 +100,7 @@ def evaluate(
     page: Annotated[
         Path | None, typer.Option("--report", help="FILE.html: one self-contained page, for people who did not run it.")
     ] = None,
+    title: Annotated[str | None, typer.Option(help="Of the page that --report writes.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
 ) -> None:
     """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
@@ -109,6 +110,8 @@ def evaluate(
         check_output(output)
     if page is not None:
         check_page(page)
+    elif title is not None:
+        raise ValueError("--title needs --report FILE.html, whose title it is")
     options: dict[str, Any] = {
         "horizon": horizon,
         "discount": discount,
@@ -139,7 +142,7 @@ def evaluate(
     }
     written = [] if output is None else report.save(output)
     if page is not None:
-        report.to_html(page)
+        report.to_html(page, title=title)
         written.append(page)
     if written and not json:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")

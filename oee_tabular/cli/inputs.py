@@ -170,13 +170,17 @@ def from_files(
     from oee_tabular.cli.entries import own_rows
     from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
+    from oee_tabular.report.inputs import date_of
 
     task = task_of(simulator, options["discount"])
     if options["action_noise"]:
         task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
     problem = problem_of(task, log, horizon=options["horizon"], behavior=behavior, rewards=options["rewards"])
     truth = None if target is None else task_of(target, task.mdp.discount).mdp
+    specs = named_specs(policy or ["optimal"])
     facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
+    facts |= {"policy_names": specs, "date": date_of([simulator, log, *specs.values()])}
+    facts |= {} if options["discount"] is None else {"discount": options["discount"]}
     if options["action_noise"]:
         facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
     own, said = own_rows(options, task.mdp)

@@ -134,8 +134,8 @@ def moved(share: float) -> tuple[Finding, ...]:
 
 def outside(value: str, severity: float, by: str) -> Finding:
     """The estimator's own value is one that the log rules out."""
-    text = f"the estimator's own value, {{}}, lies outside the interval that the log allows; {by} stands in its place."
-    return Finding("outside", severity, text, value)
+    text = f"the estimator's own value, {value}, lies outside the interval that the log allows; {by} stands in its place."
+    return Finding("outside", severity, text)
 
 
 def uncovered(share: float, largest: float, nats: float) -> tuple[Finding, ...]:

@@ -102,6 +102,9 @@ def evaluate(
     for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
         stream = _checks.seed_sequence(seed, (i, j))
         raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
+    if estimators is None:
+        raw, lost = _weighted(raw)
+        left_out += lost
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
     sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
     results = []
@@ -127,6 +130,16 @@ def evaluate(
         problem,
         named_policies,
     )  # fmt: skip
+
+
+def _weighted(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
+    """Without importance sampling that has no positive weight, and a sentence about that."""
+    kept = [result for result in raw if not result.estimate.basis.weightless]
+    lost = [result for result in raw if result.estimate.basis.weightless]
+    if not lost:
+        return kept, []
+    names = ", ".join(dict.fromkeys(result.policy for result in lost))
+    return kept, [f"Importance sampling is left out ({names}): {lost[0].estimate.status}."]
 
 
 def _told(

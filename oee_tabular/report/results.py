@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (  # of diagnostics, in the table and on the page
     ("effective_sample_size", "eff. n", "{:.0f}".format),
-    ("coverage", "coverage", "{:.1%}".format),
+    ("coverage", "coverage", _printing.share),
     ("largest_weight", "max weight", "{:.3g}".format),
     ("row_sum_error", "row-sum err.", lambda error: "0" if error < 1e-9 else f"{error:.2g}"),
 )
@@ -108,6 +108,27 @@ class Report:
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         factor = "(1 - discount) * " if self.normalized else ""
         return f"{factor}sum of discount^t * reward over {span}, discount {self.discount:g}"
+
+    @property
+    def meaning(self) -> str:
+        """What a value is, in words without formulas."""
+        factor = "" if not self.normalized else f", times {1.0 - self.discount:.4g}"
+        paid = "" if self.discount == 1.0 else f", each step counting {self.discount:g} times the one before"
+        span = "" if self.horizon is None else f" of {self.horizon} steps"
+        return f"the sum of the rewards{span}{paid}{factor}"
+
+    @property
+    def answer(self) -> str:
+        """What the page says first: each policy's value in the target with the interval to quote, beside the simulator's.
+
+        >>> import oee_tabular as oee
+        >>> pair = oee.testing.case("ragged")
+        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
+        'In the target, the policy “new” is worth '
+        """
+        from oee_tabular.report import contents
+
+        return " ".join(filter(None, contents.first_words(self, contents.answers(self))))
 
     @property
     def scale(self) -> float:
@@ -233,7 +254,7 @@ class Report:
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": plots.figure_png(lambda ax: plots.plot_values(self.records(), ax, unit=self.unit)),
+            "values.png": plots.figure_png(lambda ax: plots.plot_values(self.records(), ax, unit=self.meaning)),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]
