@@ -39,6 +39,7 @@ autodoc_typehints = "none"
 napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
+napoleon_attr_annotations = False
 
 
 def plain_docstrings(app, what, name, obj, options, lines):

@@ -23,7 +23,7 @@ def plain(lines):
         elif section in ("Attributes", "Parameters") and (entry := entries(line)):
             last = entry.pop()
             for name, said in entry:  # all but the last: what is said goes on in the lines that follow
-                out += [name, f"    {escaped(said or continued(lines, k))}"]
+                out += [name, f"    {escaped(f'{said} {continued(lines, k)}'.strip())}"]
             out += [last[0], *([f"    {escaped(last[1])}"] if last[1] else [])]
         else:
             out.append(escaped(line))

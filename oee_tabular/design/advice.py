@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from oee_tabular._checks import Array, Box
+from oee_tabular._checks import Array, BoolArray, Box
 from oee_tabular._sparse import row_sums
 from oee_tabular.design.costs import row_costs
 from oee_tabular.estimators import Problem
@@ -23,10 +23,10 @@ def next_pairs(
     """The first ``number`` rows, as (s, a), that take most off the widths of the policies' intervals, one move after another.
 
     ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se, se^2 = sum c / n, a move of a recorded
-    row takes z c / (n (n + 1)) / se; of a row never recorded, which stands at its worst, 2 sqrt(c). None that costs 0.
+    row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one move of it leaves. None that costs 0.
     """
     z, n, chosen = NormalDist().inv_cdf(0.5 + confidence / 2.0), np.array(counts, dtype=np.float64), []
-    never = np.sum(2.0 * np.sqrt(table), axis=0)
+    never = np.sum(2.0 * z * np.sqrt(table), axis=0)
     for _ in range(number if np.any(table > 0.0) else 0):
         variance = table / np.maximum(n, 1.0) * (n > 0)
         error = np.sqrt(variance.sum(axis=1, keepdims=True))
@@ -37,13 +37,17 @@ def next_pairs(
     return tuple(chosen)
 
 
-def sentence(pairs: tuple[tuple[int, int], ...], table: Array, counts: Array, names: Names) -> str:
-    """The first of the pairs, and why; ``table`` (K, S, A) and ``counts`` (S, A)."""
+def sentence(
+    pairs: tuple[tuple[int, int], ...], table: Array, counts: Array, optimistic: BoolArray, names: Names
+) -> str:
+    """The first of the pairs, and why; ``table`` (K, S, A), ``counts`` and ``optimistic`` (S, A)."""
     if not pairs:
         return NOTHING
     state, action = pairs[0]
     n, why = counts[state, action], "never recorded"
-    if n > 0:
+    if optimistic[state, action]:
+        why = f"{n:.4g} moves so far; the model holds its outcome for certain"
+    elif n > 0:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
         share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
@@ -60,9 +64,10 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
     model = transition_ratio(problem.observed, problem.simulator).target_model(mdp)
-    table = row_costs(
+    costs = row_costs(
         mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
         optimistic=True,
-    ).table  # fmt: skip
-    pairs = next_pairs(table, counts, shape[1], 1, confidence)
-    return sentence(pairs, table.reshape(-1, *shape), counts.reshape(shape), mdp.names)
+    )  # fmt: skip
+    pairs = next_pairs(costs.table, counts, shape[1], 1, confidence)
+    table, optimistic = costs.table.reshape(-1, *shape), costs.optimistic.reshape(shape)
+    return sentence(pairs, table, counts.reshape(shape), optimistic, mdp.names)

@@ -69,7 +69,7 @@ class Plan:
     policies : an Outlook for each policy
     gap : certificate: by how much of itself the criterion (the largest relative inefficiency) could at most be smaller
     next_pairs : the best next single (s, a), one after another (at most 10): what takes most off the widths 2 z se of the
-        policies' intervals, summed: z c_x / (n_x (n_x + 1)) / se; of a pair never recorded, at its worst, 2 sqrt(c_x)
+        policies' intervals, summed: z c_x / (n_x (n_x + 1)) / se; of a pair never recorded 2 z sqrt(c_x)
     counts : (S, A) the log's
     costs : name -> (S, A) c_x, squared units of J
     optimistic : (S, A) where c_x is the largest plausible variance, the model having none
@@ -144,7 +144,8 @@ class Plan:
     @property
     def advice(self) -> str:
         """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
-        return sentence(self.next_pairs, np.array(list(self.costs.values())), self.counts, self.names)
+        costs = np.array(list(self.costs.values()))
+        return sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
 
     def after(self, m: int) -> dict[str, Outlook]:
         """The outlook after m more transitions, instead of n, of the same distribution.

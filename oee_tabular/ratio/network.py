@@ -53,7 +53,7 @@ class Network:
     Raises
     ------
     ImportError
-        Where it is used without the extra: pip install 'oee-tabular[neural]'.
+        Where it is used without the extra; in a clone: pip install '.[neural]'.
     RuntimeError
         A training that diverges, with its iteration and its risk.
 
@@ -252,7 +252,7 @@ def _trainer() -> Any:
         from oee_tabular.ratio import _neural
     except ImportError:
         raise ImportError(
-            "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+            "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
         ) from None
     return _neural.train
 

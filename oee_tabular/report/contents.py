@@ -55,9 +55,9 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
 
 
-def within(value: float, lower: float | None, upper: float | None) -> str:
+def within(value: float | None, lower: float | None, upper: float | None) -> str:
     """A number to read, with as many digits as its interval has."""
-    if lower is None or upper is None or not math.isfinite(value):
+    if value is None or lower is None or upper is None or not math.isfinite(value):
         return number(value)
     return format(value, _printing.spec(lower, upper)).replace("-", "−")
 

@@ -39,6 +39,7 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
         report=report,
         level=f"{100 * report.confidence:.4g}%",
         sentence=sentence,
+        simulated=any(answer.simulator is not None and answer.from_log for answer in found),
         beside=beside,
         answers=[
             {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -254,7 +255,10 @@ class Report:
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": plots.figure_png(lambda ax: plots.plot_values(self.records(), ax, unit=self.meaning)),
+            "values.png": plots.figure_png(
+                lambda ax: plots.plot_values(self.records(), ax, unit=textwrap.fill(self.meaning, 60)),
+                size=(min(9.0, 3.4 + 0.35 * len(self.results)), 4.8),
+            ),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]

@@ -198,7 +198,7 @@ def test_the_next_pairs_are_the_largest_falls_one_after_another():
     for _ in range(8):
         error = np.sqrt(sum(cost[x] / counts[x] for x in np.ndindex(3, 2) if counts[x]))
         falls = {
-            x: z * cost[x] / counts[x] / (counts[x] + 1) / error if counts[x] else 2 * np.sqrt(cost[x])
+            x: z * cost[x] / counts[x] / (counts[x] + 1) / error if counts[x] else 2 * z * np.sqrt(cost[x])
             for x in np.ndindex(3, 2)
         }
         own.append(max(falls, key=falls.get))
