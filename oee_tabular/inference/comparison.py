@@ -20,7 +20,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
-from oee_tabular.inference.strays import stray_swing
+from oee_tabular.inference.strays import stray_share, stray_swing
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Comparison:
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
     unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
-        the log has never seen
+        the log has never seen, or in moves that were dropped
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -169,7 +169,7 @@ def compare_policies(
     best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
-    unseen = np.array([share / max(alive, 1e-300) for share, alive in (unseen_time(evidences[i]) for i in order)])
+    unseen = np.array([_unknown_time(problem, evidences[i]) for i in order])
     variance = np.diag(covariance)
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
@@ -187,6 +187,11 @@ def compare_policies(
         unseen,
         level,
     )
+
+
+def _unknown_time(problem: Problem, evidence: Evidence) -> float:
+    share, alive = unseen_time(evidence)
+    return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
 
 
 def _apart(one: Array, other: Array) -> Array:

@@ -72,6 +72,8 @@ def stray_end(problem: Problem, evidence: Evidence, sign: float, end: Callable[[
 
 def stray_share(problem: Problem, evidence: Evidence) -> float:
     """The share of the policy's discounted time whose moves may have been of those that were dropped: sum d_sa q_sa."""
+    if not problem.dropped.any():
+        return 0.0
     time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon).reshape(-1)
     return float(time @ (problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0)))
 
