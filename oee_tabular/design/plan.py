@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -11,7 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.advice import sentence
 from oee_tabular.design.programs import evaluate
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp.naming import NAMELESS, Names, worded
 
 
 @dataclass(frozen=True)
@@ -146,6 +147,32 @@ class Plan:
         """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
         costs = np.array(list(self.costs.values()))
         return sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``str`` says, as plain values; states and actions by name where there are names."""
+        called = {"state": self.names.states, "action": self.names.actions}
+
+        def pair(s: int, a: int) -> dict[str, Any]:
+            numbers = {"state": int(s), "action": int(a)}
+            return {key: k if called[key] is None else worded(called[key], k) for key, k in numbers.items()}
+
+        top = [
+            divmod(int(k), self.distribution.shape[1])
+            for k in np.argsort(-self.distribution.reshape(-1), kind="stable")
+        ]
+        return {
+            "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,
+            "policies": [
+                {
+                    "policy": o.name, "standard_error": list(o.standard_error), "width": list(o.width),
+                    "inefficiency": o.inefficiency, "free_inefficiency": o.free_inefficiency,
+                }
+                for o in self.policies
+            ],
+            "most": [pair(s, a) | {"share": float(self.distribution[s, a])} for s, a in top[:5]],
+            "advice": self.advice,
+            "next": [pair(s, a) for s, a in self.next_pairs],
+        }  # fmt: skip
 
     def after(self, m: int) -> dict[str, Outlook]:
         """The outlook after m more transitions, instead of n, of the same distribution.

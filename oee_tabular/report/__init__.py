@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _moved
+from oee_tabular.report.contest import Contest, contest
 from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.results import Report, Result
@@ -13,7 +14,17 @@ from oee_tabular.report.results import Report, Result
 if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
 
-__all__ = ["Report", "Result", "Settings", "check_output", "check_page", "evaluate", "evaluate_continuous"]
+__all__ = [
+    "Contest",
+    "Report",
+    "Result",
+    "Settings",
+    "check_output",
+    "check_page",
+    "contest",
+    "evaluate",
+    "evaluate_continuous",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -79,22 +79,11 @@ def plan_command(report: Report) -> str:
     if "policy_names" not in facts:
         wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
         return "" if "simulator_name" in facts else f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
-    simulator, noise = str(facts["simulator_name"]), facts.get("action_noise") or 0.0
-    before = ""
-    if noise:
-        noisy = "simulator-with-noise.npz"
-        before = _typed(["oee", "export", simulator, "--action-noise", f"{noise:g}", "--output", noisy]) + "\n"
-        simulator = noisy
-    words = ["oee", "plan", "--simulator", simulator, "--log", str(facts["log_name"])]
+    words = ["oee", "plan", "--simulator", str(facts["simulator_name"]), "--log", str(facts["log_name"])]
     for name, spec in facts["policy_names"].items():
         words += ["--policy", spec if name == spec else f"{name}={spec}"]
-    if report.horizon is not None:
-        words += ["--horizon", str(report.horizon)]
-    if "discount" in facts:
-        words += ["--discount", f"{facts['discount']:g}"]
-    return before + _typed([*words, "--transitions", str(n), "--output", "next.npy"])
-
-
-def _typed(words: list[str]) -> str:
-    """As typed in a shell."""
-    return shlex.join(words)
+    given = {"horizon": report.horizon, **{name: facts.get(name) for name in ("initial", "discount", "impossible")}}
+    given["action-noise"] = facts.get("action_noise") or None
+    for name, value in given.items():
+        words += [] if value is None else [f"--{name}", str(value)]
+    return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])

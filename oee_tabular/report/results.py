@@ -223,7 +223,7 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
-        plain: dict[str, Any] = _plain(
+        found: dict[str, Any] = plain(
             {
                 "version": __version__,
                 "unit": self.unit,
@@ -240,7 +240,7 @@ class Report:
                 "warnings": list(self.warnings),
             }
         )
-        return plain
+        return found
 
     def to_json(self) -> str:
         """``to_dict`` as JSON."""
@@ -341,11 +341,12 @@ def _aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
     ]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Without numpy's types, infinities and nan (None): what JSON holds."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

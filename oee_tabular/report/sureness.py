@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from oee_tabular import _printing
+from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
@@ -88,7 +88,10 @@ def how_sure(
     if lacking and not soft:
         distance.append(f"There are no likelihood intervals: {lacking}.")
     elif not soft:
-        intervals = {name: _intervals(problem, policy, confidence, guaranteed) for name, policy in policies.items()}
+        for i, (name, policy) in enumerate(policies.items()):
+            _progress.doing(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
+            intervals[name] = _intervals(problem, policy, confidence, guaranteed)
+    _progress.doing("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
     return Sureness(
