@@ -136,7 +136,9 @@ def moved(share: float) -> tuple[Finding, ...]:
 
 def outside(value: str, severity: float, by: str) -> Finding:
     """The estimator's own value is one that the log rules out."""
-    text = f"the estimator's own value, {value}, lies outside the interval that the log allows; {by} stands in its place."
+    text = (
+        f"the estimator's own value, {value}, lies outside the interval that the log allows; {by} stands in its place."
+    )
     return Finding("outside", severity, text)
 
 
