@@ -1,15 +1,17 @@
-"""Sphinx configuration of the site: the notebooks, executed, and every public name.
+"""Sphinx configuration of the site: the guide, the notebooks, executed, every command and every public name.
 
 python -m sphinx -W notebooks build/site
 """
 
 import importlib
-import re
+import subprocess
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 import dependencies
+import docstrings
+import subjects
 
 import oee_tabular
 
@@ -19,10 +21,14 @@ release = version = oee_tabular.__version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_nb"]
 root_doc = "index"
 exclude_patterns = ["results", "site"]
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
+myst_heading_anchors = 2
 html_theme = "pydata_sphinx_theme"
 html_title = "oee_tabular"
 html_show_sourcelink = False
-html_theme_options = {"show_prev_next": True, "navigation_depth": 2}
+html_context = {"default_mode": "auto"}
+html_theme_options = {"show_prev_next": True, "navigation_depth": 2, "header_links_before_dropdown": 4}
 nb_execution_mode = "cache"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
@@ -33,92 +39,58 @@ autodoc_typehints = "none"
 napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
-MODULES = (
-    "paper",
-    "mdp",
-    "data",
-    "exact",
-    "simulate",
-    "tasks",
-    "ratio",
-    "estimators",
-    "theory",
-    "inference",
-    "design",
-    "testing",
-    "report",
-    "plots",
-    "bench",
-)
-
-SECTIONS = {
-    "Parameters", "Returns", "Raises", "Notes", "Examples", "Attributes", "Yields", "Warns", "See Also", "References",
-}  # fmt: skip
-RULE = re.compile(r"^-{3,}$")
+napoleon_attr_annotations = False
 
 
 def plain_docstrings(app, what, name, obj, options, lines):
-    """Docstrings are plain text with formulas, not markup: what would be markup is escaped before napoleon reads it.
-
-    A section's entries and prose keep their lines; indented formulas become literal blocks.
-    """
-    out, example = [], False
-    for k, line in enumerate(lines):
-        stripped = line.strip()
-        if stripped in SECTIONS and k + 1 < len(lines) and RULE.match(lines[k + 1].strip()):
-            example = stripped == "Examples"
-            out.append(line)
-            continue
-        if RULE.match(stripped):
-            out.append(line)
-            continue
-        if stripped.startswith(">>>") or (example and stripped):
-            out.append(line)
-            continue
-        out.append(escaped(line))
-    lines[:] = out
-
-
-def escaped(line):
-    """The line with what is markup in reStructuredText escaped, outside ``code``."""
-    parts = re.split(r"(``[^`]+``)", line)
-    return "".join(
-        part if part.startswith("``") else re.sub(r"([\\*|`])|(?<=\w)_(?=\W|$)", lambda m: "\\" + m[0], part)
-        for part in parts
-    )
-
-
-def public_names():
-    """Module -> its public names: its ``__all__``."""
-    found = {}
-    for module in MODULES:
-        loaded = importlib.import_module(f"oee_tabular.{module}")
-        names = getattr(loaded, "__all__", None)
-        if names is None:
-            top = {name: getattr(getattr(oee_tabular, name), "__module__", "") for name in oee_tabular.__all__}
-            names = [name for name, origin in top.items() if origin.startswith(f"oee_tabular.{module}")]
-        found[module] = sorted(names)
-    return found
+    """Before napoleon reads them."""
+    lines[:] = docstrings.plain(lines)
 
 
 def write_api(app):
-    """A page for each module, from the names that it exports, and one of dependencies."""
+    """A page for each module, its names by subject, one of the commands and one of dependencies."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
-    for module, names in public_names().items():
+    for module, headings in subjects.SUBJECTS.items():
         title = f"oee_tabular.{module}"
         text = [title, "=" * len(title), "", f".. automodule:: {title}", "   :no-members:", ""]
-        for name in names:
-            value = getattr(importlib.import_module(title), name)
-            if isinstance(value, type):
-                text += [f".. autoclass:: {title}.{name}", "   :members:", ""]
-            elif callable(value):
-                text += [f".. autofunction:: {title}.{name}", ""]
-            else:
-                shown = repr(value) if len(repr(value)) < 300 else f"{type(value).__name__} of {len(value)}"
-                text += [f".. py:data:: {title}.{name}", "", f"   ``{shown}``", ""]
+        for heading, names in headings.items():
+            text += [heading, "-" * len(heading), "", *(line for name in names for line in directive(title, name))]
         write(folder / f"{module}.rst", "\n".join([*text, *short_names(module)]))
+    write(folder / "index.md", index())
+    write(folder / "commands.md", commands())
     write(folder / "dependencies.md", dependencies.page())
+
+
+def directive(module, name):
+    """What makes autodoc show a name."""
+    value = getattr(importlib.import_module(module), name)
+    if isinstance(value, type):
+        return [f".. autoclass:: {module}.{name}", "   :members:", ""]
+    if callable(value):
+        return [f".. autofunction:: {module}.{name}", ""]
+    shown = repr(value) if len(repr(value)) < 300 else f"{type(value).__name__} of {len(value)}"
+    return [f".. py:data:: {module}.{name}", "", f"   ``{shown}``", ""]
+
+
+def index():
+    """All public names on a page: by subject, each with its link."""
+    text = ["# Public names", "", "What `import oee_tabular` gives, by subject.", ""]
+    for module, headings in subjects.SUBJECTS.items():
+        first = importlib.import_module(f"oee_tabular.{module}").__doc__.split("\n\n")[0]
+        text += [f"## [{module}]({module}.rst)", "", " ".join(first.replace("``", "`").split()), ""]
+        for heading, names in headings.items():
+            links = ", ".join(f"{{any}}`{name} <oee_tabular.{module}.{name}>`" for name in names)
+            text += [f"- *{heading}*: {links}"]
+        text.append("")
+    return "\n".join([*text, "```{toctree}", ":hidden:", "", *subjects.SUBJECTS, "```", ""])
+
+
+def commands():
+    """The reference of the command, which typer makes from it."""
+    words = [sys.executable, "-m", "typer", "oee_tabular.cli.commands", "utils", "docs", "--name", "oee"]
+    made = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    return made.replace("# `oee`\n", "# The commands\n", 1)
 
 
 def short_names(module):
@@ -127,8 +99,8 @@ def short_names(module):
         return []
     from oee_tabular.estimators.names import NAMED
 
-    rows = [line for name, named in NAMED.items() for line in (f"``{name}``", f"    {escaped(named.meaning)}", "")]
-    return ["Short names", "-----------", "", *rows]
+    rows = ((f"``{name}``", f"    {docstrings.escaped(named.meaning)}", "") for name, named in NAMED.items())
+    return ["Short names", "-----------", "", *(line for row in rows for line in row)]
 
 
 def write(page, content):

@@ -27,6 +27,18 @@ def spec(lower: float, upper: float) -> str:
     return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
 
 
+def share(part: float) -> str:
+    """A share of 1 in percent; what is not all of it, or not nothing, does not read so.
+
+    >>> share(0.99996), share(1.0), share(0.421), share(1e-6)
+    ('> 99.9%', '100.0%', '42.1%', '< 0.1%')
+    """
+    text = f"{part:.1%}"
+    if text == "100.0%" and part < 1.0 - 1e-12:
+        return "> 99.9%"
+    return "< 0.1%" if text == "0.0%" and part > 1e-12 else text
+
+
 def interval(lower: float, upper: float) -> str:
     """[lower, upper], as ``spec`` says."""
     form = spec(lower, upper)

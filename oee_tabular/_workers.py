@@ -15,7 +15,7 @@ def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise ImportError("--dask needs dask.distributed: pip install 'oee-tabular[dask]'") from error
+        raise ImportError("--dask needs dask.distributed; in a clone: pip install '.[dask]'") from error
     try:
         connect: Any = Client
         found = connect(address, timeout=seconds, set_as_default=True)

@@ -1,4 +1,4 @@
-"""The promises of the README, on input that the package did not make itself."""
+"""The promises of the pages, on input that the package did not make itself."""
 
 import json
 import subprocess

@@ -590,6 +590,6 @@ def test_an_extra_that_is_not_installed_is_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     for path, extra in ((tmp_path / "log.parquet", "parquet"), (tmp_path / "folder", "minari")):
-        with pytest.raises(ImportError, match=rf"is not installed: pip install 'oee-tabular\[{extra}\]'"):
+        with pytest.raises(ImportError, match=rf"is not installed; in a clone: pip install '.\[{extra}\]'"):
             LOG.save(path)
     assert list(tmp_path.iterdir()) == []

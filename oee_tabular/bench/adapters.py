@@ -9,8 +9,8 @@ libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium 1.0.0) and gym, which prints 
 typeguard below 3, which it does not ask for; the extra does. Their importance sampling is ours to rounding ("is", "pdis",
 "wis", "wpdis"): the tests compare them.
 
-    pip install 'oee-tabular[scope-rl]'         oee bench --estimators oee_tabular.bench.adapters:ScopeRL
-    pip install 'oee-tabular[offline-rl-ope]'   oee bench --estimators oee_tabular.bench.adapters:OfflineRLOPE
+    in a clone: pip install '.[scope-rl]'         oee bench --estimators oee_tabular.bench.adapters:ScopeRL
+    in a clone: pip install '.[offline-rl-ope]'   oee bench --estimators oee_tabular.bench.adapters:OfflineRLOPE
 
 References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement learning and off-policy evaluation,
 2023. [2] J. Spear, offline-rl-ope, https://pypi.org/project/offline-rl-ope.
@@ -101,7 +101,7 @@ class ScopeRL:
         try:
             from scope_rl.ope.discrete import basic_estimators
         except ImportError as error:
-            raise ImportError("ScopeRL needs scope-rl: pip install 'oee-tabular[scope-rl]'") from error
+            raise ImportError("ScopeRL needs scope-rl; in a clone: pip install '.[scope-rl]'") from error
         pi = check_policy(policy, problem.simulator)
         episodes = padded(problem, pi)
         q = action_values(problem.simulator, pi, horizon=problem.horizon)[episodes.state]
@@ -143,7 +143,7 @@ class OfflineRLOPE:
             import torch
             from offline_rl_ope.api import StandardEstimators
         except ImportError as error:
-            extra = "pip install 'oee-tabular[offline-rl-ope]'"
+            extra = "in a clone: pip install '.[offline-rl-ope]'"
             raise ImportError(f"OfflineRLOPE needs offline-rl-ope and typeguard below 3: {extra}") from error
         episodes = padded(problem, check_policy(policy, problem.simulator))
         taken = np.take_along_axis(episodes.policy, episodes.action[:, :, None], axis=2)[:, :, 0]

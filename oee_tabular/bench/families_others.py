@@ -12,7 +12,7 @@ from oee_tabular.bench.family import Family
 from oee_tabular.bench.making import Moves, binomial, poisson, shifted
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
-MISSING_ICU = "icu_sepsis is left out: it needs the package icu-sepsis (pip install 'oee-tabular[bench]')."
+MISSING_ICU = "icu_sepsis is left out: it needs the package icu-sepsis (in a clone: pip install '.[bench]')."
 PATIENTS, DEATH, SURVIVAL = 713, 713, 714  # states of the package: patients, then the two ends
 
 

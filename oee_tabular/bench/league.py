@@ -132,7 +132,7 @@ class League:
         failed = failures.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
         lines = ["# Estimators on families of environment shift", ""]
         lines += [f"`{command}`", ""] if command else []
-        lines += [pipe_table(self.league.set_index("estimator").T.reset_index(names="")), "", EXPLAINED, ""]
+        lines += [pipe_table(self.league.set_index("estimator").T.reset_index(names="measure")), "", EXPLAINED, ""]
         lines += ["![Share of cells by ratio](profile.png)", "", "![Ratio by family and size](heat.png)", ""]
         lines += ["## Without a value", "", pipe_table(failed), ""] if len(failed) else []
         if about:

@@ -8,7 +8,8 @@ from typing import Any
 
 import typer
 
-from oee_tabular.cli.commands import app
+from oee_tabular import _progress
+from oee_tabular.cli import commands
 
 
 def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -19,7 +20,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error of the user's is one line on stderr and exit code 2."""
     warnings.showwarning = _tell
     try:
-        app(arguments, standalone_mode=True)
+        with _progress.told():
+            commands.app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         typer.echo(f"oee: {_sentence(error)}", err=True)
         sys.exit(2)

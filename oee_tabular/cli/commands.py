@@ -1,4 +1,4 @@
-"""What each word after ``oee`` does, and its options."""
+"""What each word after ``oee`` does, and its options: values of policies, logs and files. Studies are in ``cli.studies``."""
 
 from __future__ import annotations
 
@@ -7,22 +7,47 @@ from typing import Annotated, Any
 
 import typer
 
+from oee_tabular.cli import studies
+from oee_tabular.cli.answers import answer
+from oee_tabular.cli.app import Grouped, app
 from oee_tabular.cli.inputs import (
     ESTIMATORS_HELP,
     FEATURES_HELP,
-    POLICY_HELP,
-    SIMULATOR_HELP,
     TIE_HELP,
-    described,
     embedded,
     from_files,
-    policies_of,
-    policy_of,
-    problem_of,
+    given_problem,
     recorded,
-    task_of,
     write_array,
 )
+from oee_tabular.cli.options import (
+    CONTINUOUS,
+    INPUT,
+    LOG_HELP,
+    OUTPUT,
+    VALUE,
+    Confidence,
+    Dask,
+    Discount,
+    Horizon,
+    Impossible,
+    Initial,
+    Jobs,
+    Log,
+    Noise,
+    Overwrite,
+    Policies,
+    Quick,
+    Rewards,
+    Seed,
+    Simulator,
+    SimulatorOption,
+    json_option,
+    option,
+)
+from oee_tabular.cli.policies import POLICY_HELP, policies_of, policy_of
+from oee_tabular.tasks.arguments import named_specs
+from oee_tabular.cli.simulators import SIMULATOR_HELP, task_of
 from oee_tabular.continuous.command import (
     CALIBRATION_HELP,
     EPISODES_HELP,
@@ -37,70 +62,53 @@ from oee_tabular.continuous.command import (
     settings_of,
 )
 
-app = typer.Typer(
-    help="What return will a policy get in the target, given a simulator and a log of the target?",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
-Simulator = Annotated[str, typer.Argument(help=SIMULATOR_HELP)]
-Discount = Annotated[float | None, typer.Option(help="Replaces the simulator's discount.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists (a Minari folder: never).")]
-Policies = Annotated[
-    list[str] | None, typer.Option(help=f"NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY_HELP}.")
-]
-Confidence = Annotated[float, typer.Option(help="Level of the intervals.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same bits.")]
-Jobs = Annotated[int, typer.Option(help="Processes on this machine; -1: one a core.")]
-Dask = Annotated[str | None, typer.Option(help="Address of a dask scheduler, to run the cells there.")]
+__all__ = ["app"]
 
 
-@app.command()
+@app.command(cls=Grouped, short_help="Value of policies in the target, with intervals.")
 def evaluate(
-    simulator: Annotated[str | None, typer.Option(help=SIMULATOR_HELP)] = None,
-    log: Annotated[
-        Path | None,
-        typer.Option(help="Log of the target: .npz (a log, or its counts), .csv, .parquet, Minari folder or id."),
-    ] = None,
+    simulator: Annotated[str | None, option(INPUT, f"{SIMULATOR_HELP}.", metavar="SIM")] = None,
+    log: Annotated[Path | None, option(INPUT, LOG_HELP, metavar="FILE")] = None,
     policy: Policies = None,
-    behavior: Annotated[str | None, typer.Option(help="Policy that recorded the log, as for --policy.")] = None,
-    target: Annotated[str | None, typer.Option(help="The true target, as for --simulator, to show errors.")] = None,
-    horizon: Annotated[
-        int | None,
-        typer.Option(help="Number of rewards; none: the infinite discounted sum, or a continuous task's own."),
+    behavior: Annotated[
+        str | None, option(INPUT, "Policy that recorded the log, as for --policy.", metavar="SPEC")
     ] = None,
+    target: Annotated[
+        str | None, option(INPUT, "The true target, as for --simulator, to show errors.", metavar="SIM")
+    ] = None,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    features: Annotated[Path | None, option(INPUT, FEATURES_HELP, metavar="FILE")] = None,
+    tie: Annotated[Path | None, option(INPUT, TIE_HELP, metavar="FILE")] = None,
+    horizon: Horizon = None,
     discount: Discount = None,
     normalized: Annotated[
-        bool | None, typer.Option("--normalized/--raw", help="Multiply values by (1 - discount).", show_default=False)
+        bool | None, option(VALUE, "Multiply values by (1 - discount).", "--normalized/--raw", show_default=False)
     ] = None,
-    estimators: Annotated[str | None, typer.Option(help=f"Comma-separated: {ESTIMATORS_HELP}.")] = None,
-    features: Annotated[Path | None, typer.Option(help=FEATURES_HELP)] = None,
-    tie: Annotated[Path | None, typer.Option(help=TIE_HELP)] = None,
-    rewards: Annotated[str, typer.Option(help="Rewards that model-based values pay: simulator or log.")] = "simulator",
-    action_noise: Annotated[
-        float, typer.Option(help="Use simulator.with_action_noise(EPSILON), where it is too deterministic for the log.")
-    ] = 0.0,
+    estimators: Annotated[str | None, option(VALUE, f"Comma-separated: {ESTIMATORS_HELP}.", metavar="NAME,...")] = None,
+    rewards: Rewards = "simulator",
     confidence: Confidence = 0.95,
     guaranteed: Annotated[
-        bool, typer.Option("--guaranteed", help="Give the intervals that hold at any sample size as well.")
+        bool, option(VALUE, "Give the intervals that hold at any sample size as well.", "--guaranteed")
     ] = False,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Leave likelihood intervals out, most of the time of large problems.")
-    ] = False,
-    grid: Annotated[str | None, typer.Option(help=GRID_HELP)] = None,
-    outside: Annotated[str | None, typer.Option(help=OUTSIDE_HELP)] = None,
-    strict: Annotated[bool, typer.Option("--strict", help=STRICT_HELP)] = False,
-    calibration: Annotated[str | None, typer.Option(help=CALIBRATION_HELP)] = None,
-    floor: Annotated[float | None, typer.Option(help=FLOOR_HELP)] = None,
-    simulations: Annotated[int | None, typer.Option(help=EPISODES_HELP)] = None,
+    quick: Quick = False,
     seed: Seed = 0,
-    output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
-    page: Annotated[
-        Path | None, typer.Option("--report", help="FILE.html: one self-contained page, for people who did not run it.")
+    output: Annotated[
+        Path | None, option(OUTPUT, "Folder for report.json, table.csv and values.png.", metavar="FOLDER")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
+    page: Annotated[
+        Path | None,
+        option(OUTPUT, "One self-contained page, for people who did not run it.", "--report", metavar="FILE.html"),
+    ] = None,
+    title: Annotated[str | None, option(OUTPUT, "Of the page that --report writes.", metavar="TEXT")] = None,
+    json: Annotated[bool, json_option("evaluate")] = False,
+    grid: Annotated[str | None, option(CONTINUOUS, GRID_HELP, metavar="NxM")] = None,
+    outside: Annotated[str | None, option(CONTINUOUS, OUTSIDE_HELP, metavar="WORD")] = None,
+    strict: Annotated[bool, option(CONTINUOUS, STRICT_HELP, "--strict")] = False,
+    calibration: Annotated[str | None, option(CONTINUOUS, CALIBRATION_HELP, metavar="WORD")] = None,
+    floor: Annotated[float | None, option(CONTINUOUS, FLOOR_HELP, metavar="SHARE")] = None,
+    simulations: Annotated[int | None, option(CONTINUOUS, EPISODES_HELP, metavar="N")] = None,
 ) -> None:
     """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
     from oee_tabular.report import check_output, check_page
@@ -109,14 +117,12 @@ def evaluate(
         check_output(output)
     if page is not None:
         check_page(page)
+    elif title is not None:
+        raise ValueError("--title needs --report FILE.html, whose title it is")
     options: dict[str, Any] = {
-        "horizon": horizon,
-        "discount": discount,
-        "rewards": rewards,
-        "action_noise": action_noise,
-        "features": features,
-        "tie": tie,
-    }
+        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "features": features,
+        "tie": tie, "initial": initial, "impossible": impossible,
+    }  # fmt: skip
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
     continuous = is_continuous(simulator)
@@ -132,32 +138,121 @@ def evaluate(
         report = from_states(simulator, log, policy, behavior, target, options, bool(normalized), common, settings)
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
-    typer.echo(report.to_json() if json else str(report))
+    answer("evaluate", str(report), report.to_dict() if json else {}, json)
     before = {
         *(() if output is None or not output.exists() else output.iterdir()),
         *([page] if page and page.exists() else ()),
     }
     written = [] if output is None else report.save(output)
     if page is not None:
-        report.to_html(page)
+        report.to_html(page, title=title)
         written.append(page)
     if written and not json:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
 
 
-@app.command()
+@app.command(cls=Grouped, short_help="Which of several policies is worth most, or that the log cannot say.")
+def compare(
+    simulator: SimulatorOption,
+    log: Log,
+    policy: Annotated[
+        list[str], option(INPUT, f"NAME=SPEC or SPEC, two or more; SPEC: {POLICY_HELP}.", metavar="NAME=SPEC")
+    ],
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    horizon: Horizon = None,
+    discount: Discount = None,
+    rewards: Rewards = "simulator",
+    confidence: Confidence = 0.95,
+    quick: Quick = False,
+    json: Annotated[bool, json_option("compare")] = False,
+) -> None:
+    """Which policy is worth most in the target: differences with their intervals, P(best), or that the log cannot say."""
+    from oee_tabular.report import contest
+
+    if is_continuous(simulator):
+        raise ValueError(
+            f"--simulator must have numbered states to compare policies; {simulator!r} is continuous: oee evaluate"
+        )
+    if len(named_specs(policy)) < 2:
+        raise ValueError(
+            f"--policy must be given twice or more, for there is nothing to compare; there is {policy[0]!r}"
+        )
+    options = {
+        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "initial": initial,
+        "impossible": impossible,
+    }  # fmt: skip
+    task, problem = given_problem(simulator, log, None, options)
+    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick)
+    warnings = [str(finding) for finding in problem.findings]
+    text = "\n".join([str(found), *(["", "Read before use:"] if warnings else []), *(f"  {text}" for text in warnings)])
+    answer("compare", text, found.to_dict() | {"warnings": warnings}, json)
+
+
+@app.command(cls=Grouped, short_help="What to record next.")
+def plan(
+    simulator: SimulatorOption,
+    log: Log,
+    transitions: Annotated[int, option(INPUT, "How many more transitions to record.", metavar="N")],
+    policy: Policies = None,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    free: Annotated[bool, option(INPUT, "Any (s, a) can be set up and recorded, not only episodes.", "--free")] = False,
+    horizon: Horizon = None,
+    discount: Discount = None,
+    confidence: Confidence = 0.95,
+    output: Annotated[
+        Path | None,
+        option(
+            OUTPUT,
+            "The behaviour policy to record with (--free: each (s, a)'s share): .npy.",
+            metavar="FILE",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Annotated[bool, json_option("plan")] = False,
+) -> None:
+    """What to record next: a behaviour policy, and the width of each value's interval before and after."""
+    from oee_tabular import _files, _progress
+    from oee_tabular.design import plan_data_collection
+
+    if output is not None:
+        _files.new_file(output, "--output", overwrite=overwrite)
+    options = {
+        "horizon": horizon, "discount": discount, "rewards": "simulator", "action_noise": action_noise, "initial": initial,
+        "impossible": impossible,
+    }  # fmt: skip
+    task, problem = given_problem(simulator, log, None, options)
+    policies = policies_of(policy, task)
+    _progress.doing(f"plan for {transitions} transitions")
+    sampling: Any = "free" if free else "behavior"
+    found = plan_data_collection(problem, policies, n=transitions, sampling=sampling, confidence=confidence)
+    if output is not None:
+        write_array(output, found.distribution if free else found.behavior_policy)
+    text = str(found)
+    if output is not None:
+        text += f"\n{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}"
+    answer("plan", text, found.to_dict() | {"file": None if output is None else str(output)}, json)
+
+
+@app.command(cls=Grouped, short_help="Record a log.")
 def sample(
     environment: Simulator,
-    output: Annotated[Path, typer.Option(help="The log: .npz, .csv, .parquet, or a new Minari folder.")],
-    policy: Annotated[str, typer.Option(help=POLICY_HELP)] = "uniform",
-    transitions: Annotated[int | None, typer.Option(help="How many transitions to record.")] = None,
-    episodes: Annotated[int | None, typer.Option(help="How many episodes to record.")] = None,
+    output: Annotated[Path, option(OUTPUT, "The log: .npz, .csv, .parquet, or a new Minari folder.", metavar="FILE")],
+    policy: Annotated[str, option(INPUT, f"{POLICY_HELP}.", metavar="SPEC")] = "uniform",
+    transitions: Annotated[int | None, option(INPUT, "How many transitions to record.", metavar="N")] = None,
+    episodes: Annotated[int | None, option(INPUT, "How many episodes to record.", metavar="N")] = None,
     horizon: Annotated[
-        int | None, typer.Option(help="Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.")
+        int | None,
+        option(INPUT, "Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.", metavar="T"),
     ] = None,
     discount: Discount = None,
+    initial: Initial = None,
     overwrite: Overwrite = False,
     seed: Seed = 0,
+    json: Annotated[bool, json_option("sample")] = False,
 ) -> None:
     """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
     if (transitions is None) == (episodes is None):
@@ -168,61 +263,87 @@ def sample(
     if is_continuous(environment):
         states = recorded_states(environment, policy, transitions, episodes, horizon, seed)
         states.save(output)
-        typer.echo(f"{output}: {states!r}")
-        return
-    log = recorded(environment, policy, transitions, episodes, horizon, discount, seed)
-    log.save(output)
-    typer.echo(f"{output}: {log.describe()}")
+        size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
+    else:
+        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed)
+        log.save(output)
+        size, number, text = len(log), log.n_episodes, f"{output}: {log.describe()}"
+    answer("sample", text, {"file": str(output), "transitions": size, "episodes": number}, json)
 
 
-@app.command()
+@app.command(cls=Grouped, short_help="Write a policy of a simulator to a file.")
 def policy(
     simulator: Simulator,
-    spec: Annotated[str, typer.Argument(help=POLICY_HELP)],
-    output: Annotated[Path, typer.Option(help="The policy: .npy, an (S, A) array.")],
+    spec: Annotated[str, typer.Argument(help=f"{POLICY_HELP}.", metavar="SPEC")],
+    output: Annotated[Path, option(OUTPUT, "The policy: .npy, an (S, A) array.", metavar="FILE")],
     discount: Discount = None,
+    json: Annotated[bool, json_option("policy")] = False,
 ) -> None:
     """Write a policy of a simulator to a file."""
     pi = policy_of(spec, task_of(simulator, discount), "policy")
     there = output.exists()
     write_array(output, pi)
-    typer.echo(f"{output}{' (replaced)' * there}: policy of {pi.shape[0]} states and {pi.shape[1]} actions")
+    text = f"{output}{' (replaced)' * there}: policy of {pi.shape[0]} states and {pi.shape[1]} actions"
+    answer("policy", text, {"file": str(output), "states": pi.shape[0], "actions": pi.shape[1]}, json)
 
 
-@app.command()
+@app.command(cls=Grouped, short_help="Write a simulator to a file.")
 def export(
     simulator: Simulator,
-    output: Annotated[Path, typer.Option(help="The FiniteMDP: .npz.")],
+    output: Annotated[Path, option(OUTPUT, "The FiniteMDP: .npz.", metavar="FILE")],
     discount: Discount = None,
-    action_noise: Annotated[float, typer.Option(help="As in evaluate.")] = 0.0,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    samples_per_pair: Annotated[
+        int | None,
+        option(
+            INPUT,
+            "Step an environment until each (s, a) that it met has so many samples; its frequencies.",
+            metavar="N",
+        ),
+    ] = None,
+    json: Annotated[bool, json_option("export")] = False,
 ) -> None:
     """Write a simulator to an .npz file; of a continuous task its finite MDP, with the cells and what they were made from."""
-    task = task_of(simulator, discount)
+    task = task_of(simulator, discount, initial, samples_per_pair)
     mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
-    saved = task.discretization if task.discretization is not None and not action_noise else mdp
+    own = task.discretization is not None and not action_noise and initial is None
+    saved = task.discretization if own else mdp
     there = output.exists()
     saved.save(output)
-    typer.echo(f"{output}{' (replaced)' * there}: {saved!r}")
+    facts = {
+        "states": mdp.n_states,
+        "actions": mdp.n_actions,
+        "transitions": mdp.transitions.nnz,
+        "discount": mdp.discount,
+    }
+    answer("export", f"{output}{' (replaced)' * there}: {saved!r}", {"file": str(output)} | facts, json)
 
 
-@app.command()
+@app.command(cls=Grouped, short_help="Count the moves of a log of any size.")
 def counts(
     log: Annotated[
-        list[str], typer.Argument(help="Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.")
+        list[str],
+        typer.Argument(
+            help="Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.", metavar="FILE..."
+        ),
     ],
-    output: Annotated[Path, typer.Option(help="The counts: .npz, for --log of evaluate and plan.")],
+    output: Annotated[Path, option(OUTPUT, "The counts: .npz, for --log of evaluate and plan.", metavar="FILE")],
     simulator: Annotated[
-        str | None, typer.Option(help="Whose states and actions there are; others are bad rows. As in evaluate.")
+        str | None,
+        option(INPUT, "Whose states and actions there are; others are bad rows. As in evaluate.", metavar="SIM"),
     ] = None,
     bad_rows: Annotated[
-        str, typer.Option(help="Rows that are none of a log: refuse the first, or drop and count them.")
+        str,
+        option(INPUT, "Rows that are none of a log: refuse the first, or drop and count them.", metavar="refuse|drop"),
     ] = "refuse",
     kept_moves: Annotated[
-        int, typer.Option(help="Moves of whole episodes to keep for importance sampling, drawn uniformly.")
+        int, option(INPUT, "Moves of whole episodes to keep for importance sampling, drawn uniformly.", metavar="N")
     ] = 200_000,
     jobs: Jobs = 1,
     dask: Dask = None,
     overwrite: Overwrite = False,
+    json: Annotated[bool, json_option("counts")] = False,
 ) -> None:
     """Count the moves of a log of any size. A count that was stopped goes on where it was."""
     import sys
@@ -237,132 +358,25 @@ def counts(
         log, **limits, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
         progress=sys.stderr.isatty(),
     )  # fmt: skip
-    typer.echo(f"{output}: {found.describe()}")
-    for reason in found.recording.reasons:
-        typer.echo(f"dropped: {reason}")
+    reasons = found.recording.reasons
+    text = "\n".join([f"{output}: {found.describe()}", *(f"dropped: {reason}" for reason in reasons)])
+    answer("counts", text, {"file": str(output), "moves": found.summary()["transitions"], "dropped": reasons}, json)
 
 
-@app.command()
-def info(file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.")]) -> None:
+@app.command(cls=Grouped, short_help="Say what a file holds.")
+def info(
+    file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.", metavar="FILE")],
+    json: Annotated[bool, json_option("info")] = False,
+) -> None:
     """Say what a file holds."""
-    typer.echo(described(file))
+    from oee_tabular.cli.described import described
+
+    kind, text = described(file)
+    answer("info", text, {"file": file, "kind": kind, "text": text.split("\n")}, json)
 
 
-@app.command()
-def plan(
-    simulator: Annotated[str, typer.Option(help=SIMULATOR_HELP)],
-    log: Annotated[Path, typer.Option(help="Log of the target so far, as in evaluate.")],
-    transitions: Annotated[int, typer.Option(help="How many more transitions to record.")],
-    policy: Policies = None,
-    output: Annotated[
-        Path | None, typer.Option(help="The behaviour policy to record with (--free: each (s, a)'s share): .npy.")
-    ] = None,
-    free: Annotated[
-        bool, typer.Option("--free", help="Any (s, a) can be set up and recorded, not only episodes.")
-    ] = False,
-    horizon: Annotated[int | None, typer.Option(help="As in evaluate.")] = None,
-    discount: Discount = None,
-    confidence: Confidence = 0.95,
-    overwrite: Overwrite = False,
-) -> None:
-    """What to record next: a behaviour policy, and the width of each value's interval before and after."""
-    from oee_tabular import _files
-    from oee_tabular.design import plan_data_collection
-
-    if output is not None:
-        _files.new_file(output, "--output", overwrite=overwrite)
-    task = task_of(simulator, discount)
-    problem = problem_of(task, log, horizon=horizon, behavior=None, rewards="simulator")
-    found = plan_data_collection(
-        problem,
-        policies_of(policy, task),
-        n=transitions,
-        sampling="free" if free else "behavior",
-        confidence=confidence,
-    )
-    typer.echo(str(found))
-    if output is not None:
-        write_array(output, found.distribution if free else found.behavior_policy)
-        typer.echo(f"{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}")
-
-
-@app.command()
-def reproduce(
-    experiments: Annotated[list[str] | None, typer.Argument(help="Ids or groups; --list shows them.")] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every experiment.")] = False,
-    show: Annotated[bool, typer.Option("--list", help="List the experiments and stop.")] = False,
-    smoke: Annotated[bool, typer.Option("--smoke", help="A small subset of each sweep, into OUTPUT/smoke.")] = False,
-    seeds: Annotated[
-        int | None, typer.Option(help="Repetitions of each cell, instead of the experiment's own.")
-    ] = None,
-    seed: Seed = 0,
-    jobs: Jobs = -1,
-    dask: Dask = None,
-    output: Annotated[
-        Path, typer.Option(help="Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.")
-    ] = Path("results"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Empty the experiments' folders first.")] = False,
-) -> None:
-    """The paper's figures, and more. An interrupted run goes on where it stopped."""
-    from oee_tabular.experiments.command import listing
-    from oee_tabular.experiments.command import reproduce as run
-
-    if show:
-        typer.echo(listing())
-        return
-    run(experiments or [], everything=everything, smoke=smoke, seeds=seeds, seed=seed, jobs=jobs, dask=dask, output=output,
-        fresh=fresh, say=typer.echo)  # fmt: skip
-
-
-@app.command()
-def bench(
-    estimators: Annotated[
-        str, typer.Option(help=f"Comma-separated: evaluate (as printed), MODULE:OBJECT, {ESTIMATORS_HELP}.")
-    ] = "oee,model-based",
-    sizes: Annotated[
-        str | None, typer.Option(help="Moves per open row, comma-separated.", show_default="0.3,1,3,10,30")
-    ] = None,
-    seeds: Annotated[int, typer.Option(help="Logs of each family and size.")] = 40,
-    families: Annotated[
-        str | None, typer.Option(help="Names, comma-separated, or MODULE:FUNCTION of your own.", show_default="all")
-    ] = None,
-    seed: Seed = 0,
-    jobs: Jobs = -1,
-    dask: Dask = None,
-    output: Annotated[
-        Path, typer.Option(help="Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.")
-    ] = Path("results/bench"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Empty the folder first.")] = False,
-) -> None:
-    """Measure estimators on families of environment shift where the truth is exact. An interrupted run goes on."""
-    from oee_tabular.bench.command import bench as run
-
-    run(estimators=estimators, sizes=sizes, seeds=seeds, seed=seed, families=families, jobs=jobs, dask=dask, output=output,
-        fresh=fresh, say=typer.echo)  # fmt: skip
-
-
-@app.command()
-def check(
-    estimator: Annotated[str, typer.Argument(help="MODULE:OBJECT, an estimator, or what makes one without arguments.")],
-    seed: Seed = 0,
-    repetitions: Annotated[
-        int, typer.Option(help="Logs of each statistical comparison, at least 3: with more, smaller biases are found.")
-    ] = 8,
-    timeout: Annotated[
-        float, typer.Option(help="Seconds that each law may take: an estimator that takes longer breaks it.")
-    ] = 60.0,
-) -> None:
-    """Check an estimator of yours against the laws of estimators; exit code 0 if those that it claims hold, else 1.
-
-    It runs in a process of its own. Where the exit code is 0, the last line is "all laws hold".
-    """
-    from oee_tabular.testing.command import check as run
-
-    verdicts = run(estimator, seed=seed, repetitions=repetitions, timeout=timeout)
-    typer.echo(str(verdicts))
-    if not verdicts.passed:
-        raise typer.Exit(1)
-    typer.echo("all laws hold")
+for study in (studies.reproduce, studies.bench, studies.check):
+    app.command(cls=Grouped, short_help=studies.SHORT[study.__name__])(study)
 
 
 def _version(asked: bool) -> None:

@@ -1,31 +1,22 @@
-"""What the command's words mean: tasks, policies, logs and problems from specifications and files."""
+"""What the command's words mean: logs and problems from specifications and files."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from oee_tabular import _files
+from oee_tabular.cli.policies import policies_of, policy_of
+from oee_tabular.tasks.arguments import named_specs
+from oee_tabular.cli.simulators import task_of
 from oee_tabular.estimators.names import names
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
-    from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.data import TransitionCounts, Transitions
     from oee_tabular.estimators import Problem
     from oee_tabular.mdp import FiniteMDP
     from oee_tabular.report import Report
     from oee_tabular.tasks import NamedTask
-
-SIMULATOR_HELP = (
-    "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
-    "an .npz of a FiniteMDP | a continuous task, cartpole:gravity=10"
-)
-POLICY_HELP = (
-    ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
-    "are the simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, "
-    "and arrays of its cells"
-)
 
 _ENTRIES = (
     "file of the simulator's transitions, .csv (columns state, action, next_state, ...) or .npy (S, A, S) or (entries,)"
@@ -33,43 +24,6 @@ _ENTRIES = (
 FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
 TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."
 ESTIMATORS_HELP = f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))}"
-
-
-def task_of(spec: str, discount: float | None) -> NamedTask:
-    """The task that ``spec`` names."""
-    from oee_tabular.tasks import named_task
-
-    return named_task(spec, discount=discount)
-
-
-def policy_of(spec: str, task: NamedTask, name: str) -> Array:
-    """The policy that ``spec`` names, in the MDP of ``task``."""
-    from oee_tabular.exact import optimal_policy
-    from oee_tabular.mdp import check_policy, mix, uniform_policy
-    from oee_tabular.mdp.policies import policy_array
-
-    if spec == "uniform":
-        return uniform_policy(task.mdp)
-    if spec == "optimal":
-        return optimal_policy(task.mdp)
-    if spec == "expert":
-        return check_policy(task.expert(), task.mdp)
-    if spec.startswith("mix:"):
-        try:
-            weight = float(spec.removeprefix("mix:"))
-        except ValueError:
-            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
-        return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
-    if Path(spec).suffix.lower() not in (".npy", ".npz"):
-        raise ValueError(f"{name} must be uniform, optimal, expert, mix:WEIGHT, or a .npy or .npz file; got {spec!r}")
-    return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
-
-
-def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
-    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
-    from oee_tabular.tasks.arguments import named_specs
-
-    return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}
 
 
 def write_array(path: Path, array: Array) -> None:
@@ -89,15 +43,16 @@ def recorded(
     episodes: int | None,
     horizon: int | None,
     discount: float | None,
+    initial: str | None,
     seed: int,
 ) -> Transitions:
     """A log of the environment that ``spec`` names; Gymnasium's are stepped."""
     from oee_tabular.tasks import record_episodes
 
-    task = task_of(spec, discount)
+    task = task_of(spec, discount, initial)
     pi = policy_of(policy, task, "policy")
     steps = 1000 if horizon is None else horizon
-    if task.environment is None:
+    if task.environment is None or initial is not None:  # which no environment's reset() takes
         return sampled(task.mdp, pi, transitions, episodes, steps, seed)
     env = task.environment()
     log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
@@ -121,17 +76,47 @@ def sampled(
     return episodes_holding(mdp, pi, wanted, horizon, seed=seed).first(wanted)
 
 
-def problem_of(task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any) -> Problem:
-    """A problem from a task and the file of a log."""
+def problem_of(
+    task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any, impossible: str = "refuse"
+) -> Problem:
+    """A problem from a task and the file of a log; ``impossible``: refuse, drop or allow=EPS."""
+    from oee_tabular import _progress
     from oee_tabular.estimators import Problem
 
+    way, epsilon = impossible_of(impossible)
+    _progress.doing(f"reading the log {log}")
+    found, simulator = _log_of(log), task.mdp
     return Problem(
-        task.mdp,
-        _log_of(log),
+        simulator if epsilon is None else simulator.with_support_of(_moves(found, simulator), epsilon),
+        found,
         horizon=horizon,
         behavior_policy=None if behavior is None else policy_of(behavior, task, "--behavior"),
         rewards=rewards,
+        impossible=way,
     )
+
+
+def impossible_of(text: str) -> tuple[Literal["refuse", "drop"], float | None]:
+    """What ``--impossible`` says: refuse, drop, or the EPS of allow=EPS."""
+    if text == "refuse":
+        return "refuse", None
+    if text == "drop":
+        return "drop", None
+    word, _, number = text.partition("=")
+    try:
+        epsilon = float(number)
+    except ValueError:
+        epsilon = -1.0
+    if word != "allow" or not 0.0 < epsilon < 1.0:
+        raise ValueError(f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {text!r}")
+    return "refuse", epsilon
+
+
+def _moves(log: Transitions | TransitionCounts, simulator: FiniteMDP) -> Any:
+    """What ``with_support_of`` takes."""
+    from oee_tabular.data import Transitions
+
+    return log if isinstance(log, Transitions) else log.counts(simulator.n_states, simulator.n_actions)
 
 
 def _log_of(path: Path) -> Transitions | TransitionCounts:
@@ -140,6 +125,19 @@ def _log_of(path: Path) -> Transitions | TransitionCounts:
     from oee_tabular.data.streaming import holds_counts
 
     return TransitionCounts.load(path) if holds_counts(path) else Transitions.load(path)
+
+
+def given_problem(
+    simulator: str, log: Path, behavior: str | None, options: dict[str, Any]
+) -> tuple[NamedTask, Problem]:
+    """The task and the problem of the options that ``evaluate``, ``compare`` and ``plan`` share."""
+    from dataclasses import replace
+
+    task = task_of(simulator, options["discount"], options["initial"])
+    if options["action_noise"]:
+        task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
+    asked = {name: options[name] for name in ("horizon", "rewards", "impossible")}
+    return task, problem_of(task, log, behavior=behavior, **asked)
 
 
 def from_files(
@@ -158,13 +156,15 @@ def from_files(
     from oee_tabular.cli.entries import own_rows
     from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
+    from oee_tabular.report.inputs import date_of
 
-    task = task_of(simulator, options["discount"])
-    if options["action_noise"]:
-        task = replace(task, mdp=task.mdp.with_action_noise(options["action_noise"]))
-    problem = problem_of(task, log, horizon=options["horizon"], behavior=behavior, rewards=options["rewards"])
-    truth = None if target is None else task_of(target, task.mdp.discount).mdp
+    task, problem = given_problem(simulator, log, behavior, options)
+    truth = None if target is None else task_of(target, task.mdp.discount, options["initial"]).mdp
     facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
+    facts |= {name: options[name] for name in ("initial", "impossible") if options[name] not in (None, "refuse")}
+    specs = named_specs(policy or ["optimal"])
+    facts |= {"policy_names": specs, "date": date_of([simulator, log, *specs.values()])}
+    facts |= {} if options["discount"] is None else {"discount": options["discount"]}
     if options["action_noise"]:
         facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
     own, said = own_rows(options, task.mdp)
@@ -191,7 +191,13 @@ def embedded(
     from oee_tabular.report import evaluate as run
     from oee_tabular.tasks import named_task
 
-    given = {"behavior": behavior, "target": target, "action-noise": options["action_noise"]}
+    given = {
+        "behavior": behavior,
+        "target": target,
+        "action-noise": options["action_noise"],
+        "initial": options["initial"],
+    }
+    given |= {} if options["impossible"] == "refuse" else {"impossible": options["impossible"]}
     for name, value in (given | {name: options[name] for name in ("features", "tie")}).items():
         if value:
             raise ValueError(f"--{name} needs --simulator and --log")
@@ -206,68 +212,3 @@ def embedded(
         common = common | {"estimators": names.split(",")}
     scaled = True if normalized is None else normalized
     return run(default.problem, policies, target=default.target, normalized=scaled, **common)
-
-
-def described(file: str) -> str:
-    """What a file or data set holds."""
-    from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.log_files import holds_states
-    from oee_tabular.data import TransitionCounts, Transitions
-
-    path = Path(_files.local(file))
-    if path.is_dir() and (path / "report.json").is_file():
-        path = path / "report.json"
-    if path.suffix.lower() == ".json":
-        from oee_tabular.report.files import summary
-
-        return summary(path)
-    if holds_states(file):
-        return _states(ContinuousTransitions.load(file))
-    if path.suffix.lower() not in (".npz", ".npy"):
-        return repr(Transitions.load(file))
-    arrays = _files.read_npz(file)
-    kind = _files.npz_kind(arrays)
-    if kind == "finite_mdp":
-        return _mdp(file, arrays)
-    if kind == "transitions":
-        return repr(Transitions.load(file))
-    if kind == "transition_counts":
-        return _counted(TransitionCounts.load(file))
-    return "\n".join(_array(name, array) for name, array in arrays.items())
-
-
-def _states(log: ContinuousTransitions) -> str:
-    lines = [repr(log)]
-    for name in ("state", "next_state"):
-        values: Array = getattr(log, name)
-        ranges = zip(values.min(axis=0), values.max(axis=0), strict=True)
-        lines.append(f"{name}: " + ", ".join(f"_{k} {low:.4g} to {high:.4g}" for k, (low, high) in enumerate(ranges)))
-    if log.behavior_probability is not None:
-        lines.append("with behaviour probabilities")
-    return "\n".join(lines)
-
-
-def _counted(log: TransitionCounts) -> str:
-    return "\n".join([repr(log), *(f"dropped: {reason}" for reason in log.recording.reasons)])
-
-
-def _mdp(file: str, arrays: dict[str, Any]) -> str:
-    import json
-
-    from oee_tabular.mdp import FiniteMDP
-
-    mdp = FiniteMDP.load(file)
-    over = int(mdp.absorbing().sum())
-    text = f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to {mdp.rewards.max():g}, "
-    text += f"{over} state{'s' * (over != 1)} in which an episode is over"
-    if "metadata" in arrays:
-        with _files.parts_of(file, "a Discretization"):
-            facts = dict(json.loads(str(arrays["metadata"])))
-        text += "\nmade from a continuous task: " + ", ".join(f"{name} {value}" for name, value in facts.items())
-    return text
-
-
-def _array(name: str, array: Any) -> str:
-    policy_like = array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
-    what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if policy_like else "array"
-    return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"

@@ -70,7 +70,8 @@ def from_states(
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
 
-    for name, plain in (("rewards", "simulator"), ("action_noise", 0.0)):
+    plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None}
+    for name, plain in plains.items():
         if options[name] != plain:
             raise ValueError(
                 f"--{name.replace('_', '-')} must be left out for a continuous task; it is {options[name]}"

@@ -19,7 +19,7 @@ SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 def require_module(module: str, extra: str) -> None:
     """ImportError that names the extra where a module is missing."""
     if importlib.util.find_spec(module) is None:
-        raise ImportError(f"{module} is not installed: pip install 'oee-tabular[{extra}]'")
+        raise ImportError(f"{module} is not installed; in a clone: pip install '.[{extra}]'")
 
 
 def csv_frame(path: str, known: Callable[[str], bool] | None = None) -> Any:

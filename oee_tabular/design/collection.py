@@ -25,9 +25,10 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
+from oee_tabular.design.advice import next_pairs
 from oee_tabular.design.costs import row_costs
 from oee_tabular.design.flow import certify, collection_mdp, flow_design, policy_of
-from oee_tabular.design.plan import Outlook, Plan, greedy_pairs
+from oee_tabular.design.plan import Outlook, Plan
 from oee_tabular.design.programs import Design, evaluate, fill, free_design
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
@@ -148,13 +149,12 @@ def plan_data_collection(
     base, costs = counts / number, found.table / number
     matters = np.flatnonzero(costs.max(axis=1) > 0.0)
     after, least, free = (np.zeros(len(pis)) for _ in range(3))
-    blend, status = np.zeros_like(base), "ok"
+    status = "ok"
     if matters.size:
         reached = [list(pis.values())[k] for k in matters]
         design, least[matters] = _solve(costs[matters], base, collection, reached, solver)
         after[matters] = evaluate(costs[matters], base, design.q)
         free[matters] = _free(costs[matters], base)
-        blend = design.weights @ (costs[matters] / least[matters, None])
         if design.gap > LARGEST_GAP:
             status = f"not finished: another plan may be better by up to {design.gap:.1%} of the variance"
     else:
@@ -177,7 +177,7 @@ def plan_data_collection(
             for k, name in enumerate(pis)
         ),
         gap=design.gap,
-        next_pairs=greedy_pairs(blend, counts, shape[1], min(number, 10)),
+        next_pairs=next_pairs(found.table, counts, shape[1], min(number, 10), level),
         counts=counts.reshape(shape),
         costs={name: c.reshape(shape) for name, c in zip(pis, found.table, strict=True)},
         optimistic=found.optimistic.reshape(shape),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.design.advice import sentence
 from oee_tabular.design.programs import evaluate
-from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.mdp.naming import NAMELESS, Names, worded
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,8 @@ class Plan:
     behavior_policy : (S, A): distribution / sum over actions, uniform in states that it never visits
     policies : an Outlook for each policy
     gap : certificate: by how much of itself the criterion (the largest relative inefficiency) could at most be smaller
-    next_pairs : the best next single (s, a), one after another (at most 10): the largest c_x / (n_x (n_x + 1)), the fall of
-        c_x / n_x; those without data first, the costliest of them first. c_x is the policies' mean, weighted by the
-        multipliers of the worst case
+    next_pairs : the best next single (s, a), one after another (at most 10): what takes most off the widths 2 z se of the
+        policies' intervals, summed: z c_x / (n_x (n_x + 1)) / se; of a pair never recorded 2 z sqrt(c_x)
     counts : (S, A) the log's
     costs : name -> (S, A) c_x, squared units of J
     optimistic : (S, A) where c_x is the largest plausible variance, the model having none
@@ -141,6 +142,38 @@ class Plan:
         whole[order] += 1.0
         return whole.reshape(self.distribution.shape).astype(np.int64)
 
+    @property
+    def advice(self) -> str:
+        """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
+        costs = np.array(list(self.costs.values()))
+        return sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``str`` says, as plain values; states and actions by name where there are names."""
+        called = {"state": self.names.states, "action": self.names.actions}
+
+        def pair(s: int, a: int) -> dict[str, Any]:
+            numbers = {"state": int(s), "action": int(a)}
+            return {key: k if called[key] is None else worded(called[key], k) for key, k in numbers.items()}
+
+        top = [
+            divmod(int(k), self.distribution.shape[1])
+            for k in np.argsort(-self.distribution.reshape(-1), kind="stable")
+        ]
+        return {
+            "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,
+            "policies": [
+                {
+                    "policy": o.name, "standard_error": list(o.standard_error), "width": list(o.width),
+                    "inefficiency": o.inefficiency, "free_inefficiency": o.free_inefficiency,
+                }
+                for o in self.policies
+            ],
+            "most": [pair(s, a) | {"share": float(self.distribution[s, a])} for s, a in top[:5]],
+            "advice": self.advice,
+            "next": [pair(s, a) for s, a in self.next_pairs],
+        }  # fmt: skip
+
     def after(self, m: int) -> dict[str, Outlook]:
         """The outlook after m more transitions, instead of n, of the same distribution.
 
@@ -186,11 +219,10 @@ class Plan:
         lines.append(
             "most of it: " + ", ".join(f"{self.names.pair(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in top)
         )
-        if self.next_pairs:
-            lines.append(
-                "next (s, a), one move each: "
-                + ", ".join(f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs)
-            )
+        lines.append(self.advice)
+        if len(self.next_pairs) > 1:
+            then = ", ".join(f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs[1:])
+            lines.append(f"then, one move each (s, a): {then}")
         if self.unvisited:
             lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
         if self.optimistic.any():
@@ -216,16 +248,3 @@ class Plan:
             header, rows, caption=f"Plan for {self.n} transitions; values: {_printing.SUM}",
             below=str(self).split("\n")[2 + len(rows) :],
         )  # fmt: skip
-
-
-def greedy_pairs(cost: Array, counts: Array, n_actions: int, number: int) -> tuple[tuple[int, int], ...]:
-    """The first ``number`` rows, as (s, a), of the greedy design that adds one observation at a time; none that costs 0."""
-    n = np.array(counts)
-    chosen = []
-    for _ in range(number if np.any(cost > 0.0) else 0):
-        empty = (n == 0) & (cost > 0.0)
-        fall = np.where(empty, cost, 0.0) if empty.any() else cost / np.maximum(n * (n + 1.0), 1.0)
-        row = int(np.argmax(fall))
-        n[row] += 1.0
-        chosen.append(divmod(row, n_actions))
-    return tuple(chosen)

@@ -33,6 +33,7 @@ class Basis:
     log : False of what the simulator alone says
     episodes : whether the log's own episodes and rewards are averaged
     corrected : whether the simulator is corrected by the log before anything is cut into cells: such a value is said first
+    weightless : whether every weight of the log's episodes is 0: none of them bears on the policy
 
     Examples
     --------
@@ -52,6 +53,7 @@ class Basis:
     log: bool = True
     episodes: bool = False
     corrected: bool = False
+    weightless: bool = False
 
 
 EPISODES = Basis(episodes=True)

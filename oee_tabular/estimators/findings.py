@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from oee_tabular._checks import Array
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -134,8 +136,10 @@ def moved(share: float) -> tuple[Finding, ...]:
 
 def outside(value: str, severity: float, by: str) -> Finding:
     """The estimator's own value is one that the log rules out."""
-    text = f"the estimator's own value, {{}}, lies outside the interval that the log allows; {by} stands in its place."
-    return Finding("outside", severity, text, value)
+    text = (
+        f"the estimator's own value, {value}, lies outside the interval that the log allows; {by} stands in its place."
+    )
+    return Finding("outside", severity, text)
 
 
 def uncovered(share: float, largest: float, nats: float) -> tuple[Finding, ...]:
@@ -181,6 +185,19 @@ def rows_dropped(rows: int, reasons: tuple[str, ...]) -> tuple[Finding, ...]:
     if not rows:
         return ()
     return (Finding("dropped", 0.0, f"{rows} bad rows of the log were not counted: {'; '.join(reasons)}."),)
+
+
+def moves_dropped(dropped: Array, kept: float) -> tuple[Finding, ...]:
+    """Moves that the simulator calls impossible, left out: ``dropped`` of each (s, a), beside ``kept`` in all."""
+    number, pairs = float(dropped.sum()), int((dropped > 0).sum())
+    if not number:
+        return ()
+    text = (
+        f"{number:g} of the log's {number + kept:g} moves, of {pairs} pairs of a state and an action, are impossible in the "
+        "simulator and left out of every model. Likelihood intervals have such moves lead anywhere; other standard errors "
+        "and intervals know nothing of them."
+    )
+    return (Finding("impossible", 1.0, text),)
 
 
 def episodes_sampled(kept: int, of: int) -> tuple[Finding, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -105,7 +105,8 @@ class ImportanceSampling(ExactLimit):
         status = weight_status(value)
         if self.self_normalized and effective < 2.0:
             error = None  # one episode decides: its value has no spread to show
-        if not last.any():
+        weightless = not last.any()
+        if weightless:
             error = None
             status = "the weight of every whole episode is 0: none of the log is one that the policy could have made"
         return Estimate(
@@ -122,13 +123,15 @@ class ImportanceSampling(ExactLimit):
                 "foreign_starts_share": foreign,
             },
             status=status,
-            findings=(
+            findings=()  # the status says it all
+            if weightless
+            else (
                 *findings.varied(error),
                 *findings.weights(effective, n, "episodes"),
                 *findings.truncated(cut_off, n, bound, value, error),
                 *findings.foreign_starts(foreign),
             ),
-            basis=EPISODES,
+            basis=replace(EPISODES, weightless=weightless),
         )
 
     @property

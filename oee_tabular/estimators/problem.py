@@ -19,6 +19,7 @@ from oee_tabular.estimators.findings import (
     Finding,
     behavior_contradicts,
     episodes_sampled,
+    moves_dropped,
     rewards_contradict,
     rows_dropped,
 )
@@ -27,7 +28,7 @@ from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
-from oee_tabular.ratio.support import checked_counts
+from oee_tabular.ratio.support import checked_counts, without_impossible
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,16 @@ class Problem:
         Counts of the target's moves in place of the log's, for the estimators that use counts (``Discretization.counts``
         gives soft ones). Importance sampling and the paper's ratio of ratios keep using the log. Tests and intervals, which
         need whole and independent moves, are for whole counts.
+    impossible : "refuse" | "drop"
+        Moves of the log to which the simulator gives probability 0: an error, or left out of ``counts``. Then nothing is said
+        of where they led: likelihood intervals have them lead anywhere (``inference.strays``).
 
     Attributes
     ----------
     log : with terminated transitions led to the simulator's terminal states
     model : the simulator with the rewards that model-based values are to pay
-    counts : csr (S*A, S) of the log's moves, or the given ones
+    counts : csr (S*A, S) of the log's moves, or the given ones, without those that were dropped
+    dropped : (S*A,) how many were, of each (s, a)
     observed : what a ratio is fitted to: the log, or the counts where they were given
     soft : whether the counts are no whole numbers
     recorded : what has whole episodes, if anything has: ``episodes``, the log, or the sample beside its counts
@@ -106,6 +111,7 @@ class Problem:
     rewards: Literal["simulator", "log"] = "simulator"
     episodes: Transitions | None = None
     _counts: Any = None  # as given; the name ``counts`` is that of what is used
+    impossible: Literal["refuse", "drop"] = "refuse"
 
     def __init__(
         self,
@@ -118,19 +124,23 @@ class Problem:
         episodes: Transitions | None = None,
         counts: Any = None,
         *,
+        impossible: Literal["refuse", "drop"] = "refuse",
         _counts: Any = None,  # dataclasses.replace passes fields on
     ) -> None:
         given = {"simulator": simulator, "log": log, "horizon": horizon, "behavior_policy": behavior_policy,
                  "simulator_data": simulator_data, "rewards": rewards, "episodes": episodes,
-                 "_counts": _counts if counts is None else counts}  # fmt: skip
+                 "_counts": _counts if counts is None else counts, "impossible": impossible}  # fmt: skip
         for name, value in given.items():
             object.__setattr__(self, name, value)
         self._check()
 
     def _check(self) -> None:
         _checks.instance(self.simulator, FiniteMDP, "simulator")
+        _checks.one_of(self.impossible, "impossible", ("refuse", "drop"))
+        drop = self.impossible == "drop"
         if sparse.issparse(self.log):
-            moves = _supported(checked_counts(self.log, self.simulator), self.simulator)
+            moves = checked_counts(self.log, self.simulator)
+            moves = moves if drop else _supported(moves, self.simulator)
             object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
         for name in ("log", "episodes"):
             given = getattr(self, name)
@@ -156,9 +166,11 @@ class Problem:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
         if self._counts is not None:
             matrix = checked_counts(self._counts, self.simulator)
-            object.__setattr__(self, "_counts", _supported(matrix, self.simulator))
-        else:
+            object.__setattr__(self, "_counts", matrix if drop else _supported(matrix, self.simulator))
+        elif not drop:
             refuse_unsupported(self.counts, self.simulator)
+        if drop and self.counts.nnz == 0:
+            raise ValueError("log must have a move that the simulator allows; none is left where impossible is 'drop'")
 
     def __repr__(self) -> str:
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
@@ -178,16 +190,28 @@ class Problem:
 
     @cached_property
     def counts(self) -> sparse.csr_array:
-        """(S*A, S) counts of the log's moves, or those that were given."""
-        if self._counts is not None:
-            found: sparse.csr_array = self._counts
-            return found
-        return self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+        """(S*A, S) counts of the log's moves, or those that were given, without those that were dropped."""
+        return self._parted[0]
+
+    @property
+    def dropped(self) -> Array:
+        """(S*A,) how many moves of each (s, a) were left out as impossible in the simulator."""
+        return self._parted[1]
+
+    @cached_property
+    def _parted(self) -> tuple[sparse.csr_array, Array]:
+        found = self._counts
+        if found is None:
+            found = self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+        if self.impossible == "refuse":
+            return found, np.zeros(found.shape[0])
+        return without_impossible(found, self.simulator)
 
     @property
     def observed(self) -> Transitions | sparse.csr_array:
         """What a ratio is fitted to: the log, or the counts where they were given."""
-        return self.log if self._counts is None and isinstance(self.log, Transitions) else self.counts
+        whole = self._counts is None and isinstance(self.log, Transitions) and not self.dropped.any()
+        return self.log if whole else self.counts
 
     @cached_property
     def soft(self) -> bool:
@@ -228,6 +252,7 @@ class Problem:
             *(() if conflict is None else (rewards_contradict(conflict, log_pays=self.rewards == "log"),)),
             *behavior_contradicts(self.behavior_conflict),
             *_of_counted(self.log),
+            *moves_dropped(self.dropped, float(self.counts.sum())),
             *((NO_HORIZON,) if endless else ()),
         )
 

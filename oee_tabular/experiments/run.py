@@ -76,7 +76,7 @@ def require_modules(experiment: Experiment) -> None:
         extra = ", ".join(missing)
         raise ImportError(
             f"{experiment.id} needs {extra}, which is not installed: "
-            f"pip install 'oee-tabular[{experiment.extra or missing[0]}]'"
+            f"in a clone: pip install '.[{experiment.extra or missing[0]}]'"
         )
 
 

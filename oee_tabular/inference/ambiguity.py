@@ -55,14 +55,21 @@ def gather(
     problem: Problem, policy: PolicyLike, lower_ratio: float | None = None, upper_ratio: float | None = None
 ) -> Evidence:
     """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
-    model = problem.model
+    return evidence_of(problem.model, problem.counts, problem.horizon, policy, lower_ratio, upper_ratio)
+
+
+def evidence_of(
+    model: FiniteMDP, counts: sparse.csr_array, horizon: int | None, policy: Any, lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+) -> Evidence:  # fmt: skip
+    """The same of a model and counts on its support."""
     pi = check_policy(policy, model)
     low = 0.0 if lower_ratio is None else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
     high = np.inf if upper_ratio is None else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
     matrix = model.transitions
     indptr = matrix.indptr.astype(np.int64)
     rows = row_of_entry(matrix)
-    observed, _ = align(problem.counts, matrix)
+    observed, _ = align(counts, matrix)
     n = np.add.reduceat(observed, indptr[:-1])
     probability = matrix.data / np.add.reduceat(matrix.data, indptr[:-1])[rows]
     phat = np.where(n[rows] > 0, observed / np.maximum(n[rows], 1.0), probability)
@@ -70,7 +77,7 @@ def gather(
     return Evidence(
         model,
         pi,
-        problem.horizon,
+        horizon,
         indptr,
         phat,
         n,

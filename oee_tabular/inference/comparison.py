@@ -21,6 +21,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
+from oee_tabular.inference.strays import stray_share, stray_swing
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Comparison:
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
     unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
-        the log has never seen
+        the log has never seen, or in moves that were dropped
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -126,6 +127,9 @@ def compare_policies(
 
     Notes
     -----
+    Impossible moves that a Problem dropped widen each difference by the most that they can change either value; P(best) knows
+    nothing of them.
+
     The values take rows without data to be the simulator's. Where a policy spends much of its time in such rows
     (``unseen_share``), a target that differs there in one direction can move it by more than the variance tells.
 
@@ -166,23 +170,36 @@ def compare_policies(
     best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
-    unseen = np.array([share / max(alive, 1e-300) for share, alive in (unseen_time(evidences[i]) for i in order)])
+    unseen = np.array([_unknown_time(problem, evidences[i]) for i in order])
     variance = np.diag(covariance)
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
     z = float(stats.norm.ppf(0.5 + level / 2.0))
+    down, up = np.array([stray_swing(problem, evidences[i]) for i in order]).T
     return Comparison(
         tuple(names[i] for i in order),
         values,
         np.sqrt(np.maximum(variance, 0.0)),
         difference,
-        difference - z * spread,
-        difference + z * spread,
+        difference - z * spread - _apart(down, up),
+        difference + z * spread + _apart(up, down),
         best,
         covariance,
         unseen,
         level,
     )
+
+
+def _unknown_time(problem: Problem, evidence: Evidence) -> float:
+    share, alive = unseen_time(evidence)
+    return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
+
+
+def _apart(one: Array, other: Array) -> Array:
+    """(k, k) by how much dropped moves may change a difference: that of the row's policy and that of the column's, at worst."""
+    both = one[:, None] + other[None, :]
+    np.fill_diagonal(both, 0.0)
+    return np.asarray(both)
 
 
 def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:

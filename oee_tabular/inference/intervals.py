@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +16,8 @@ from oee_tabular.estimators import Problem
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.likelihood import profile_end
-from oee_tabular.inference.robust import contradicted_rows, describe_rows, extreme_value, radii
+from oee_tabular.inference.robust import Extreme, contradicted_rows, describe_rows, extreme_value, radii
+from oee_tabular.inference.strays import Found, stray_end, stray_share
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -30,7 +33,8 @@ class Interval:
     confidence : the level asked for; at least that for "robust", asymptotically for the others
     method : "likelihood", "delta", "bootstrap" or "robust"
     diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
-        that the policy reaches, and what the method adds
+        that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
+        the share of the policy's time that they may have been (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
 
     Examples
@@ -122,6 +126,8 @@ def interval(
     Cost: likelihood some tens of linear solves and passes over the rows that the policy takes (10 000 states in a second);
     robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
     likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
+    Impossible moves that a Problem dropped are taken to have led anywhere, each end where that is most extreme
+    (``inference.strays``): "likelihood" and "robust" alone.
 
     Examples
     --------
@@ -141,8 +147,23 @@ def interval(
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
+    strayed = bool(problem.dropped.any())
+    if strayed and method not in ("likelihood", "robust"):
+        raise ValueError(
+            f"method must be 'likelihood' or 'robust' where impossible moves were dropped; it is {method!r}"
+        )
+    if strayed and evidence.has_box:
+        raise ValueError(
+            "lower_ratio and upper_ratio must be None where impossible moves were dropped: no box holds those"
+        )
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
     diagnostics = _coverage(evidence)
+    if strayed:
+        diagnostics |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": stray_share(problem, evidence)}
+
+    def reached(sign: float, end: Callable[[Evidence], Found]) -> Found:
+        return stray_end(problem, evidence, sign, end) if strayed else end(evidence)
+
     if evidence.has_box:
         wrong = contradicted_rows(evidence, level, kind)
         if wrong.size:
@@ -163,13 +184,13 @@ def interval(
             low, high = 2.0 * value - high, 2.0 * value - low
         return _sampled(low, high, float(values.std(ddof=1)), evidence, level, method, diagnostics)
     if method == "likelihood":
-        return _likeliest(evidence, level, diagnostics)
-    return _guaranteed(evidence, level, kind, ball, diagnostics)
+        return _likeliest(reached, level, diagnostics)
+    return _guaranteed(evidence, reached, level, kind, ball, diagnostics)
 
 
-def _likeliest(evidence: Evidence, level: float, diagnostics: dict[str, Any]) -> Interval:
+def _likeliest(reached: Reached[ProfileEnd], level: float, diagnostics: dict[str, Any]) -> Interval:
     """The ends of the profile likelihood."""
-    low, high = (profile_end(evidence, level, sign) for sign in (-1.0, 1.0))
+    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign)) for sign in (-1.0, 1.0))
     added = {
         "divergence": max(low.divergence, high.divergence),
         "iterations": max(low.iterations, high.iterations),
@@ -180,11 +201,19 @@ def _likeliest(evidence: Evidence, level: float, diagnostics: dict[str, Any]) ->
 
 
 def _guaranteed(
-    evidence: Evidence, level: float, kind: str, ball: Literal["kl", "l1"], diagnostics: dict[str, Any]
+    evidence: Evidence,
+    reached: Reached[Extreme],
+    level: float,
+    kind: str,
+    ball: Literal["kl", "l1"],
+    diagnostics: dict[str, Any],
 ) -> Interval:
     """The extremes over all rows' balls, certified."""
-    size = radii(evidence, level, kind, ball)
-    low_end, high_end = (extreme_value(evidence, size, sign, ball=ball) for sign in (-1.0, 1.0))
+
+    def extreme(found: Evidence, sign: float) -> Extreme:
+        return extreme_value(found, radii(found, level, kind, ball), sign, ball=ball)
+
+    low_end, high_end = (reached(sign, partial(extreme, sign=sign)) for sign in (-1.0, 1.0))
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
         return Interval(np.nan, np.nan, level, "robust", diagnostics, status)

@@ -231,6 +231,10 @@ class FiniteMDP(Made):
         """The same MDP with another discount."""
         return self._changed(discount=discount)
 
+    def with_initial(self, initial: Any) -> Self:
+        """The same MDP begun elsewhere: in a state, by number or name, or by a law in any of the constructor's forms."""
+        return self._changed(initial=initial)
+
     def with_layout(self, layout: ArrayLike | None) -> Self:
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
         return self._changed(layout=layout)

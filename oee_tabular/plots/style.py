@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
+
+from oee_tabular.estimators.names import NAMED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +48,23 @@ def series(k: int) -> dict[str, Any]:
 def marks(k: int) -> dict[str, Any]:
     """The k-th series as marks without a line."""
     return series(k) | {"linestyle": "none"}
+
+
+SOLID = ("simulator", "oee", "oee-product", "ratio-of-ratios", "model-based", "pdis", "wpdis", "oracle-product")
+
+
+def places(names: Sequence[str]) -> list[int]:
+    """The series of each name: an estimator that has a short name has its own everywhere, others take what is left, in order.
+
+    The first eight, which have colours of their own, are those that reports show by themselves.
+
+    >>> places(["model-based", "mine", "oee"]), places(["a", "b"])
+    ([4, 0, 1], [0, 1])
+    """
+    known = {name: k for k, name in enumerate(dict.fromkeys((*SOLID, *NAMED)))}
+    taken = {known[name] for name in names if name in known}
+    free = (k for k in itertools.count() if k not in taken)
+    return [known[name] if name in known else next(free) for name in names]
 
 
 def ink() -> str:

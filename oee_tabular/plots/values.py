@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.plots.style import COLORS, MARKERS, ink, literally, marks, shown
+from oee_tabular.plots.style import COLORS, ink, literally, marks, places, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,12 +37,14 @@ def plot_values(records: Sequence[Mapping[str, Any]], ax: Axes, *, unit: str = "
     """
     policies = list(dict.fromkeys(row["policy"] for row in records))
     estimators = list(dict.fromkeys(row["estimator"] for row in records))
+    looks = [marks(k) for k in places(estimators)]
     low, high = credible_span(records)
     handles: dict[str, Any] = {}
     for row in records:
         group, member = policies.index(row["policy"]), estimators.index(row["estimator"])
         x = group + 0.8 * ((member + 0.5) / len(estimators) - 0.5)
-        color, marker = COLORS[member % len(COLORS)], MARKERS[member % len(MARKERS)]
+        style = looks[member]
+        color, marker = style["color"], style["marker"]
         value = row["value"]
         if not math.isfinite(value) or not low <= value <= high:
             edge = low if math.isfinite(value) and value < low else high
@@ -57,7 +59,7 @@ def plot_values(records: Sequence[Mapping[str, Any]], ax: Axes, *, unit: str = "
         if row["lower"] is not None:
             middle, half = 0.5 * (row["lower"] + row["upper"]), 0.5 * (row["upper"] - row["lower"])
             ax.errorbar(x, middle, yerr=half, fmt="none", color=color, capsize=3)
-        handles.setdefault(row["estimator"], ax.plot(x, value, marker=marker, color=color, ls="none", ms=6)[0])
+        handles.setdefault(row["estimator"], ax.plot(x, value, ms=6, **style)[0])
     for group, policy in enumerate(policies):
         truth = next((row["true_value"] for row in records if row["policy"] == policy), None)
         if truth is not None:
@@ -139,8 +141,8 @@ def plot_intervals(
     left, right = _limits([centre, low, high], truth) if limits is None else limits
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
-    for k in range(len(names)):
-        style = marks(k)
+    for k, place in enumerate(places(names)):
+        style = marks(place)
         y = len(names) - 1 - k
         value = float(centre[k])
         if np.isfinite([low[k], high[k]]).all():

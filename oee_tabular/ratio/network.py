@@ -47,7 +47,7 @@ class Network:
     Raises
     ------
     ImportError
-        Where it is used without the extra: pip install 'oee-tabular[neural]'.
+        Where it is used without the extra; in a clone: pip install '.[neural]'.
     RuntimeError
         A training that diverges, with its iteration and its risk.
 

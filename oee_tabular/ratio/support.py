@@ -72,7 +72,10 @@ def _ways_out(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
     for a in range(n_actions):
         someone |= find(simulator.transitions, start * n_actions + a, to)[1]
     noise = "simulator.with_action_noise(epsilon) (--action-noise)"
-    allow = "simulator.with_support_of(log, epsilon) gives every such move some"
+    allow = (
+        "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives every such move some; "
+        'Problem(..., impossible="drop") (--impossible drop) leaves them out and has them lead anywhere'
+    )
     rest = "a mixture of simulator parameters, or states that tell such moves apart"
     if someone[bad].all():
         return f"Ways out: {noise}, {rest}. Or: {allow}"
@@ -121,6 +124,23 @@ def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sp
     rows = checked(moves, name)
     position, stored = find(matrix, row_of_entry(rows), rows.indices.astype(np.int64))
     return rows, stored & (matrix.data[position] >= LEAST_PROBABILITY)
+
+
+def without_impossible(counts: sparse.csr_array, simulator: FiniteMDP) -> tuple[sparse.csr_array, Array]:
+    """Canonical counts without the moves to which the simulator gives probability 0, and (S*A,) how many those were.
+
+    Examples
+    --------
+    >>> line = FiniteMDP([[[0.5, 0.5, 0]], [[0, 0, 1]], [[0, 0, 1]]], [1, 1, 0], 0, 0.9)
+    >>> kept, dropped = without_impossible(sparse.csr_array([[2, 1, 3], [0, 0, 1], [0, 0, 0]]), line)
+    >>> kept.toarray().tolist(), dropped.tolist()
+    ([[2.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], [3.0, 0.0, 0.0])
+    """
+    moves, possible = _possible(counts, simulator, "counts")
+    kept = sparse.csr_array((np.where(possible, moves.data, 0.0), moves.indices, moves.indptr), moves.shape)
+    rows = row_of_entry(moves)[~possible]
+    dropped = np.bincount(rows, moves.data[~possible], counts.shape[0]).astype(np.float64)
+    return canonical(kept, drop_zeros=True), dropped
 
 
 def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> sparse.csr_array:

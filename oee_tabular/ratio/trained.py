@@ -118,7 +118,7 @@ def _trainer() -> Any:
         from oee_tabular.ratio import _neural
     except ImportError:
         raise ImportError(
-            "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+            "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
         ) from None
     return _neural.train
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular.report.contest import Contest, contest
 from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.report import Report
@@ -13,7 +14,17 @@ from oee_tabular.report.results import Result
 if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
 
-__all__ = ["Report", "Result", "Settings", "check_output", "check_page", "evaluate", "evaluate_continuous"]
+__all__ = [
+    "Contest",
+    "Report",
+    "Result",
+    "Settings",
+    "check_output",
+    "check_page",
+    "contest",
+    "evaluate",
+    "evaluate_continuous",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -24,7 +24,8 @@ CALLED: Mapping[str, str] = {"robust": "guaranteed"}
 class Answer:
     """What to say first about one policy, in the report's unit; ``lower`` and ``upper`` are None where there is no interval.
 
-    ``from_log`` is False where it is what the simulator alone says.
+    ``unseen``: how many state-action pairs that it can reach were never recorded. ``from_log`` is False where it is what the
+    simulator alone says.
     """
 
     policy: str
@@ -36,6 +37,7 @@ class Answer:
     simulator: float | None
     truth: float | None
     coverage: float | None
+    unseen: int
     sentence: str
     from_log: bool
 
@@ -49,9 +51,9 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
 
 
-def within(value: float, lower: float | None, upper: float | None) -> str:
+def within(value: float | None, lower: float | None, upper: float | None) -> str:
     """A number to read, with as many digits as its interval has."""
-    if lower is None or upper is None or not math.isfinite(value):
+    if value is None or lower is None or upper is None or not math.isfinite(value):
         return number(value)
     return format(value, _printing.spec(lower, upper)).replace("-", "−")
 
@@ -74,11 +76,16 @@ def answers(report: Evaluation) -> list[Answer]:
         found.append(
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
-                alone, best["true_value"], best.get("coverage"), sentence(report.sureness.policies.get(policy, "")),
-                first.estimate.basis.log,
+                alone, best["true_value"], best.get("coverage"), _unseen(report, policy),
+                sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log,
             )
         )  # fmt: skip
     return found
+
+
+def _unseen(report: Report, policy: str) -> int:
+    sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
+    return 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
 
 
 def sentence(text: str) -> str:
@@ -91,30 +98,23 @@ def first_words(report: Evaluation, found: list[Answer]) -> tuple[str, str]:
     valued = [a for a in found if math.isfinite(a.value)]
     if not valued:
         return "No estimator could give the value of a policy in the target.", "The notes below say why."
-    best = max(valued, key=lambda answer: answer.value)
     if len(found) == 1:
-        return f"In the target, the policy “{best.policy}” is worth {_worth(best, report)}.", _known(best)
+        return f"In the target, the policy “{valued[0].policy}” is worth {_worth(valued[0], report)}.", ""
     worth = [f"“{a.policy}” is worth {_worth(a, report)}" for a in sorted(valued, key=lambda answer: -answer.value)]
-    more = f" {len(worth) - 3} more are below." if len(worth) > 3 else ""
-    return report.sureness.ranking, f"{'; '.join(worth[:3])}.{more}"
-
-
-def _known(answer: Answer) -> str:
-    """What the simulator says, and the truth where it is known."""
-    told = []
-    if answer.simulator is not None and answer.from_log:
-        told.append(f"The simulator alone says {number(answer.simulator)}.")
-    if answer.truth is not None:
-        told.append(f"The exact value in the target, which is known here, is {number(answer.truth)}.")
-    return " ".join(told)
+    return report.sureness.ranking, f"In the target, {'. '.join(worth)}."
 
 
 def _worth(answer: Answer, report: Evaluation) -> str:
-    where = f"about {within(answer.value, answer.lower, answer.upper)}"
-    if answer.lower is None:
-        return where
-    level = f"{report.confidence:.4%}".rstrip("0%").rstrip(".") + "%"
-    return f"{where}, and with {level} confidence between {between(answer.lower, answer.upper, ' and ')}"
+    """The value with its interval, beside what the simulator says and, where it is known, the truth."""
+    told = f"about {within(answer.value, answer.lower, answer.upper)}"
+    if answer.lower is not None:
+        level = f"{report.confidence:.4%}".rstrip("0%").rstrip(".") + "%"
+        told += f", and with {level} confidence between {between(answer.lower, answer.upper, ' and ')}"
+    if answer.simulator is not None and answer.from_log:
+        told += f"; the simulator says {within(answer.simulator, answer.lower, answer.upper)}"
+    if answer.truth is not None:
+        told += f"; exactly, which is known here, it is {number(answer.truth)}"
+    return told
 
 
 def alone(report: Evaluation, policy: str) -> dict[str, Interval]:
@@ -150,7 +150,9 @@ def method_facts(report: Evaluation) -> list[tuple[str, str]]:
         ("Estimators", ", ".join(names)),
         ("Seed", seed_words(report.seed).removeprefix("seed ")),
     ]  # fmt: skip
-    known = {"simulator", "simulator_name", "log", "log_name", "rewards"}
+    if "policy_names" in facts:
+        found.append(("Policies from", ", ".join(f"{name}: {spec}" for name, spec in facts["policy_names"].items())))
+    known = {"simulator", "simulator_name", "log", "log_name", "rewards", "policy_names", "date", "discount"}
     found += [(str(key).replace("_", " "), str(value)) for key, value in facts.items() if key not in known and value]
     return found
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _progress
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
@@ -76,8 +76,6 @@ def evaluate(
     _checks.boolean(guaranteed, "guaranteed")
     if _checks.boolean(quick, "quick") and guaranteed:
         raise ValueError("guaranteed must be False where quick is True: it leaves intervals out")
-    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
-
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     if target is not None:
         _checks.instance(target, FiniteMDP, "target")
@@ -98,13 +96,13 @@ def evaluate(
     truth = {}
     if target is not None:
         truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
-    raw: list[Result] = []
-    cells = [(i, p, j, e) for i, p in enumerate(named_policies) for j, e in enumerate(chosen)]
-    for i, policy, j, estimator in tqdm(cells, desc="evaluating", disable=None, delay=1.0, leave=False):
-        stream = _checks.seed_sequence(seed, (i, j))
-        raw.append(Result(policy, estimator, chosen[estimator](problem, named_policies[policy], seed=stream)))
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
-    sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
+    with _progress.told(only_terminal=True):
+        raw = _estimated(problem, named_policies, chosen, seed)
+        if estimators is None:
+            raw, lost = _weighted(raw)
+            left_out += lost
+        sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
     results = []
     for result in raw:
         likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]
@@ -128,6 +126,28 @@ def evaluate(
         problem,
         named_policies,
     )  # fmt: skip
+
+
+def _weighted(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
+    """Without importance sampling that has no positive weight, and a sentence about that."""
+    kept = [result for result in raw if not result.estimate.basis.weightless]
+    lost = [result for result in raw if result.estimate.basis.weightless]
+    if not lost:
+        return kept, []
+    names = ", ".join(dict.fromkeys(result.policy for result in lost))
+    return kept, [f"Importance sampling is left out ({names}): {lost[0].estimate.status}."]
+
+
+def _estimated(
+    problem: Problem, policies: Mapping[str, Any], chosen: Mapping[str, Estimator], seed: Any
+) -> list[Result]:
+    raw = []
+    for i, policy in enumerate(policies):
+        for j, estimator in enumerate(chosen):
+            _progress.doing(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
+            stream = _checks.seed_sequence(seed, (i, j))
+            raw.append(Result(policy, estimator, chosen[estimator](problem, policies[policy], seed=stream)))
+    return raw
 
 
 def _told(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import plots
+from oee_tabular import _printing, plots
 from oee_tabular._checks import Array, BoolArray, positive_integer
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
@@ -154,15 +154,15 @@ def forest(report: Evaluation, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
     sure = {name: found for name, found in alone(report, answer.policy).items() if found.status == "ok"}
-    labels = [*sure, *(row["estimator"] for row in rows)]
-    values = [*(math.nan for _ in sure), *(row["value"] for row in rows)]
+    labels = [*(row["estimator"] for row in rows), *sure]
+    values = [*(row["value"] for row in rows), *(math.nan for _ in sure)]
     lower, upper = (
-        [*(getattr(found, end) * report.scale for found in sure.values()),
-         *(math.nan if row[end] is None else row[end] for row in rows)]
+        [*(math.nan if row[end] is None else row[end] for row in rows),
+         *(getattr(found, end) * report.scale for found in sure.values())]
         for end in ("lower", "upper")
     )  # fmt: skip
     span = credible_span(rows, margin=0.15)
-    inside = [*lower[: len(sure)], *upper[: len(sure)]]
+    inside = [*lower[len(rows) :], *upper[len(rows) :]]
     low, high = min([span[0], *inside]), max([span[1], *inside])
     margin = 0.04 * (high - low)
     factor = "(1 − discount) × " if report.normalized else ""
@@ -199,8 +199,8 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
         f"{portrait.where(int(s))} {100 * time[s]:.1f}%" for s in np.argsort(-time, kind="stable")[:5] if time[s] > 0
     )
     description = (
-        f"Most of its time before an episode is over: {first}. {100 * visits.coverage:.1f}% of it is in state-action pairs "
-        "that the log has seen."
+        f"Most of its time before an episode is over: {first}. {_printing.share(visits.coverage)} of it is in state-action "
+        "pairs that the log has seen."
     )
     title = f"Where {policy} spends its time"
     if portrait.grid is not None:

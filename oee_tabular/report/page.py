@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from oee_tabular.report import contents, figures
+from oee_tabular import _printing
+from oee_tabular.report import contents, figures, inputs
 from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
 from oee_tabular.report.results import COLUMNS, Evaluation, diagnostic_cells, shown
 
@@ -27,6 +28,7 @@ def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int
     )  # fmt: skip
     environment.filters |= {
         "number": contents.number, "between": contents.between, "within": contents.within, "legible": legible,
+        "share": _printing.share,
     }  # fmt: skip
     page = environment.get_template("report.html.j2").render(
         title=title or _title(found),
@@ -34,6 +36,7 @@ def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int
         report=report,
         level=f"{100 * report.confidence:.4g}%",
         sentence=sentence,
+        simulated=any(answer.simulator is not None and answer.from_log for answer in found),
         beside=beside,
         answers=[
             {
@@ -45,6 +48,8 @@ def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int
         ],
         distance=" ".join(report.sureness.distance),
         advice=report.sureness.next,
+        command=inputs.plan_command(report),
+        stamp=_stamp(report),
         coverage=None if portrait is None else _coverage(portrait, report, Markup),
         changes=None if portrait is None else _changes(portrait, Markup),
         diagnostics=_diagnostics(report),
@@ -60,6 +65,14 @@ def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int
 def legible(text: object) -> str:
     """Without the control characters that a name from a file may hold, which no page can show."""
     return "".join(c if c in "\n\t" or c.isprintable() or c.isspace() else "\ufffd" for c in str(text))
+
+
+def _stamp(report: Report) -> str:
+    """Which inputs the page was made from: their names, their day, their hash."""
+    told = [*inputs.names(report), inputs.date(report)]
+    if report.problem is not None:
+        told.append(f"inputs {inputs.fingerprint(report.problem, report.policies)}")
+    return " · ".join(filter(None, told))
 
 
 def _title(found: list[contents.Answer]) -> str:
@@ -100,7 +113,7 @@ def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, 
     rows = [
         {
             "policy": name,
-            "coverage": visits.coverage,
+            "coverage": _printing.share(visits.coverage),
             "picture": markup(figures.visited(portrait, name, visits, f"visits{k}")),
         }
         for k, (name, visits) in enumerate(portrait.visits.items())
@@ -125,6 +138,7 @@ def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
         picture = markup(figures.changed(portrait, "changes"))
     return {
         "rows": rows,
+        "named": portrait.names.states is not None,
         "certain": certain,
         "number": portrait.changes.n_certain,
         "tested": portrait.changes.tested,

@@ -91,17 +91,23 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array,
 
 
 def sentences(told: list[tuple[str, str, Finding]]) -> list[tuple[str, frozenset[tuple[str, str]]]]:
-    """One sentence per kind and estimator of (policy, estimator, finding), with the pairs that it is about."""
-    groups: dict[tuple[str, str, str], list[tuple[str, Finding]]] = {}
+    """One sentence per fact of (policy, estimator, finding), with the pairs that it is about."""
+    groups: dict[tuple[str, str], list[tuple[str, str, Finding]]] = {}
     for policy, estimator, finding in told:
-        groups.setdefault((estimator, finding.kind, finding.text), []).append((policy, finding))
+        groups.setdefault((finding.kind, finding.text), []).append((policy, estimator, finding))
     found = []
-    for (estimator, _, _), members in groups.items():
-        name, worst = max(members, key=lambda member: member[1].severity)
-        figure = worst.figure if len(members) == 1 else f"{worst.figure} ({name} is the worst)"
-        names = ", ".join(policy for policy, _ in members)
-        pairs = frozenset((policy, estimator) for policy, _ in members)
-        found.append((f"{estimator} ({names}): {worst.told(figure)}", pairs))
+    for members in groups.values():
+        policy, estimator, worst = max(members, key=lambda member: member[2].severity)
+        by_policies: dict[tuple[str, ...], list[str]] = {}  # the policies it is said of -> the estimators
+        for name in dict.fromkeys(member[1] for member in members):
+            own = tuple(member[0] for member in members if member[1] == name)
+            by_policies.setdefault(own, []).append(name)
+        about = "; ".join(f"{', '.join(names)} ({', '.join(own)})" for own, names in by_policies.items())
+        figure = worst.figure
+        if any(member[2].figure != figure for member in members):
+            several = len({member[0] for member in members}) > 1
+            figure += f" ({policy if several else estimator} is the worst)"
+        found.append((f"{about}: {worst.told(figure)}", frozenset(member[:2] for member in members)))
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (  # of diagnostics, in the table and on the page
     ("effective_sample_size", "eff. n", "{:.0f}".format),
-    ("coverage", "coverage", "{:.1%}".format),
+    ("coverage", "coverage", _printing.share),
     ("largest_weight", "max weight", "{:.3g}".format),
     ("row_sum_error", "row-sum err.", lambda error: "0" if error < 1e-9 else f"{error:.2g}"),
 )
@@ -86,6 +87,27 @@ class Evaluation:
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         factor = "(1 - discount) * " if self.normalized else ""
         return f"{factor}sum of discount^t * reward over {span}, discount {self.discount:g}"
+
+    @property
+    def meaning(self) -> str:
+        """What a value is, in words without formulas."""
+        factor = "" if not self.normalized else f", times {1.0 - self.discount:.4g}"
+        paid = "" if self.discount == 1.0 else f", each step counting {self.discount:g} times the one before"
+        span = "" if self.horizon is None else f" of {self.horizon} steps"
+        return f"the sum of the rewards{span}{paid}{factor}"
+
+    @property
+    def answer(self) -> str:
+        """What the page says first: each policy's value in the target with the interval to quote, beside the simulator's.
+
+        >>> import oee_tabular as oee
+        >>> pair = oee.testing.case("ragged")
+        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
+        'In the target, the policy “new” is worth '
+        """
+        from oee_tabular.report import contents
+
+        return " ".join(filter(None, contents.first_words(self, contents.answers(self))))
 
     @property
     def scale(self) -> float:
@@ -179,7 +201,7 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
-        plain: dict[str, Any] = _plain(
+        found: dict[str, Any] = plain(
             {
                 "version": __version__,
                 "unit": self.unit,
@@ -196,7 +218,7 @@ class Evaluation:
                 "warnings": list(self.warnings),
             }
         )
-        return plain
+        return found
 
     def to_json(self) -> str:
         """``to_dict`` as JSON."""
@@ -211,7 +233,10 @@ class Evaluation:
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": plots.figure_png(lambda ax: plots.plot_values(self.records(), ax, unit=self.unit)),
+            "values.png": plots.figure_png(
+                lambda ax: plots.plot_values(self.records(), ax, unit=textwrap.fill(self.meaning, 60)),
+                size=(min(9.0, 3.4 + 0.35 * len(self.results)), 4.8),
+            ),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]
@@ -252,11 +277,12 @@ def _aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
     ]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Without numpy's types, infinities and nan (None): what JSON holds."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
 
-from oee_tabular import _printing
+from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
+from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
-from oee_tabular.mdp.naming import names_of
 
 LARGEST = 2_000_000  # reachable moves beyond which the likelihood interval is left out: it takes minutes
 
@@ -71,8 +69,7 @@ def how_sure(
     soft = problem.soft
     if soft and guaranteed:
         raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
-    evidences = {name: gather(problem, policy) for name, policy in policies.items()}
-    evidence = next(iter(evidences.values()))
+    evidence = gather(problem, next(iter(policies.values())))
     endless = problem.simulator.discount == 1.0 and problem.horizon is None
     lacking = ""
     if endless:
@@ -91,14 +88,17 @@ def how_sure(
     if lacking and not soft:
         distance.append(f"There are no likelihood intervals: {lacking}.")
     elif not soft:
-        intervals = {name: _intervals(problem, policy, confidence, guaranteed) for name, policy in policies.items()}
+        for i, (name, policy) in enumerate(policies.items()):
+            _progress.doing(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
+            intervals[name] = _intervals(problem, policy, confidence, guaranteed)
+    _progress.doing("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
     return Sureness(
         intervals,
         tuple(distance),
         {name: _width(found, confidence, scale) for name, found in intervals.items()},
-        next="" if endless else _next(list(evidences.values()), confidence),
+        next="" if endless else advice(problem, policies, confidence),
         comparison=compare_policies(problem, policies, confidence=each) if several else None,
     )
 
@@ -196,33 +196,6 @@ def _between(found: Interval, scale: float) -> str:
     lower, upper = found.lower * scale, found.upper * scale
     form = _printing.spec(lower, upper)
     return f"between {lower:{form}} and {upper:{form}}"
-
-
-def _next(evidences: Sequence[Evidence], confidence: float) -> str:
-    """The (s, a) whose next move narrows the policies' intervals most, by what it may take off their widths, summed.
-
-    Off a row never recorded the range of the gradient in it (it stood at its worst); off a recorded one, of variance c / n, z
-    times c / (n (n + 1)) / sqrt(sum c / n): by so much 2 z sqrt(sum c / n) falls.
-    """
-    first = evidences[0]
-    starts, rows, n = first.indptr[:-1], first.rows, np.maximum(first.n, 1.0)
-    gain, share = np.zeros(len(n)), np.zeros(len(n))
-    for evidence in evidences:
-        gradient = transition_gradient(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
-        mean = np.add.reduceat(evidence.phat * gradient, starts)
-        cost = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts) / n * (first.n > 0)
-        total = max(float(cost.sum()), 1e-300)
-        width = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
-        never = (first.n == 0) & first.open_rows & reached_rows(evidence)
-        share += cost / total / len(evidences)
-        gain += np.where(never, width, NormalDist().inv_cdf(0.5 + confidence / 2.0) * cost / (n + 1.0) / np.sqrt(total))
-    if not gain.any():
-        return "More moves would not narrow it."
-    k = int(np.argmax(gain))
-    why = f"{first.n[k]:.4g} moves so far, {100 * share[k]:.0f}% of the variance" if first.n[k] else "never recorded"
-    state, action = divmod(k, first.model.n_actions)
-    names = names_of(first.model)
-    return f"What would help most: moves of action {names.action(action)} in state {names.state(state)} ({why})."
 
 
 def as_records(sureness: Sureness, scale: float) -> list[dict[str, Any]]:

@@ -17,7 +17,10 @@ def environment_exists(identifier: str) -> None:
     if identifier not in registry:
         near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
         hint = f"; near: {', '.join(near)}" if near else ""
-        raise ValueError(f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint}")
+        raise ValueError(
+            f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint} (your own: module:Class or "
+            "module:EnvId-v0)"
+        )
 
 
 def make_environment(identifier: str, **kwargs: Any) -> Any:

@@ -2,7 +2,7 @@
 
 ``check_estimator`` runs an estimator through the laws; ``compare_with_oracle`` shows its bias, variance and error beside exact
 limits and bounds; ``mdps``, ``policies``, ``mdp_pairs``, ``horizons`` and ``logs`` draw problems (they need hypothesis:
-``pip install oee-tabular[testing]``; the rest does not).
+``pip install '.[testing]'``; the rest does not).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any
 
 from oee_tabular import _checks
@@ -197,8 +198,20 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
 def own_object(spec: str, what: str, example: str) -> Any:
     """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
     module_name, path = module_and_path(spec, what, example)
+    found: Any = own_module(module_name)
+    for name in path.split("."):
+        if not hasattr(found, name):
+            public = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]
+            known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
+            raise ValueError(f"{module_name!r} has no object {path!r}{known}")
+        found = getattr(found, name)
+    return found
+
+
+def own_module(module_name: str) -> ModuleType:
+    """The module of that name, imported; a ValueError where that fails."""
     try:
-        found = importlib.import_module(module_name)
+        return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(f"{error.name}.")):
             raise ValueError(
@@ -207,13 +220,6 @@ def own_object(spec: str, what: str, example: str) -> Any:
         raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
     except (Exception, SystemExit) as error:
         raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
-    for name in path.split("."):
-        if not hasattr(found, name):
-            public = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]
-            known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
-            raise ValueError(f"{module_name!r} has no object {path!r}{known}")
-        found = getattr(found, name)
-    return found
 
 
 def _made(found: Any, spec: str) -> Any:

@@ -5,7 +5,7 @@ are integers from -5 to 5. Examples shrink towards one state, one action, discou
 filtered. At discount 1 every state has a chance to end whatever is done (the last state is absorbing and pays nothing), so that
 the infinite sum exists for every policy.
 
-Needs hypothesis: ``pip install oee-tabular[testing]``.
+Needs hypothesis: ``pip install '.[testing]'``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ try:
     from hypothesis import strategies as st
 except ImportError as error:  # pragma: no cover (tested in a process without it)
     raise ImportError(
-        "oee_tabular.testing.strategies needs hypothesis, which is not installed: pip install oee-tabular[testing]"
+        "oee_tabular.testing.strategies needs hypothesis, which is not installed; in a clone: pip install '.[testing]'"
     ) from error
 
 WEIGHTS = (1, 0, 2, 0, 0, 5)  # of which probabilities are made; the first is what they shrink to

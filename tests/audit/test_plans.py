@@ -194,11 +194,12 @@ def test_the_next_pairs_are_the_largest_falls_one_after_another():
     plan = oee.plan_data_collection(oee.Problem(simulator, log), policies["one"], n=8, model="simulator")
     cost, counts = costs_of(Dense(simulator), policies["one"]), np.zeros((3, 2))
     np.add.at(counts, (log.state, log.action), 1.0)
-    own = []
+    own, z = [], 1.959963984540054
     for _ in range(8):
+        error = np.sqrt(sum(cost[x] / counts[x] for x in np.ndindex(3, 2) if counts[x]))
         falls = {
-            (s, a): cost[s, a] / counts[s, a] - cost[s, a] / (counts[s, a] + 1) if counts[s, a] else 1e9 + cost[s, a]
-            for s, a in np.ndindex(3, 2)
+            x: z * cost[x] / counts[x] / (counts[x] + 1) / error if counts[x] else 2 * z * np.sqrt(cost[x])
+            for x in np.ndindex(3, 2)
         }
         own.append(max(falls, key=falls.get))
         counts[own[-1]] += 1

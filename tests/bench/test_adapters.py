@@ -58,9 +58,9 @@ def test_without_the_libraries_the_extra_is_named(drawn, monkeypatch):
     family, problem = drawn
     monkeypatch.setitem(__import__("sys").modules, "scope_rl.ope.discrete", None)
     monkeypatch.setitem(__import__("sys").modules, "torch", None)
-    with pytest.raises(ImportError, match=r"ScopeRL needs scope-rl: pip install 'oee-tabular\[scope-rl\]'"):
+    with pytest.raises(ImportError, match=r"ScopeRL needs scope-rl; in a clone: pip install '.\[scope-rl\]'"):
         ScopeRL()(problem, family.policy)
-    with pytest.raises(ImportError, match=r"pip install 'oee-tabular\[offline-rl-ope\]'"):
+    with pytest.raises(ImportError, match=r"pip install '.\[offline-rl-ope\]'"):
         OfflineRLOPE()(problem, family.policy)
     row = oee.bench.run(ScopeRL(), families=["machine"], sizes=[1], seeds=1).table.iloc[-1]
     assert (row.estimator, row.status.split(":")[0]) == ("ScopeRL", "ImportError")

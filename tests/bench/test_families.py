@@ -82,7 +82,7 @@ def test_without_the_extra_a_family_is_left_out_with_a_sentence(monkeypatch):
     monkeypatch.setattr(others, "icu_file", lambda: None)
     every = oee.bench.families()
     assert "icu_sepsis" not in every
-    with pytest.raises(KeyError, match=re.escape("pip install 'oee-tabular[bench]'")):
+    with pytest.raises(KeyError, match=re.escape("in a clone: pip install '.[bench]'")):
         every["icu_sepsis"]
 
 

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions, _checks
 from oee_tabular.design import collection, statements
+from oee_tabular.design.advice import next_pairs
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.costs import largest_variance, row_costs
 from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
-from oee_tabular.design.plan import greedy_pairs
 from oee_tabular.design.programs import evaluate, fill, free_design, minimise
 from oee_tabular.design.statements import conic_design
 from oee_tabular.exact import transition_gradient
@@ -193,11 +193,44 @@ def test_filling_up_satisfies_its_optimality_conditions(rng):
 
 
 def test_the_greedy_design():
-    cost, counts = np.array([1.0, 4.0, 0.0, 9.0]), np.array([1.0, 2.0, 0.0, 3.0])
+    cost, counts = np.array([[1.0, 4.0, 0.0, 9.0]]), np.array([1.0, 2.0, 0.0, 3.0])
     # falls c / (n (n + 1)): 1/2, 4/6, 9/12 -> row 3; then 9/20 -> row 1; then 4/12 -> row 0
-    assert greedy_pairs(cost, counts, 2, 3) == ((1, 1), (0, 1), (0, 0))
-    assert greedy_pairs(cost, np.zeros(4), 2, 4)[:3] == ((1, 1), (0, 1), (0, 0))  # without data: the costliest first
-    assert greedy_pairs(np.zeros(4), counts, 2, 3) == ()
+    assert next_pairs(cost, counts, 2, 3, 0.95) == ((1, 1), (0, 1), (0, 0))
+    assert next_pairs(cost, np.zeros(4), 2, 4, 0.95)[:3] == (
+        (1, 1),
+        (0, 1),
+        (0, 0),
+    )  # without data: the costliest first
+    assert next_pairs(np.zeros((1, 4)), counts, 2, 3, 0.95) == ()
+
+
+def test_a_pair_never_recorded_comes_first_where_it_matters_more():
+    """It takes 2 z sqrt(c) off the width, a recorded one z c / (n (n + 1)) / se."""
+    counts = np.array([0.0, 4.0])
+    fall = (100.0 / (4 * 5)) / 5.0  # over z; se^2 = 100 / 4
+    for share, first in ((0.9, (0, 1)), (1.1, (0, 0))):
+        cost = np.array([[(share * fall / 2) ** 2, 100.0]])
+        assert next_pairs(cost, counts, 2, 1, 0.95) == (first,)
+    two = np.array(
+        [[(0.6 * fall / 2) ** 2, 100.0], [(0.6 * fall / 2) ** 2, 0.0]]
+    )  # of two policies the widths are summed
+    assert next_pairs(two, counts, 2, 1, 0.95) == ((0, 0),)
+
+
+@given(rngs)
+@settings(max_examples=15, deadline=None)
+def test_a_report_and_a_plan_give_one_piece_of_advice(rng):
+    simulator = random_mdp(rng)
+    policies = {name: random_policy(rng, simulator) for name in "ab"}
+    share = np.full((simulator.n_states, simulator.n_actions), 1.0)
+    share[0, 0] = 0.0 if share.size > 1 else 1.0
+    log = oee.sample_transitions(simulator, share / share.sum(), int(rng.integers(1, 200)), seed=1)
+    problem = oee.Problem(simulator, log)
+    said = oee.evaluate(problem, policies, estimators=["simulator"], quick=True).sureness.next
+    for sampling in ("free", "behavior"):
+        plan = oee.plan_data_collection(problem, policies, n=50, sampling=sampling)
+        assert plan.advice == said
+        assert said in str(plan)
 
 
 # certificates
@@ -407,7 +440,8 @@ def test_how_a_plan_reads():
         "Plan for 1000 transitions, by a behaviour policy",
         "90% width",
         "delta 0.9",
-        "next (s, a), one move each: ",
+        "What would help most: moves of action ",
+        "then, one move each (s, a): ",
         "%",
     ):
         assert part in text

@@ -1,4 +1,4 @@
-"""The README's numbers: first as the saved results have them, to the digit, then computed again on a few seeds of their own."""
+"""The pages' numbers: first as the saved results have them, to the digit, then computed again on a few seeds of their own."""
 
 import itertools
 from pathlib import Path
@@ -15,7 +15,8 @@ from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.common import grids, zeta_error
 from oee_tabular.ratio import true_ratio
 
-README = " ".join((Path(__file__).parents[2] / "README.md").read_text().split())
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+PAGES = " ".join(" ".join((NOTEBOOKS / f"{page}.md").read_text().split()) for page in ("promises", "paper", "guide"))
 LIKELIHOOD = "maximum likelihood"
 
 
@@ -29,7 +30,7 @@ def rmse(table, *keys):
 
 
 def span(values, form):
-    """Smallest to largest, as the README writes it."""
+    """Smallest to largest, as the pages write it."""
     return f"{min(values):{form}} to {max(values):{form}}"
 
 
@@ -50,7 +51,7 @@ def test_figure_1a_is_a_twentieth_of_the_networks():
     assert len(share) == 12
     assert (
         f"about 5% of the paper's networks' on the grid of 10 ({span(small['mean'], '.1f')}%, each point with a standard "
-        f"error of up to {small['sem'].max():.1f}%), {span(large['mean'], '.1f')}% on that of 40" in README
+        f"error of up to {small['sem'].max():.1f}%), {span(large['mean'], '.1f')}% on that of 40" in PAGES
     )
 
 
@@ -79,8 +80,8 @@ def test_our_networks_reach_the_published_curve():
     assert (
         f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published one up to n = 10^5 and "
         f"{afresh.iloc[-1]:.2f} times at the last point"
-    ) in README
-    assert f"with a log of n simulated moves {span(recorded, '.2f')} times" in README
+    ) in PAGES
+    assert f"with a log of n simulated moves {span(recorded, '.2f')} times" in PAGES
     assert (share < 1.5).all(axis=None)
 
 
@@ -144,11 +145,11 @@ def test_the_rate_is_a_half():
     own, other = (slopes[data, :, LIKELIHOOD] for data in ("uniform", "pi_0.5"))
     assert (
         f"the slope of log RMSE on log n is {span(own, '.2f')} for maximum likelihood, with data of pi_0.5 "
-        f"{span(other, '.2f')}" in README
+        f"{span(other, '.2f')}" in PAGES
     )
     assert (
         f"The default's error is {span(share, '.2f')} of maximum likelihood's at every n, its slopes "
-        f"{span(slopes[:, :, 'default'], '.2f')}" in README
+        f"{span(slopes[:, :, 'default'], '.2f')}" in PAGES
     )
 
 
@@ -183,7 +184,7 @@ def test_misspecified():
     assert len(share) == 18
     # rounded up: "at most"
     most, ever = (np.ceil(100 * x.max()) / 100 for x in (little, share))
-    assert f"at most {most:.2f} of maximum likelihood's up to n = 10^4 and at most {ever:.2f} of it at any n" in README
+    assert f"at most {most:.2f} of maximum likelihood's up to n = 10^4 and at most {ever:.2f} of it at any n" in PAGES
     moved = saved("misspecified").groupby(["estimator", "n"]).moved.mean()
     assert (moved["default"] <= 0.01).all()
     assert moved["one tilt for all", 316_228] >= 0.85
@@ -249,13 +250,13 @@ def test_horizons_computed():
 def test_coverage():
     covered = 100 * saved("coverage").groupby(["environment", "n", "method"]).covered.mean()
     likelihood, delta = (", ".join(f"{x:.1f}" for x in covered["grid", :, name]) for name in ("likelihood", "delta"))
-    assert f"interval covers {likelihood}%, the delta method {delta}%, the guaranteed ones always" in README
+    assert f"interval covers {likelihood}%, the delta method {delta}%, the guaranteed ones always" in PAGES
     assert (covered[[name.startswith("robust") for name in covered.index.get_level_values("method")]] == 100).all()
     silent = covered["rare", 20_000]
     narrow = silent[["delta", "bootstrap percentile", "bootstrap basic"]]
-    assert f"delta and bootstrap cover {span(narrow, '.1f')}%, the likelihood interval with the box" in README
+    assert f"delta and bootstrap cover {span(narrow, '.1f')}%, the likelihood interval with the box" in PAGES
     assert silent["likelihood"] == 100
-    assert f"400 logs: {100 * saved('coverage_lake').covered.mean():.1f}%" in README
+    assert f"400 logs: {100 * saved('coverage_lake').covered.mean():.1f}%" in PAGES
 
 
 def test_coverage_computed():
@@ -281,9 +282,9 @@ def test_efficiency():
     table = saved("efficiency")
     found = table.groupby("estimator").agg(ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first"))
     plug_in, quotient = found.loc["plug-in"], found.loc["ratio of ratios"]
-    assert f"is {plug_in.ratio:.2f} +- {plug_in.error:.2f} of `efficiency_bound`" in README
-    assert f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its formula" in README
-    assert f"{quotient.exact / plug_in.exact:.0f} times the bound" in README
+    assert f"is {plug_in.ratio:.2f} +- {plug_in.error:.2f} of `efficiency_bound`" in PAGES
+    assert f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its formula" in PAGES
+    assert f"{quotient.exact / plug_in.exact:.0f} times the bound" in PAGES
     assert (np.abs(found.ratio - 1.0) <= 3 * found.error).all()
 
 
@@ -303,8 +304,8 @@ def of_uniform_recording(table, n, threefold):
 
 def test_a_third_of_the_moves():
     one, two = (of_uniform_recording(saved("collection"), *n) for n in ((667, 2000), (6667, 20_000)))
-    assert f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667 against 20 000) of" in README
-    assert f"the evaluated policy itself records, {one['on-policy']:.2f} and {two['on-policy']:.2f}" in README
+    assert f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667 against 20 000) of" in PAGES
+    assert f"the evaluated policy itself records, {one['on-policy']:.2f} and {two['on-policy']:.2f}" in PAGES
 
 
 def test_a_third_of_the_moves_computed():

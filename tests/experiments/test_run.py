@@ -93,7 +93,7 @@ def test_a_scheduler_that_does_not_answer_is_said_within_ten_seconds(tmp_path, m
 
 def test_dask_without_the_extra_names_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ImportError, match=re.escape("pip install 'oee-tabular[dask]'")):
+    with pytest.raises(ImportError, match=re.escape("in a clone: pip install '.[dask]'")):
         run_experiment(experiment(), tmp_path / "a", experiment().settings(), dask="tcp://127.0.0.1:9")
 
 
@@ -101,7 +101,7 @@ def test_a_missing_extra_is_named(tmp_path):
     with pytest.raises(ImportError, match=r"noise needs no_such_module, which is not installed"):
         run_experiment(experiment(requires=("no_such_module",)), tmp_path / "a", experiment().settings())
     lacking = experiment(requires=("no_such_module",), extra="some")
-    with pytest.raises(ImportError, match=r"pip install 'oee-tabular\[some\]'$"):
+    with pytest.raises(ImportError, match=r"pip install '.\[some\]'$"):
         run_experiment(lacking, tmp_path / "a", experiment().settings())
 
 

@@ -321,7 +321,7 @@ def test_without_the_extra_everything_imports_and_a_network_is_one_sentence():
         "    except ImportError as error: print(error)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    sentence = "Network needs jax, equinox and optax, which are not installed: pip install 'oee-tabular[neural]'"
+    sentence = "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
     assert said.splitlines() == [sentence, sentence]
 
 

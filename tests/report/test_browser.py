@@ -19,7 +19,7 @@ def browser():
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        pytest.skip("no Playwright for the tests of the HTML report; install it: pip install 'oee-tabular[browser]'")
+        pytest.skip("no Playwright for the tests of the HTML report; install it; in a clone: pip install '.[browser]'")
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield found
@@ -88,7 +88,7 @@ def test_it_loads_alone_and_fits(browser, pages, name):
 @pytest.mark.parametrize("name", ["lake", "default", "generic"])
 def test_axe_finds_nothing_serious(browser, pages, name):
     axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="no axe; install it: pip install 'oee-tabular[browser]'"
+        "axe_playwright_python.sync_playwright", reason="no axe; install it; in a clone: pip install '.[browser]'"
     ).Axe()
     for width, scheme in zip(WIDTHS, SCHEMES, strict=True):  # layout and colours do not depend on each other
         page, _, _ = opened(browser, pages[name], width, scheme, bypass_csp=True)

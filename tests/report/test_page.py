@@ -109,9 +109,9 @@ def test_it_says_the_answer_and_how_it_was_found(report, page):
     value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
     sure = report.sureness.intervals["bold"]["likelihood"]
     assert "Of 2 policies, “bold” is worth most in the target" in text
-    assert f"with 95% confidence between {between(sure.lower, sure.upper, ' and ')}" in text
+    assert f"Between {between(sure.lower, sure.upper, ' and ')} with 95% confidence" in text
     assert within(value, sure.lower, sure.upper) in text
-    assert "sum of discount^t * reward over t >= 0, discount 0.99, not normalised" in text
+    assert "sum of discount^t * reward over t >= 0, discount 0.99 (not normalised)" in text
     assert "lake log.npz" in text
     assert f"oee_tabular {oee.__version__}, seed 3" in text
     for warning in report.warnings:
@@ -183,7 +183,7 @@ def test_guaranteed_intervals_and_normalised_values_are_named():
     text = Page(found.to_html()).text
     assert "guaranteed interval" in text
     assert "(1 − discount) × discounted sum of rewards" in text
-    assert "discount 0.99, normalised" in text
+    assert "discount 0.99 (normalised)" in text
     assert "certain in no single pair" in text
 
 

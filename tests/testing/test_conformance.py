@@ -234,4 +234,4 @@ except ImportError as error:
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[0] == "True"
-    assert done.stdout.splitlines()[1].endswith("not installed: pip install oee-tabular[testing]")
+    assert done.stdout.splitlines()[1].endswith("not installed; in a clone: pip install '.[testing]'")

@@ -1,0 +1,118 @@
+"""Simulators from words: those that ``tasks.named_task`` knows, and ``MODULE:OBJECT`` or ``MODULE:ENV-ID`` of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oee_tabular.tasks import NamedTask
+
+SIMULATOR_HELP = (
+    "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
+    "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
+    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10"
+)
+_SAMPLED = (
+    "has no table P, so that it can only be sampled: oee export {} --samples-per-pair 100 --output simulator.npz writes it "
+    "by its frequencies"
+)
+
+
+def task_of(spec: str, discount: float | None, initial: str | None = None, samples: int | None = None) -> NamedTask:
+    """The task that ``spec`` names, with another discount or first state; ``samples`` of each (s, a) where it is stepped."""
+    from oee_tabular import _progress
+    from oee_tabular.tasks import named_task
+
+    _progress.doing(f"reading the simulator {spec}")
+    if is_own(spec):
+        task = _own_task(spec, 0.99 if discount is None else discount, samples)
+        task = (
+            task if discount is None else replace(task, mdp=task.mdp.with_discount(discount))
+        )  # a FiniteMDP's own else
+    elif samples is not None:
+        task = _task(_environment(spec), spec, 0.99 if discount is None else discount, samples)
+    else:
+        task = named_task(spec, discount=discount)
+    return task if initial is None else replace(task, mdp=task.mdp.with_initial(_state(initial)))
+
+
+def is_own(spec: str) -> bool:
+    """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
+    from oee_tabular.continuous.names import CONTINUOUS
+    from oee_tabular.tasks.specs import arguments
+
+    module, colon, rest = spec.partition(":")
+    named = (
+        module != "gridworld" and module not in CONTINUOUS and all(part.isidentifier() for part in module.split("."))
+    )
+    if not colon or not named:
+        return False
+    first = rest.split(",")[0]
+    return bool(first) and "=" not in first and isinstance(arguments(first)[0][0], str)
+
+
+def _environment(spec: str) -> Callable[[], Any]:
+    """A function that makes the Gymnasium environment of "Id-v0:key=value"."""
+    from oee_tabular.tasks.specs import arguments
+    from oee_tabular.tasks.toy_text import make_environment
+
+    name, _, rest = spec.partition(":")
+    return partial(make_environment, name, **arguments(rest)[1])
+
+
+def _own_task(spec: str, discount: float, samples: int | None) -> NamedTask:
+    from oee_tabular.tasks.specs import arguments
+    from oee_tabular.tasks.toy_text import make_environment
+    from oee_tabular.testing.command import own_module, own_modules, own_object
+
+    module, _, rest = spec.partition(":")
+    (name, *positional), keywords = arguments(rest)
+    with own_modules():
+        if all(part.isidentifier() for part in name.split(".")):
+            found = own_object(f"{module}:{name}", "the simulator", "my_package.mine:MySimulator")
+            made = _called(found, spec, positional, keywords) if callable(found) else lambda: found
+        else:
+            own_module(module)  # which registers the environment
+            made = partial(make_environment, name, **keywords)
+        return _task(made, spec, discount, samples)
+
+
+def _called(found: Callable[..., Any], spec: str, positional: list[Any], keywords: dict[str, Any]) -> Callable[[], Any]:
+    def made() -> Any:
+        try:
+            return found(*positional, **keywords)
+        except Exception as error:
+            raise ValueError(f"simulator {spec!r} cannot be made; it raises {type(error).__name__}: {error}") from error
+
+    return made
+
+
+def _task(make: Callable[[], Any], spec: str, discount: float, samples: int | None) -> NamedTask:
+    """Of what ``make`` makes: a FiniteMDP, or an environment, by its table or by being stepped."""
+    from oee_tabular.exact import optimal_policy
+    from oee_tabular.mdp import FiniteMDP
+    from oee_tabular.tasks import NamedTask
+
+    made = make()
+    if isinstance(made, FiniteMDP):
+        return NamedTask(spec, made, lambda: optimal_policy(made))
+    if not hasattr(made, "step") or not hasattr(made, "reset"):
+        raise ValueError(
+            f"simulator {spec!r} must be a FiniteMDP or a Gymnasium environment, or a class or function that makes one; found "
+            f"{type(made).__name__}"
+        )
+    if samples is not None:
+        mdp = FiniteMDP.from_env(made, samples_per_pair=samples, seed=0, discount=discount)
+    elif not hasattr(made.unwrapped, "P"):
+        raise ValueError(f"simulator {spec!r} {_SAMPLED.format(spec)}")
+    else:
+        mdp = FiniteMDP.from_gymnasium(made, discount)
+    return NamedTask(spec, mdp, lambda: optimal_policy(mdp), make)
+
+
+def _state(text: str) -> int | str:
+    """--initial: a number, or a name, which never reads as one."""
+    return int(text) if text.strip().lstrip("-").isdigit() else text

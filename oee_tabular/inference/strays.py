@@ -1,0 +1,171 @@
+"""Dropped moves: what J may be where the moves that the simulator calls impossible led anywhere.
+
+Of the moves from (s, a) the target makes a share q_sa that the simulator rules out:
+
+    P(. | s, a) = (1 - q_sa) P'(. | s, a) + q_sa U_sa,     P' on the simulator's support, U_sa any distribution at all.
+
+The log has the share's counts; where it led is not believed. J is a ratio of two functions linear in each U_sa, so its extremes
+have every U_sa at one state, u_sa = argmax (argmin) r + gamma V (with a horizon J is a polynomial; there, too, one state is
+taken). Given these, the dropped moves of (s, a) are counts of moves to u_sa, and an end of the interval is that of these
+counts: q and P' vary together in one likelihood set. u is improved at the end's own V until it stays. A move whose reward the
+simulator does not define pays the most (the least) that it pays for any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, canonical, row_of_entry
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
+from oee_tabular.inference.ambiguity import Evidence, evidence_of
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.finite_mdp import canonical_table
+
+ROUNDS = 20  # of improving u; it stays after two or three
+ALLOWED = 0.5  # probability of the stray moves in the model whose support the counts need; no value depends on it
+
+
+class End(Protocol):
+    """What an end of an interval has."""
+
+    @property
+    def value(self) -> float:
+        """J."""
+
+    @property
+    def rows(self) -> Array:
+        """The probabilities of the model that has it."""
+
+
+Found = TypeVar("Found", bound=End)
+
+
+def stray_end(problem: Problem, evidence: Evidence, sign: float, end: Callable[[Evidence], Found]) -> Found:
+    """The end (sign 1: upper) that ``end`` finds where the dropped moves led to where J is most extreme.
+
+    Cost: two or three times that of ``end``; with a horizon T also (rows with dropped moves) x S x T.
+    """
+    rows = np.flatnonzero(problem.dropped)
+    model = evidence.with_rows(evidence.phat)
+    best: Found | None = None
+    tried: IntArray | None = None
+    for _ in range(ROUNDS):
+        chosen = _places(problem, model, evidence.policy, rows, sign)
+        if tried is not None and np.array_equal(chosen, tried):
+            break
+        tried = chosen
+        led = _led(problem, evidence.policy, rows, chosen, sign)
+        found = end(led)
+        if best is not None and sign * (found.value - best.value) <= 0.0:
+            break
+        best, model = found, led.with_rows(found.rows)
+    assert best is not None
+    return best
+
+
+def stray_share(problem: Problem, evidence: Evidence) -> float:
+    """The share of the policy's discounted time whose moves may have been of those that were dropped: sum d_sa q_sa."""
+    if not problem.dropped.any():
+        return 0.0
+    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon).reshape(-1)
+    return float(time @ (problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0)))
+
+
+class _Fixed(NamedTuple):
+    value: float
+    rows: Array
+
+
+def stray_swing(problem: Problem, evidence: Evidence) -> tuple[float, float]:
+    """By how much J of the frequencies may fall and rise with where the dropped moves led; 0, 0 where none was dropped."""
+    if not problem.dropped.any():
+        return 0.0, 0.0
+
+    def fixed(found: Evidence) -> _Fixed:
+        value = policy_value(found.with_rows(found.phat), found.policy, horizon=found.horizon)
+        return _Fixed(value, found.phat)
+
+    middle = fixed(evidence).value
+    low, high = (stray_end(problem, evidence, sign, fixed).value for sign in (-1.0, 1.0))
+    return middle - low, high - middle
+
+
+def _places(problem: Problem, model: ReweightedModel, policy: Array, rows: IntArray, sign: float) -> IntArray:
+    """Of each of the rows, the state to go to that is worth most, sign * (r + gamma V)."""
+    simulator = problem.model
+    ahead, weight = _ahead(model, policy, rows // simulator.n_actions, problem.horizon)
+    table = simulator.transition_rewards
+    if table is None:
+        return np.array(np.broadcast_to((sign * ahead).argmax(axis=1), len(rows)))
+    every = _extreme_pay(simulator, sign)
+    found = np.empty(len(rows), dtype=np.int64)
+    for k, row in enumerate(rows):  # one at a time: (rows, S) tables of pay would not fit
+        entries = slice(table.indptr[row], table.indptr[row + 1])
+        pay = np.full(simulator.n_states, every)
+        pay[table.indices[entries]] = table.data[entries]
+        found[k] = np.argmax(sign * (weight[k] * pay + ahead[k if len(ahead) > 1 else 0]))
+    return found
+
+
+def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int | None) -> tuple[Array, Array]:
+    """gamma V, (1, S), and weights 1 of the pay; with a horizon sums over the time in each state, (rows, S), sum_t of
+    gamma^t d_t(s) gamma V_{t+1}, and the weights sum_t gamma^t d_t(s).
+
+    A state never reached has those of its first step.
+    """
+    gamma = model.discount
+    if horizon is None:
+        return gamma * state_values(model, policy)[None, :], np.ones(len(states))
+    n_states = len(policy)
+    chain = model.transitions
+    pay = (policy * model.rewards).sum(axis=1)
+    mixed = canonical(_averaging(policy) @ chain, drop_zeros=False)
+    _checks.require_memory(8.0 * (horizon + len(states)) * n_states, "horizon", horizon)
+    values = np.zeros((horizon, n_states))  # after step t
+    for t in range(horizon - 2, -1, -1):
+        values[t] = pay + gamma * (mixed @ values[t + 1])
+    there = np.zeros((len(states), horizon))
+    law = np.array(model.initial)
+    for t in range(horizon):
+        there[:, t] = law[states] * gamma**t
+        law = law @ mixed
+    there[there.sum(axis=1) == 0.0, 0] = 1.0
+    return gamma * (there @ values), there.sum(axis=1)
+
+
+def _averaging(policy: Array) -> sparse.csr_array:
+    """(S, S*A): the mean over a policy's actions."""
+    n_states, n_actions = policy.shape
+    rows = np.repeat(np.arange(n_states), n_actions)
+    return canonical_table(rows, np.arange(policy.size), policy.reshape(-1), (n_states, policy.size))
+
+
+def _extreme_pay(simulator: FiniteMDP, sign: float) -> float:
+    assert simulator.reward_data is not None
+    return float(sign * (sign * simulator.reward_data).max())
+
+
+def _led(problem: Problem, policy: Array, rows: IntArray, to: IntArray, sign: float) -> Evidence:
+    """The evidence of a log whose dropped moves of each row led to a state, in a model where they can."""
+    model = problem.model
+    shape = model.transitions.shape
+    share = np.zeros(shape[0])
+    share[rows] = ALLOWED
+    kept = model.transitions.copy()
+    kept.data = kept.data * (1.0 - share)[row_of_entry(kept)]
+    transitions = canonical(kept + canonical_table(rows, to, share[rows], shape), drop_zeros=True)
+    rewards: Any = model.rewards
+    if model.transition_rewards is not None:
+        own, defined = align(model.transition_rewards, transitions)
+        data = np.where(defined, own, _extreme_pay(model, sign))
+        rewards = canonical_table(row_of_entry(transitions), transitions.indices, data, shape)
+    other = FiniteMDP(transitions, rewards, model.initial, model.discount, terminal_state=model.terminal_state)
+    counts = canonical(problem.counts + canonical_table(rows, to, problem.dropped[rows], shape), drop_zeros=True)
+    return evidence_of(other, counts, problem.horizon, policy)

@@ -1,0 +1,157 @@
+"""``contest``: which of several policies is worth most, by how much, or that the log cannot say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from oee_tabular import __version__, _checks, _printing
+from oee_tabular._threads import one_thread
+from oee_tabular.estimators import Problem
+from oee_tabular.inference import Comparison, Interval
+from oee_tabular.mdp.policies import check_policies
+from oee_tabular.report.quoting import LIKELIHOOD
+from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked
+
+
+@dataclass(frozen=True)
+class Contest:
+    """What ``oee compare`` prints.
+
+    Attributes
+    ----------
+    comparison : values of the log's frequencies, best first, and their differences; those from the best hold all at once
+    sureness : likelihood intervals of each policy, and the sentence
+    confidence : of the intervals
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> found = contest(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> print(found.sentence)
+    Of 2 policies, “new” is worth most in the target.
+    >>> found.to_dict()["differences"][0]["upper"] < 0
+    True
+    """
+
+    comparison: Comparison
+    sureness: Sureness
+    confidence: float
+
+    @property
+    def sentence(self) -> str:
+        """Which policy is worth most, or which of them it may be."""
+        return self.sureness.ranking
+
+    @property
+    def best(self) -> str | None:
+        """The policy that is worth most, None where the log cannot say."""
+        return None if "cannot say" in self.sentence else self.comparison.names[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, as plain values."""
+        found = self.comparison
+        policies, differences = [], []
+        for i, name in enumerate(found.names):
+            ends = self._interval(name)
+            policies.append(
+                {
+                    "policy": name,
+                    "value": float(found.values[i]),
+                    "lower": None if ends is None else ends.lower,
+                    "upper": None if ends is None else ends.upper,
+                    "probability_best": self._probability(i),
+                    "unseen_share": float(found.unseen_share[i]),
+                }
+            )
+            if i:
+                parts = {"difference": found.differences, "lower": found.lower, "upper": found.upper}
+                differences.append(
+                    {"policy": name, "than": found.names[0]} | {key: float(table[i, 0]) for key, table in parts.items()}
+                )
+        return {
+            "version": __version__, "confidence": self.confidence, "best": self.best, "sentence": self.sentence,
+            "policies": policies, "differences": differences,
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """``to_dict`` as JSON."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def __str__(self) -> str:
+        head = ["policy", "value", f"{self.confidence:.0%} interval", "P(best)", "unseen", "less than the best by"]
+        body = [self._row(record, i) for i, record in enumerate(self.to_dict()["policies"])]
+        widths = [max(len(row[k]) for row in (head, *body)) for k in range(len(head))]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (head, *body)]
+        told = [
+            f"Values: {_printing.SUM}, of the log's frequencies; their intervals by the likelihood, those of differences for "
+            f"all at once, at {self.confidence:.0%}. unseen: share of the policy's time of which the log says nothing"
+            + ("; beyond 10% there is no P(best)." if "-" in [row[3] for row in body] else ".")
+        ]
+        return "\n".join([self.sentence, "", *(line.rstrip() for line in lines), "", *told])
+
+    def _row(self, record: Mapping[str, Any], i: int) -> list[str]:
+        found, ends = self.comparison, self._interval(record["policy"])
+        form = ".5g" if ends is None else _printing.spec(ends.lower, ends.upper)
+        best, less = record["probability_best"], ""
+        if i:
+            low, high = found.lower[0, i], found.upper[0, i]
+            less = f"{found.differences[0, i]:{_printing.spec(low, high)}} {_printing.interval(low, high)}"
+        return [
+            record["policy"],
+            format(record["value"], form),
+            "" if ends is None else _printing.interval(ends.lower, ends.upper),
+            "-" if best is None else f"{best:.1%}",
+            f"{record['unseen_share']:.1%}",
+            less,
+        ]
+
+    def _interval(self, name: str) -> Interval | None:
+        found = self.sureness.intervals.get(name, {}).get(LIKELIHOOD)
+        return found if found is not None and found.status == "ok" else None
+
+    def _probability(self, i: int) -> float | None:
+        """None where the draws behind it say nothing: some policy's time is not in the log."""
+        found = self.comparison
+        return float(found.probability_best[i]) if found.unseen_share.max() <= 1.0 - ENOUGH else None
+
+
+@one_thread
+def contest(problem: Problem, policies: Any, *, confidence: float = 0.95, quick: bool = False) -> Contest:
+    """Compare policies on one log: differences with their intervals, P(best), and the sentence.
+
+    Parameters
+    ----------
+    problem : Problem
+    policies : two or more, as for ``evaluate``
+    confidence : of the values' intervals, and of all differences from the best together
+    quick : whether likelihood intervals are left out
+
+    Raises
+    ------
+    ValueError
+        Fewer than two policies; discount 1 without a horizon; bad arguments.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> contest(pair.problem(20, seed=0), {"one": pair.policy, "same": pair.policy}).best is None
+    True
+    """
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    _checks.boolean(quick, "quick")
+    named = check_policies(policies, problem.simulator, name="policy")
+    if len(named) < 2:
+        raise ValueError(f"policies must be at least two to compare; there is {', '.join(map(repr, named)) or 'none'}")
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        raise ValueError("horizon must be given at discount 1")
+    sure = how_sure(problem, named, level, guaranteed=False, quick=quick, scale=1.0)
+    found = sure.comparison
+    assert found is not None
+    values = dict(zip(found.names, map(float, found.values), strict=True))
+    return Contest(found, ranked(sure, values), level)

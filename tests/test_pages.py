@@ -1,0 +1,87 @@
+"""The site's pages tell the truth: their commands and code run, print what they show, and name what is there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import oee_tabular as oee
+from oee_tabular.cli import main
+
+NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
+PAGES = {path.stem: path.read_text() for path in NOTEBOOKS.glob("*.md")}
+BLOCK = re.compile(r"^```(sh|python|text)\n(.*?)^```", re.S | re.M)
+
+
+def command(line):
+    """What a line of a shell block prints; it must end well."""
+    words = shlex.split(line, comments=True)
+    assert words[0] == "oee", line
+    with pytest.raises(SystemExit) as ended:
+        main(words[1:])
+    assert not ended.value.code, line
+
+
+def run(text, capsys):
+    """Every block in turn, in one name space; each text must be what the last line before it printed."""
+    names, printed = {}, ""
+    for kind, block in BLOCK.findall(text):
+        if kind == "text":
+            assert printed.split() == block.split()
+        for line in block.replace("\\\n", "").splitlines() if kind == "sh" else ():
+            capsys.readouterr()
+            command(line)
+            printed = capsys.readouterr().out
+        if kind == "python":
+            capsys.readouterr()
+            exec(compile(block, "page", "exec"), names)
+            printed = capsys.readouterr().out
+    return printed
+
+
+def sections(page):
+    """Heading -> text of a page's sections, what is not run left out."""
+    parts = re.split(
+        r"^## (.+)\n", re.sub(r"<!-- not run -->\n```.*?^```", "", PAGES[page], flags=re.S | re.M), flags=re.M
+    )
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def test_the_guide_prints_what_it_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run(sections("guide")["From a simulator, a log and a policy to a value"], capsys)
+
+
+@pytest.mark.parametrize("heading", sections("how_to"))
+def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = sections("how_to")[heading]
+    assert BLOCK.search(text)
+    run(text, capsys)
+
+
+def test_the_estimator_of_one_s_own_passes(capsys):
+    assert "Smoothed: passed" in run(PAGES["own_estimator"], capsys)
+
+
+def test_the_landing_page_prints_what_it_shows(capsys):
+    code = next(block for kind, block in BLOCK.findall(PAGES["index"]) if kind == "python")
+    assert len(code.splitlines()) <= 10  # two of them imports
+    run("".join(match[0] for match in BLOCK.finditer(PAGES["index"]) if match[1] != "sh"), capsys)
+
+
+@pytest.mark.parametrize("page", sorted(PAGES))
+def test_files_that_a_page_mentions_exist(page):
+    for path in re.findall(r"`((?:tests|notebooks)/[\w/.]+)`", PAGES[page]):
+        assert (NOTEBOOKS.parent / path).exists(), path
+    for path in re.findall(r"\]\((?!https?:|api/)([\w/.]+)(?:#[\w-]*)?\)", PAGES[page]):
+        assert (NOTEBOOKS / path).exists(), path
+
+
+def test_names_in_the_table_of_the_paper_exist():
+    table = PAGES["paper"].split("## What the default is")[0]
+    for name in re.findall(r"`((?:estimators|tasks|inference|exact)\.\w+|[a-z]+_[a-z_]+|[A-Z]\w+)(?![\w/.])", table):
+        found = oee
+        for part in name.split("."):
+            found = getattr(found, part)
