@@ -16,6 +16,7 @@ from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
     NO_HORIZON,
+    SAMPLED,
     Finding,
     behavior_contradicts,
     episodes_sampled,
@@ -254,6 +255,7 @@ class Problem:
             *_of_counted(self.log),
             *moves_dropped(self.dropped, float(self.counts.sum())),
             *((NO_HORIZON,) if endless else ()),
+            *(() if self.simulator.sampling is None else (SAMPLED,)),
         )
 
     def rewards_of(self, log: Transitions) -> Array:

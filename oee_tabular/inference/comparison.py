@@ -20,6 +20,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
+from oee_tabular.inference.sampled import sampling_margin
 from oee_tabular.inference.strays import stray_share, stray_swing
 
 
@@ -126,8 +127,8 @@ def compare_policies(
 
     Notes
     -----
-    Impossible moves that a Problem dropped widen each difference by the most that they can change either value; P(best) knows
-    nothing of them.
+    Impossible moves that a Problem dropped, and a simulator that was sampled, widen each difference by the most that they can
+    change either value; P(best) knows nothing of them.
 
     The values take rows without data to be the simulator's. Where a policy spends much of its time in such rows
     (``unseen_share``), a target that differs there in one direction can move it by more than the variance tells.
@@ -174,7 +175,7 @@ def compare_policies(
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
     z = float(stats.norm.ppf(0.5 + level / 2.0))
-    down, up = np.array([stray_swing(problem, evidences[i]) for i in order]).T
+    down, up = np.array([_swing(problem, evidences[i], z) for i in order]).T
     return Comparison(
         tuple(names[i] for i in order),
         values,
@@ -192,6 +193,16 @@ def compare_policies(
 def _unknown_time(problem: Problem, evidence: Evidence) -> float:
     share, alive = unseen_time(evidence)
     return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
+
+
+def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
+    """By how much dropped moves, and the simulator's own sampling, may change a value: down, up."""
+    down, up = stray_swing(problem, evidence)
+    margin = sampling_margin(problem, evidence)
+    if margin is None:
+        return down, up
+    half = z * float(np.sqrt(margin.variance))
+    return down + margin.down + half, up + margin.up + half
 
 
 def _apart(one: Array, other: Array) -> Array:

@@ -14,6 +14,7 @@ from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp.arrays import canonical_table
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
+from oee_tabular.mdp.sampling import Sampling, sampling_of
 
 if TYPE_CHECKING:
     from oee_tabular.mdp.finite_mdp import FiniteMDP
@@ -64,7 +65,12 @@ def arguments_of_log(
     moves = frequencies(
         state, action, following, reward, log.terminated, n_actions, law, Names(state_names, action_names)
     )
-    return _arguments(moves, rewards, law, n_actions, (state_names, action_names), layout)
+    found = _arguments(moves, rewards, law, n_actions, (state_names, action_names), layout)
+    firsts = len(state) if log.episode_starts is None else len(log.episode_starts) - 1
+    columns_of = (state, action, following, log.terminated)
+    return found | {
+        "sampling": _sampling(found, columns_of, reward if rewards is None else None, firsts, initial is None)
+    }
 
 
 def arguments_of_env(env: Any, samples_per_pair: Any, seed: Any, max_steps: Any) -> dict[str, Any]:
@@ -89,11 +95,20 @@ def arguments_of_env(env: Any, samples_per_pair: Any, seed: Any, max_steps: Any)
     n_states = max(int(getattr(space, "n", 0)), 1 + max(code.values())) if names is None else len(names)
     state, action, following, reward, terminated = (list(column) for column in zip(*seen, strict=True))
     law = np.bincount([code[s] for s in starts], minlength=n_states) / len(starts)
-    moves = frequencies(
+    columns = (
         np.array([code[s] for s in state]), np.array(action), np.array([code[s] for s in following]),
-        np.array(reward, dtype=np.float64), np.array(terminated, dtype=np.bool_), n_actions, law, Names(names),
+        np.array(terminated, dtype=np.bool_),
     )  # fmt: skip
-    return _arguments(moves, None, law, n_actions, (names, None), None)
+    paid = np.array(reward, dtype=np.float64)
+    moves = frequencies(*columns[:3], paid, columns[3], n_actions, law, Names(names))
+    found = _arguments(moves, None, law, n_actions, (names, None), None)
+    return found | {"sampling": _sampling(found, columns, paid, len(starts), True)}
+
+
+def _sampling(found: dict[str, Any], columns: Any, reward: Array | None, starts: int, sampled: bool) -> Sampling:
+    return sampling_of(
+        columns, reward, float(starts) if sampled else np.inf, found["terminal_state"], found["transitions"].shape
+    )
 
 
 def _walked(

@@ -123,7 +123,10 @@ def test_info(capsys, tmp_path):
         (["evaluate", "--horizon", "0"], "horizon must be a positive integer; it is 0"),
         (["evaluate", "--rewards", "mine"], "rewards must be one of 'simulator', 'log'; got 'mine'"),
         (["evaluate", "--policy", "mix:x"], "--policy must be like mix:0.5; got 'mix:x'"),
-        (["evaluate", "--policy", "best"], "must be uniform, optimal, expert, mix:WEIGHT, or a .npy, .npz or .csv file"),
+        (
+            ["evaluate", "--policy", "best"],
+            "must be uniform, optimal, expert, mix:WEIGHT, or a .npy, .npz or .csv file",
+        ),
         (["evaluate", "--policy", "a=uniform", "--policy", "a=optimal"], "'a' is given twice"),
         (["evaluate", "--policy", "nowhere.npy"], "no such file: nowhere.npy"),
         (["evaluate", "--output", "/proc/version/below"], "output must be a folder that can be written"),
