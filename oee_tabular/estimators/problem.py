@@ -56,9 +56,9 @@ class Problem:
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target, a data frame of them (``Transitions.from_frame``), or episodes as lists of steps
-        (``Transitions.from_episodes``); names of states and actions are matched to the simulator's. Or counts of its moves:
-        ``TransitionCounts``, or a sparse (S*A, S) matrix
+    log : Transitions of the target, a path or Minari id of them (``Transitions.load``), a data frame
+        (``Transitions.from_frame``), or episodes as lists of steps (``Transitions.from_episodes``); names of states and actions
+        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities

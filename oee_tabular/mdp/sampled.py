@@ -77,11 +77,12 @@ def arguments_of_env(env: Any, samples_per_pair: Any, seed: Any, max_steps: Any)
     """The arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
     wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
+    if not hasattr(env, "step") or not hasattr(env, "reset"):
+        made = f" (gymnasium.make({env!r}))" if isinstance(env, str) else ""
+        raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}{made}")
     space, actions = getattr(env, "observation_space", None), getattr(env, "action_space", None)
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
         raise ValueError(f"env.action_space must be Discrete, from 0; it is {actions}")
-    if not hasattr(env, "step") or not hasattr(env, "reset"):
-        raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}")
     if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
         raise ValueError(
             f"env.observation_space must be discrete (cut a continuous one into cells first); it is {space}"
@@ -309,7 +310,9 @@ def _moves_of(mdp: FiniteMDP, log: Any) -> tuple[IntArray, IntArray, Array | Non
 
 def _require_log(log: Any) -> None:
     if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG):
-        raise ValueError(f"log must be Transitions; got {type(log).__name__}")
+        frame = hasattr(log, "columns") and not isinstance(log, type)
+        hint = " (of a data frame: Transitions.from_frame(log))" * frame
+        raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")
 
 
 def _sized(
