@@ -375,7 +375,7 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
         ([3], r"episodes\[0\] must be a list of steps; got int$"),
         ([["hall", "go"]], r"episodes\[0\]\[0\] must be a step, \(state, action, reward\), .*; got str$"),
         ([[(0, 0), (1, 0, 1.0), (2,)]], r"episodes\[0\]\[0\] must be a step, .*; it has 2 parts$"),
-        ([[(0, 0, 1.0, 1, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 6 parts$"),
+        ([[(0, 0, 1.0, 1, False, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 7 parts$"),
         ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of row 1"),
         ([[(0, 0, "x"), (1,)]], r"reward must be an array of numbers"),
         ([[(0, 0, 1.0), (1, "yes")]], r"terminated\[0\] must be a boolean"),
