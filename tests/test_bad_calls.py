@@ -1,6 +1,7 @@
 """Bad input: an error at the call, naming the argument, the place, the rule and the value found."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import sparse
 
@@ -72,7 +73,7 @@ TABLE = {
     ),
     "transitions of two dimensions": (
         lambda: mdp(np.eye(2)),
-        r"transitions must have 3 dimension\(s\); it has shape \(2, 2\)",
+        r"transitions must have shape \(S, A, S\), or \(S\*A, S\) as a scipy.sparse array; it has shape \(2, 2\)",
     ),
     "sparse transitions of a wrong shape": (
         lambda: mdp(sparse.csr_array(np.ones((3, 2)))),
@@ -182,6 +183,68 @@ TABLE = {
     ),
     "fractional state": (lambda: Transitions([0.5], [0], [1]), r"state\[0\] must be an integer; it is 0.5"),
     "negative action": (lambda: Transitions([0], [-1], [1]), r"action\[0\] must be at least 0; it is -1"),
+    "a mapping as a log": (
+        lambda: Problem(GRID, {"state": [0]}),
+        r"log must be Transitions; got dict \(a mapping of columns: Transitions\(\*\*log\)\)",
+    ),
+    "rows of numbers as a log": (
+        lambda: Problem(GRID, np.zeros((3, 3))),
+        r"log must be Transitions; got ndarray \(columns state, action, next_state: Transitions\(\*log\.T\)\)",
+    ),
+    "a log's path that is not there": (lambda: Problem(GRID, "nowhere.csv"), r"nowhere\.csv"),
+    "a log that is a data frame alone": (
+        lambda: Transitions(pd.DataFrame({"state": [0]})),
+        r"action must be given, .*Transitions\.from_frame\(frame\)",
+    ),
+    "impossible moves allowed": (
+        lambda: Problem(GRID, LOG, impossible="allow"),
+        r"impossible must be one of 'refuse', 'drop'; got 'allow'",
+    ),
+    "support for all and more": (lambda: GRID.with_support_of(LOG, 2), r"epsilon must be in \(0, 1\); it is 2"),
+    "support of a data frame": (
+        lambda: GRID.with_support_of(pd.DataFrame({"state": [0]}), 0.1),
+        r"log must be Transitions; got DataFrame \(of a data frame: Transitions\.from_frame\(log\)\)",
+    ),
+    "a frame without its columns": (
+        lambda: Problem(GRID, pd.DataFrame({"place": [0], "action": [0]})),
+        r"frame must have the columns state, action, next_state; it has place, action",
+    ),
+    "names twice": (
+        lambda: GRID.with_names([f"s{k // 2}" for k in range(GRID.n_states)]),
+        r"state_names must differ; state_names\[1\] is 's0', as state_names\[0\] is",
+    ),
+    "a name that is not there": (
+        lambda: oee.interval(oee.Problem(GRID.with_names(None, ["n", "east", "s", "w"]), LOG), lambda state: "eats"),
+        r"policy\(0\) must be one of the MDP's names; it is 'eats' \(did you mean 'east'\?\)",
+    ),
+    "a policy that is a word": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), "north"),
+        r"policy must be an action, or a distribution, for each of the \d+ states; it is 'north' \(the same in every state",
+    ),
+    "a policy that is one action": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), 2),
+        r"for each of the \d+ states; it is 2",
+    ),
+    "a policy that returns no distribution": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), lambda state: [0.5, 0.4, 0, 0]),
+        r"policy\(0\) must sum to 1 .*; it sums to 0.9",
+    ),
+    "a policy that raises": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), lambda state: {}[state]),
+        r"policy\(0\) must be an action or a distribution; it raises KeyError: 0",
+    ),
+    "a policy's action out of range": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), [4] * GRID.n_states),
+        r"policy\[0\] must be in 0\.\.3; it is 4",
+    ),
+    "one policy to compare": (
+        lambda: oee.inference.compare_policies(oee.Problem(GRID, LOG), [[0] * GRID.n_states]),
+        r"policies must be at least two to compare; there is 'policy 0'",
+    ),
+    "an environment's name": (
+        lambda: oee.FiniteMDP.from_env("FrozenLake-v1", samples_per_pair=1),
+        r"env must be a Gymnasium environment; got str \(gymnasium\.make\('FrozenLake-v1'\)\)",
+    ),
     "states as words": (lambda: Transitions(["a"], [0], [1]), r"state must hold integers; it holds <U1"),
     "two-dimensional states": (
         lambda: Transitions([[0]], [0], [1]),

@@ -1,6 +1,7 @@
 """What a newcomer's own files run into: each was met by someone who had read the README alone."""
 
 import inspect
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -202,3 +203,112 @@ def test_impossible_moves_are_allowed_in_a_line():
         oee.Problem(dock(), log)
     found = oee.interval(oee.Problem(dock().with_support_of(log, 0.01), log), [0, 0, 0, 0])
     assert np.isfinite([found.lower, found.upper]).all()
+
+
+# ---------------------------------------------------------------- a tandem queue: 2025 states, logs that never end
+
+
+def tandem(arrival, service):
+    """Two queues one after the other, up to 44 jobs in each; an action gives the first or the second server the help.
+
+    An event a step: an arrival, a job done at the first server, one done at the second, or nothing; a job costs 1 a step.
+    """
+    size = 45
+    first, second = np.divmod(np.arange(size * size), size)
+    P = np.zeros((size * size, 2, size * size))
+    here = np.arange(size * size)
+    for a in range(2):
+        rates = (service + 0.1 * (a == 0), service + 0.1 * (a == 1))
+        moves = (
+            (arrival, np.where(first < size - 1, here + size, here)),
+            (rates[0], np.where((first > 0) & (second < size - 1), here - size + 1, here)),
+            (rates[1], np.where(second > 0, here - 1, here)),
+        )
+        for probability, to in (*moves, (1.0 - sum(p for p, _ in moves), here)):
+            P[here, a, to] += probability
+    return P, -(first + second).astype(float)
+
+
+def a_tandem_queue():
+    P, cost = tandem(0.2, 0.22)
+    target = oee.FiniteMDP(*tandem(0.25, 0.2), 0, 0.99)
+    columns = oee.sample_episodes(target, oee.uniform_policy(target), 5, horizon=8000, seed=0).columns()
+    # theirs, from here on: arrays of the simulator, columns of the log, a rule
+    simulator = oee.FiniteMDP(P, cost, 0, 0.99)
+    log = oee.Transitions(columns["state"], columns["action"], columns["next_state"], episode=columns["episode"])
+    rule = [int(s % 45 > s // 45) for s in range(2025)]
+    endless = oee.interval(oee.Problem(simulator, log), rule)
+    finite = oee.interval(oee.Problem(simulator, log, horizon=500), rule)
+    return endless, finite, rule
+
+
+def test_a_tandem_queue_of_2025_states_with_both_horizons():
+    assert len(lines_of(a_tandem_queue)) <= 8
+    endless, finite, rule = a_tandem_queue()
+    target = oee.FiniteMDP(*tandem(0.25, 0.2), 0, 0.99)
+    for found, horizon in ((endless, None), (finite, 500)):
+        truth = oee.policy_value(target, rule, horizon=horizon)
+        assert found.lower <= truth <= found.upper
+        assert found.width < abs(truth)
+
+
+# ---------------------------------------------------------------- moves that the simulator rules out, a region never recorded
+
+
+def open_field(stall=0.0):
+    """A field of 5 x 5, round its edges, with its goal in a corner; -1 a step, moves slip sideways.
+
+    No action makes a robot stay, but its wheels may stall.
+    """
+    P, r = np.zeros((25, 4, 25)), np.full((25, 4, 25), -1.0)
+    ways = [(-1, 0), (0, 1), (1, 0), (0, -1)]
+    for s, a in itertools.product(range(24), range(4)):
+        row, column = divmod(s, 5)
+        for way, share in ((a, 0.8), ((a + 1) % 4, 0.1), ((a - 1) % 4, 0.1)):
+            to = ((row + ways[way][0]) % 5) * 5 + (column + ways[way][1]) % 5
+            P[s, a, to] += (1.0 - stall) * share
+        P[s, a, s] += stall
+    P[24, :, 24], r[24] = 1.0, 0.0
+    return P, r
+
+
+def field_log(path):
+    """A CSV as a robot writes it: no probabilities of its driver's, stalls, and nothing from the last row but one."""
+    target = oee.FiniteMDP(*open_field(stall=0.1), 0, 0.9)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 80, horizon=40, seed=1)
+    table = pd.DataFrame({"state": log.state, "action": log.action, "next_state": log.next_state})
+    table[~table.state.isin(range(15, 20)) & (table.state != 24)].to_csv(path, index=False)
+
+
+def an_open_field():
+    field_log("log.csv")
+    P, r = open_field()
+    # theirs, from here on: arrays of the simulator, the file, a rule
+    simulator = oee.FiniteMDP(P, r, 0, 0.9)
+    rule = [0 if s % 5 == 4 else 1 for s in range(25)]
+    dropped = oee.interval(oee.Problem(simulator, "log.csv", impossible="drop"), rule)
+    log = oee.Transitions.load("log.csv")
+    allowed = oee.interval(oee.Problem(simulator.with_support_of(log, 0.01), log), rule)
+    return simulator, log, rule, dropped, allowed
+
+
+def test_a_log_with_impossible_moves_and_an_unrecorded_region(tmp_path, monkeypatch):
+    """Both ways out hold the truth; the rows cut out by hand, which the package never sees, do not."""
+    monkeypatch.chdir(tmp_path)
+    assert len(lines_of(an_open_field)) <= 8
+    simulator, log, rule, dropped, allowed = an_open_field()
+    with pytest.raises(ValueError, match=r"\(--impossible allow=0\.01\) .*\(--impossible drop\)"):
+        oee.Problem(simulator, log)
+    truth = oee.policy_value(oee.FiniteMDP(*open_field(stall=0.1), 0, 0.9), rule)
+    assert dropped.lower <= truth <= dropped.upper
+    assert allowed.lower <= truth <= allowed.upper
+    assert dropped.diagnostics["unvisited_rows"] > 0
+    assert 0.02 < dropped.diagnostics["dropped_share"] < 0.1  # a tenth of the time before the goal
+    possible = log.state != log.next_state
+    cut = oee.Transitions(log.state[possible], log.action[possible], log.next_state[possible])
+    by_hand = oee.interval(oee.Problem(simulator, cut), rule)
+    assert truth < by_hand.lower
+    assert by_hand.upper < dropped.upper
+    told = str(oee.evaluate(oee.Problem(simulator, log, impossible="drop"), {"rule": rule}, estimators=["oee"], seed=0))
+    assert "are impossible in the simulator and left out of every model" in told
+    assert "never recorded" in told

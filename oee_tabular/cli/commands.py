@@ -46,7 +46,6 @@ from oee_tabular.cli.options import (
     option,
 )
 from oee_tabular.cli.policies import POLICY_HELP, policies_of, policy_of
-from oee_tabular.tasks.arguments import named_specs
 from oee_tabular.cli.simulators import SIMULATOR_HELP, task_of
 from oee_tabular.continuous.command import (
     CALIBRATION_HELP,
@@ -61,6 +60,7 @@ from oee_tabular.continuous.command import (
     refuse_settings,
     settings_of,
 )
+from oee_tabular.tasks.arguments import named_specs
 
 __all__ = ["app"]
 

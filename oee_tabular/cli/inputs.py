@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from oee_tabular.cli.policies import policies_of, policy_of
-from oee_tabular.tasks.arguments import named_specs
 from oee_tabular.cli.simulators import task_of
 from oee_tabular.estimators.names import names
+from oee_tabular.tasks.arguments import named_specs
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array

@@ -196,7 +196,8 @@ def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
     if array.size == 0:
         return np.zeros(0, dtype=np.int64)
     if array.dtype.kind not in "iuf":
-        raise ValueError(f"{name} must hold integers; it holds {array.dtype}")
+        texts = " (numbers written as text? .astype(int))" if array.dtype.kind in "UO" else ""
+        raise ValueError(f"{name} must hold integers; it holds {array.dtype}{texts}")
     if array.dtype.kind == "f":
         bad = np.flatnonzero(~((np.abs(array) <= 2.0**53) & (array == np.floor(array))))
         if bad.size:

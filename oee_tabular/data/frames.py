@@ -15,7 +15,7 @@ from oee_tabular.data.tables import SEPARATORS, meant
 from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number
 
 REQUIRED = ("state", "action", "next_state")
-STEP = "(state, action, reward), (state, action, reward, next_state) or (state, action, reward, next_state, terminated)"
+STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
 
 
 def is_frame(value: object) -> bool:
@@ -166,7 +166,7 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
     short = len(parts[-1]) in (1, 2) and len(parts) > 1
     body, last = (parts[:-1], parts[-1]) if short else (parts, None)
     for t, part in enumerate(body):
-        if len(part) not in (3, 4, 5):
+        if len(part) not in (3, 4, 5, 6):
             raise ValueError(f"{name}[{t}] must be a step, {STEP}; it has {len(part)} parts")
     moves: list[tuple[Any, ...]] = []
     for t, part in enumerate(body):
@@ -174,7 +174,7 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
         led = list(part[3:4]) or following
         if not led:
             return moves, 1
-        over = part[4] if len(part) == 5 else t + 1 == len(body) and last is not None and len(last) == 2 and last[1]
+        over = part[4] if len(part) > 4 else t + 1 == len(body) and last is not None and len(last) == 2 and last[1]
         moves.append((*part[:3], led[0], over))
     return moves, 0
 

@@ -6,7 +6,8 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -74,8 +75,8 @@ class Transitions(Log):
     def __init__(
         self,
         state: ArrayLike,
-        action: ArrayLike,
-        next_state: ArrayLike,
+        action: ArrayLike | None = None,
+        next_state: ArrayLike | None = None,
         reward: ArrayLike | None = None,
         *,
         terminated: ArrayLike | None = None,
@@ -86,6 +87,9 @@ class Transitions(Log):
         state_names: Any = None,
         action_names: Any = None,
     ) -> None:
+        if action is None or next_state is None:
+            lacking = "action" if action is None else "next_state"
+            raise ValueError(f"{lacking} must be given, (n,) as state (of a data frame: Transitions.from_frame(frame))")
         (states, following), called = coded({"state": state, "next_state": next_state}, state_names, "state_names")
         (actions,), acts = coded({"action": action}, action_names, "action_names")
         object.__setattr__(self, "state_names", called)
@@ -164,8 +168,9 @@ class Transitions(Log):
         episodes : list of episodes, each a list of steps
             A step is (state, action, reward): it led to the next step's state. An episode ends with its last state,
             (state,), or (state, terminated) where that says whether the task was over; without it nothing says where the
-            last step led, and it is left out with a warning. Steps may also be (state, action, reward, next_state) or
-            (state, action, reward, next_state, terminated).
+            last step led, and it is left out with a warning. Steps may also be (state, action, reward, next_state),
+            (state, action, reward, next_state, terminated), or with truncated after these, as a loop over a Gymnasium
+            environment's ``step`` has them: an episode that ends without being terminated is truncated, said or not.
         simulator : FiniteMDP, optional; names are matched to its names
 
         Examples
@@ -277,9 +282,15 @@ class Transitions(Log):
 
 
 def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
-    """A log in the simulator's numbers: Transitions, a data frame, or a list of episodes; ValueError for anything else."""
+    """A log in the simulator's numbers: Transitions, a path, a data frame, or episodes; ValueError for anything else."""
+    if isinstance(value, str | os.PathLike):
+        return Transitions.load(value).numbered(simulator, name)
     if isinstance(value, list | tuple):
         return Transitions.from_episodes(value, simulator=simulator)
     if not isinstance(value, Transitions) and is_frame(value):
         return Transitions.from_frame(value, simulator=simulator)
-    return _checks.instance(value, Transitions, name, "Transitions").numbered(simulator, name)
+    if not isinstance(value, Transitions):
+        hint = " (a mapping of columns: Transitions(**log))" if isinstance(value, Mapping) else ""
+        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (np.ndim(value) == 2)
+        raise ValueError(f"{name} must be Transitions; got {type(value).__name__}{hint}")
+    return value.numbered(simulator, name)

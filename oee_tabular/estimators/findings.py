@@ -200,6 +200,14 @@ def moves_dropped(dropped: Array, kept: float) -> tuple[Finding, ...]:
     return (Finding("impossible", 1.0, text),)
 
 
+SAMPLED = Finding(
+    "sampled",
+    0.0,
+    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and moves that "
+    "were never met may change.",
+)
+
+
 def episodes_sampled(kept: int, of: int) -> tuple[Finding, ...]:
     """Importance sampling sees some of the log's episodes."""
     if not 0 < kept < of:

@@ -16,6 +16,7 @@ from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
     NO_HORIZON,
+    SAMPLED,
     Finding,
     behavior_contradicts,
     episodes_sampled,
@@ -55,9 +56,9 @@ class Problem:
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target, a data frame of them (``Transitions.from_frame``), or episodes as lists of steps
-        (``Transitions.from_episodes``); names of states and actions are matched to the simulator's. Or counts of its moves:
-        ``TransitionCounts``, or a sparse (S*A, S) matrix
+    log : Transitions of the target, a path or Minari id of them (``Transitions.load``), a data frame
+        (``Transitions.from_frame``), or episodes as lists of steps (``Transitions.from_episodes``); names of states and actions
+        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities
@@ -254,6 +255,7 @@ class Problem:
             *_of_counted(self.log),
             *moves_dropped(self.dropped, float(self.counts.sum())),
             *((NO_HORIZON,) if endless else ()),
+            *(() if self.simulator.sampling is None else (SAMPLED,)),
         )
 
     def rewards_of(self, log: Transitions) -> Array:

@@ -6,7 +6,6 @@ deep off-policy evaluation, ICLR 2021 (regret@k, rank correlation).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -21,7 +20,10 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values
+from oee_tabular.inference.sampled import sampling_margin
 from oee_tabular.inference.strays import stray_share, stray_swing
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.policies import check_policies
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ class Comparison:
 @one_thread
 def compare_policies(
     problem: Problem,
-    policies: Mapping[str, Any],
+    policies: Any,
     *,
     method: Literal["delta", "bootstrap"] = "delta",
     confidence: float = 0.95,
@@ -120,15 +122,15 @@ def compare_policies(
     Parameters
     ----------
     problem : Problem
-    policies : name -> (S, A)
+    policies : two or more, a mapping name -> policy or a list of them
     method, confidence : as in ``interval``
     n_draws : draws of the joint normal distribution behind ``probability_best`` ("delta")
     n_bootstrap, seed : of the bootstrap, and of the draws
 
     Notes
     -----
-    Impossible moves that a Problem dropped widen each difference by the most that they can change either value; P(best) knows
-    nothing of them.
+    Impossible moves that a Problem dropped, and a simulator that was sampled, widen each difference by the most that they can
+    change either value; P(best) knows nothing of them.
 
     The values take rows without data to be the simulator's. Where a policy spends much of its time in such rows
     (``unseen_share``), a target that differs there in one direction can move it by more than the variance tells.
@@ -147,10 +149,9 @@ def compare_policies(
     _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    if not isinstance(policies, Mapping) or len(policies) < 2:
-        raise ValueError("policies must be a mapping of at least two names to (S, A) arrays")
-    _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(policies), "n_draws", n_draws)
-    parts = {name: gather(problem, policy) for name, policy in policies.items()}
+    named = several_policies(policies, problem.simulator)
+    _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(named), "n_draws", n_draws)
+    parts = {name: gather(problem, policy) for name, policy in named.items()}
     names, evidences = list(parts), list(parts.values())
     values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])
     recorded, never = _covariances(evidences)
@@ -175,7 +176,7 @@ def compare_policies(
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
     z = float(stats.norm.ppf(0.5 + level / 2.0))
-    down, up = np.array([stray_swing(problem, evidences[i]) for i in order]).T
+    down, up = np.array([_swing(problem, evidences[i], z) for i in order]).T
     return Comparison(
         tuple(names[i] for i in order),
         values,
@@ -193,6 +194,24 @@ def compare_policies(
 def _unknown_time(problem: Problem, evidence: Evidence) -> float:
     share, alive = unseen_time(evidence)
     return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
+
+
+def several_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
+    """Name -> (S, A) of at least two; a ValueError where there are fewer."""
+    named = check_policies(policies, mdp)
+    if len(named) < 2:
+        raise ValueError(f"policies must be at least two to compare; there is {', '.join(map(repr, named)) or 'none'}")
+    return named
+
+
+def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
+    """By how much dropped moves, and the simulator's own sampling, may change a value: down, up."""
+    down, up = stray_swing(problem, evidence)
+    margin = sampling_margin(problem, evidence)
+    if margin is None:
+        return down, up
+    half = z * float(np.sqrt(margin.variance))
+    return down + margin.down + half, up + margin.up + half
 
 
 def _apart(one: Array, other: Array) -> Array:

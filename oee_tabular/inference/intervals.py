@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
@@ -15,8 +16,9 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
-from oee_tabular.inference.likelihood import profile_end
+from oee_tabular.inference.likelihood import ProfileEnd, profile_end
 from oee_tabular.inference.robust import Extreme, contradicted_rows, describe_rows, extreme_value, radii
+from oee_tabular.inference.sampled import sampling_margin
 from oee_tabular.inference.strays import Found, stray_end, stray_share
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
@@ -127,7 +129,8 @@ def interval(
     robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
     likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
     Impossible moves that a Problem dropped are taken to have led anywhere, each end where that is most extreme
-    (``inference.strays``): "likelihood" and "robust" alone.
+    (``inference.strays``): "likelihood" and "robust" alone. All widen where the simulator was made of samples, by its first
+    states', rewards' and unmet moves' (``inference.sampled``; ``unmet_share``: the time that those may take).
 
     Examples
     --------
@@ -161,6 +164,16 @@ def interval(
     if strayed:
         diagnostics |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": stray_share(problem, evidence)}
 
+    margin = sampling_margin(problem, evidence)
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    if margin is not None:
+        diagnostics |= {"unmet_share": margin.unmet_share, "sampling_error": float(np.sqrt(margin.variance))}
+
+    def told(lower: float, upper: float, added: dict[str, Any]) -> Interval:
+        if margin is not None:
+            lower, upper = margin.widened(lower, -1.0, z), margin.widened(upper, 1.0, z)
+        return Interval(lower, upper, level, method, diagnostics | added)
+
     def reached(sign: float, end: Callable[[Evidence], Found]) -> Found:
         return stray_end(problem, evidence, sign, end) if strayed else end(evidence)
 
@@ -174,7 +187,7 @@ def interval(
             return Interval(np.nan, np.nan, level, method, diagnostics | {"contradicted_rows": wrong}, status)
     if method == "delta":
         lower, upper, error = delta_ends(evidence, level)
-        return _sampled(lower, upper, error, evidence, level, method, diagnostics)
+        return _varied(told(lower, upper, {"standard_error": error}), evidence)
     if method == "bootstrap":
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         value, values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
@@ -182,38 +195,10 @@ def interval(
         low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
         if bootstrap == "basic":
             low, high = 2.0 * value - high, 2.0 * value - low
-        return _sampled(low, high, float(values.std(ddof=1)), evidence, level, method, diagnostics)
+        return _varied(told(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
-        return _likeliest(reached, level, diagnostics)
-    return _guaranteed(evidence, reached, level, kind, ball, diagnostics)
-
-
-def _likeliest(reached: Reached[ProfileEnd], level: float, diagnostics: dict[str, Any]) -> Interval:
-    """The ends of the profile likelihood."""
-    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign)) for sign in (-1.0, 1.0))
-    added = {
-        "divergence": max(low.divergence, high.divergence),
-        "iterations": max(low.iterations, high.iterations),
-        "last_change": max(low.change, high.change),
-        "promised": max(low.promised, high.promised),
-    }
-    return Interval(low.value, high.value, level, "likelihood", diagnostics | added)
-
-
-def _guaranteed(
-    evidence: Evidence,
-    reached: Reached[Extreme],
-    level: float,
-    kind: str,
-    ball: Literal["kl", "l1"],
-    diagnostics: dict[str, Any],
-) -> Interval:
-    """The extremes over all rows' balls, certified."""
-
-    def extreme(found: Evidence, sign: float) -> Extreme:
-        return extreme_value(found, radii(found, level, kind, ball), sign, ball=ball)
-
-    low_end, high_end = (reached(sign, partial(extreme, sign=sign)) for sign in (-1.0, 1.0))
+        return told(*_likeliest(reached, level))
+    low_end, high_end = _guaranteed(reached, level, kind, ball)
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
         return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
@@ -222,19 +207,48 @@ def _guaranteed(
         "sweeps": max(low_end.sweeps, high_end.sweeps),
         "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
     }
-    return Interval(low_end.bound, high_end.bound, level, "robust", diagnostics | certified)
+    return told(low_end.bound, high_end.bound, certified)
 
 
-def _sampled(
-    lower: float, upper: float, error: float, evidence: Evidence, level: float, method: str, diagnostics: dict[str, Any]
-) -> Interval:
+def _likeliest(
+    reached: Callable[[float, Callable[[Evidence], ProfileEnd]], ProfileEnd], level: float
+) -> tuple[float, float, dict[str, Any]]:
+    """The ends of the profile likelihood, and what they say of themselves."""
+    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign)) for sign in (-1.0, 1.0))
+    added = {
+        "divergence": max(low.divergence, high.divergence),
+        "iterations": max(low.iterations, high.iterations),
+        "last_change": max(low.change, high.change),
+        "promised": max(low.promised, high.promised),
+    }
+    return low.value, high.value, added
+
+
+def _guaranteed(
+    reached: Callable[[float, Callable[[Evidence], Extreme]], Extreme],
+    level: float,
+    kind: str,
+    ball: Literal["kl", "l1"],
+) -> tuple[Extreme, Extreme]:
+    """The extremes over all rows' balls, certified."""
+
+    def extreme(found: Evidence, sign: float) -> Extreme:
+        return extreme_value(found, radii(found, level, kind, ball), sign, ball=ball)
+
+    low, high = (reached(sign, partial(extreme, sign=sign)) for sign in (-1.0, 1.0))
+    return low, high
+
+
+def _varied(found: Interval, evidence: Evidence) -> Interval:
     """An interval from the log's own variation; without any there is none, and neither error nor interval."""
+    lower, upper = found.lower, found.upper
     if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reached_rows(evidence)).any():
-        return Interval(lower, upper, level, method, diagnostics | {"standard_error": error})
+        return found
     status = (
         "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
     )
-    return Interval(np.nan, np.nan, level, method, diagnostics | {"standard_error": np.nan}, status)
+    unknown = found.diagnostics | {"standard_error": np.nan}
+    return Interval(np.nan, np.nan, found.confidence, found.method, unknown, status)
 
 
 def _coverage(evidence: Evidence) -> dict[str, Any]:

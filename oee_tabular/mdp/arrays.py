@@ -27,7 +27,11 @@ def transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
         n_states = int(transitions.shape[1])
         rows = checked(transitions, "transitions")
     else:
-        dense = _checks.float_array(transitions, "transitions", ndim=3)
+        dense = _checks.float_array(transitions, "transitions")
+        if dense.ndim != 3:
+            raise ValueError(
+                f"transitions must have shape (S, A, S), or (S*A, S) as a scipy.sparse array; it has shape {dense.shape}"
+            )
         if dense.shape[0] != dense.shape[2]:
             raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
         _checks.require_nonnegative(dense, "transitions")

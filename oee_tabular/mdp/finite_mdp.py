@@ -29,6 +29,7 @@ from oee_tabular.mdp.arrays import (
 )
 from oee_tabular.mdp.made import Made
 from oee_tabular.mdp.naming import Name, Names, check_names, from_text, start_law, to_text
+from oee_tabular.mdp.sampling import Sampling, stored_sampling
 
 KIND = "finite_mdp"
 
@@ -54,6 +55,8 @@ class FiniteMDP(Made):
         leads. By default s itself.
     layout : (S,) or (S, c) array, optional
         Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``).
+    sampling : Sampling, optional
+        What the MDP rests on where it was made of samples; ``from_log`` and ``from_env`` give it, intervals widen by it.
     state_names, action_names : S, A texts or tuples of texts and numbers, optional
         What the states and the actions are called, each once; none reads as a number. Logs and policies may use them.
 
@@ -63,7 +66,7 @@ class FiniteMDP(Made):
     transitions : csr_array of shape (S*A, S), without explicit zeros
     rewards : (S, A) expected reward
     transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
-    initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None)
+    initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None), sampling (or None)
     names : both, as sentences word them (``mdp.naming``)
 
     Raises
@@ -89,6 +92,7 @@ class FiniteMDP(Made):
         "n_actions",
         "n_states",
         "rewards",
+        "sampling",
         "state_names",
         "terminal_state",
         "transition_rewards",
@@ -106,6 +110,7 @@ class FiniteMDP(Made):
     layout: Array | None
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
+    sampling: Sampling | None
     _reward_data: Array | None
 
     def __init__(
@@ -119,6 +124,7 @@ class FiniteMDP(Made):
         layout: ArrayLike | None = None,
         state_names: Any = None,
         action_names: Any = None,
+        sampling: Sampling | None = None,
     ) -> None:
         matrix, n_states, n_actions = transition_rows(transitions)
         table, expected = reward_table(rewards, matrix, n_states, n_actions)
@@ -143,6 +149,7 @@ class FiniteMDP(Made):
             "layout": None if layout is None else check_layout(layout, n_states),
             "state_names": called,
             "action_names": None if action_names is None else check_names(action_names, "action_names", n_actions),
+            "sampling": sampling,
             "_reward_data": data,
         }
         for name, value in values.items():
@@ -221,11 +228,11 @@ class FiniteMDP(Made):
                     f"the first: {'; '.join(moves)}"
                 )
             rewards = self.transition_rewards
-        return self._changed(transitions=matrix, rewards=rewards)
+        return self._changed(transitions=matrix, rewards=rewards, sampling=None)
 
     def with_rewards(self, rewards: Any) -> Self:
         """The same dynamics with other rewards, in any of the constructor's forms."""
-        return self._changed(rewards=rewards)
+        return self._changed(rewards=rewards, sampling=self.sampling and self.sampling.without_rewards())
 
     def with_discount(self, discount: float) -> Self:
         """The same MDP with another discount."""
@@ -233,7 +240,7 @@ class FiniteMDP(Made):
 
     def with_initial(self, initial: Any) -> Self:
         """The same MDP begun elsewhere: in a state, by number or name, or by a law in any of the constructor's forms."""
-        return self._changed(initial=initial)
+        return self._changed(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
@@ -263,7 +270,8 @@ class FiniteMDP(Made):
             flow.data = self.transitions.data * self._reward_data
             total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
             rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
-        return self._changed(transitions=matrix, rewards=rewards)
+        sampling = self.sampling and self.sampling.mixed(self.n_actions)
+        return self._changed(transitions=matrix, rewards=rewards, sampling=sampling)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an npz of plain arrays, whole or not at all."""
@@ -289,7 +297,7 @@ class FiniteMDP(Made):
             arrays["layout"] = self.layout
         called = {"state_names": self.state_names, "action_names": self.action_names}
         arrays |= {name: to_text(names) for name, names in called.items() if names is not None}
-        return arrays
+        return arrays | ({} if self.sampling is None else self.sampling.arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -312,6 +320,7 @@ class FiniteMDP(Made):
                 float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
                 terminal_state=arrays["terminal_state"],
                 layout=arrays.get("layout"),
+                sampling=stored_sampling(arrays, shape),
                 **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
             )
 
@@ -339,7 +348,16 @@ class FiniteMDP(Made):
 
     def _arguments(self) -> dict[str, Any]:
         rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        same = ("transitions", "initial", "discount", "terminal_state", "layout", "state_names", "action_names")
+        same: tuple[str, ...] = (
+            "transitions",
+            "initial",
+            "discount",
+            "terminal_state",
+            "layout",
+            "state_names",
+            "action_names",
+        )
+        same += ("sampling",)
         return {"rewards": rewards} | {name: getattr(self, name) for name in same}
 
     def _changed(self, **changes: Any) -> Self:

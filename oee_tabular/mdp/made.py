@@ -107,7 +107,8 @@ class Made:
 
         Notes
         -----
-        What its own sampling adds is not in an interval, which takes the simulator's support, rewards and start as known.
+        How many samples there were is kept (``sampling``): intervals widen by what first states, mean rewards and moves that
+        were never met may change (``inference.sampled``).
 
         Examples
         --------

@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.mdp.naming import Name, Names, is_name, names_of, number_of, numbers_of, plain
+from oee_tabular.mdp.policy_tables import is_labelled, labelled_policy
 
 
 class Sized(Protocol):
@@ -37,6 +38,13 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         A state or an action that the MDP has not (with the nearest), a state without an action that is not over, what is
         neither an action nor a distribution.
     """
+    if isinstance(policy, str | bytes | int | np.integer) or policy is None:
+        raise ValueError(
+            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} (the "
+            f"same in every state: lambda state: {policy!r:.40}; a file: numpy.load)"
+        )
+    if is_labelled(policy):
+        policy = labelled_policy(policy, mdp, name)
     if isinstance(policy, Mapping):
         return _of_mapping(policy, mdp, name)
     if callable(policy) and not hasattr(policy, "__array__"):
@@ -154,7 +162,12 @@ def _of_function(policy: Callable[[Any], Any], mdp: Sized, name: str) -> Array:
     states: Iterable[Any] = range(mdp.n_states) if called.states is None else called.states
     table = np.full((len(mdp.terminal_state), mdp.n_actions), 1.0 / mdp.n_actions)
     for s, state in zip(range(len(table)), states, strict=False):
-        choice = policy(state)
+        try:
+            choice = policy(state)
+        except Exception as error:
+            raise ValueError(
+                f"{name}({state!r}) must be an action or a distribution; it raises {type(error).__name__}: {error}"
+            ) from error
         if choice is not None or not over[s]:
             table[s] = _row(choice, mdp, called, f"{name}({state!r})")
     return table

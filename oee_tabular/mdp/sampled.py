@@ -15,6 +15,7 @@ from oee_tabular.mdp.arrays import canonical_table, check_layout
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
 from oee_tabular.mdp.policy_forms import Sized
+from oee_tabular.mdp.sampling import Sampling, sampling_of
 
 LEAST = 1e-300  # a smaller probability supports no ratio
 _LOG = (
@@ -62,18 +63,24 @@ def arguments_of_log(
     moves = frequencies(
         state, action, following, reward, log.terminated, n_actions, law, Names(state_names, action_names)
     )
-    return _arguments(moves, rewards, law, n_actions, (state_names, action_names), layout)
+    found = _arguments(moves, rewards, law, n_actions, (state_names, action_names), layout)
+    firsts = len(state) if log.episode_starts is None else len(log.episode_starts) - 1
+    columns_of = (state, action, following, log.terminated)
+    return found | {
+        "sampling": _sampling(found, columns_of, reward if rewards is None else None, firsts, initial is None)
+    }
 
 
 def arguments_of_env(env: Any, samples_per_pair: Any, seed: Seed, max_steps: Any) -> dict[str, Any]:
     """The arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
     wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
+    if not hasattr(env, "step") or not hasattr(env, "reset"):
+        made = f" (gymnasium.make({env!r}))" if isinstance(env, str) else ""
+        raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}{made}")
     space, actions = getattr(env, "observation_space", None), getattr(env, "action_space", None)
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
         raise ValueError(f"env.action_space must be Discrete, from 0; it is {actions}")
-    if not hasattr(env, "step") or not hasattr(env, "reset"):
-        raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}")
     if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
         raise ValueError(
             f"env.observation_space must be discrete (cut a continuous one into cells first); it is {space}"
@@ -87,11 +94,20 @@ def arguments_of_env(env: Any, samples_per_pair: Any, seed: Seed, max_steps: Any
     n_states = max(int(getattr(space, "n", 0)), 1 + max(code.values())) if names is None else len(names)
     state, action, following, reward, terminated = (list(column) for column in zip(*seen, strict=True))
     law = np.bincount([code[s] for s in starts], minlength=n_states) / len(starts)
-    moves = frequencies(
+    columns = (
         np.array([code[s] for s in state]), np.array(action), np.array([code[s] for s in following]),
-        np.array(reward, dtype=np.float64), np.array(terminated, dtype=np.bool_), n_actions, law, Names(names),
+        np.array(terminated, dtype=np.bool_),
     )  # fmt: skip
-    return _arguments(moves, None, law, n_actions, (names, None), None)
+    paid = np.array(reward, dtype=np.float64)
+    moves = frequencies(*columns[:3], paid, columns[3], n_actions, law, Names(names))
+    found = _arguments(moves, None, law, n_actions, (names, None), None)
+    return found | {"sampling": _sampling(found, columns, paid, len(starts), True)}
+
+
+def _sampling(found: dict[str, Any], columns: Any, reward: Array | None, starts: int, sampled: bool) -> Sampling:
+    return sampling_of(
+        columns, reward, float(starts) if sampled else np.inf, found["terminal_state"], found["transitions"].shape
+    )
 
 
 def _walked(
@@ -298,7 +314,9 @@ def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
 
 def _require_log(log: Any) -> None:
     if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG):
-        raise ValueError(f"log must be Transitions; got {type(log).__name__}")
+        frame = hasattr(log, "columns") and not isinstance(log, type)
+        hint = " (of a data frame: Transitions.from_frame(log))" * frame
+        raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")
 
 
 def _sized(

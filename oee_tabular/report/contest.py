@@ -11,7 +11,7 @@ from oee_tabular import __version__, _checks, _printing
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval
-from oee_tabular.mdp.policies import check_policies
+from oee_tabular.inference.comparison import several_policies
 from oee_tabular.report.quoting import LIKELIHOOD
 from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked
 
@@ -145,9 +145,7 @@ def contest(problem: Problem, policies: Any, *, confidence: float = 0.95, quick:
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     _checks.boolean(quick, "quick")
-    named = check_policies(policies, problem.simulator, name="policy")
-    if len(named) < 2:
-        raise ValueError(f"policies must be at least two to compare; there is {', '.join(map(repr, named)) or 'none'}")
+    named = several_policies(policies, problem.simulator)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
     sure = how_sure(problem, named, level, guaranteed=False, quick=quick, scale=1.0)

@@ -147,7 +147,7 @@ def test_policies_from_tables(capsys, folder):
         ("state,act\nr0c0,n", r"must have the columns state and action, .*; it has state, act and 1 rows"),
         ("place,action\nr0c0,n", r"it has place, action and 1 rows"),
         ("state,action\n", r"and 0 rows"),
-        ("state,action\nr0c0,north", r"action must be one of the MDP's names; it is 'north'"),
+        ("state,action\nr0c0,north", r"must be one of the MDP's names; it is 'north'"),
         ("state,action\nr0c9,n", r"state must be one of the MDP's names; it is 'r0c9' \(did you mean 'r0c"),
         ("state,action\nr0c0,n\nr0c0,e", r"must have a row for each state; state r0c0 has two"),
         (

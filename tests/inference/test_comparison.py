@@ -121,7 +121,7 @@ def test_measures_of_selection():
     [
         (
             lambda: compare_policies(problem(9, 0), {"one": POLICIES["delta=0.5"]}),
-            "policies must be a mapping of at least two",
+            "policies must be at least two to compare",
         ),
         (
             lambda: compare_policies(problem(9, 0), POLICIES, method="robust"),

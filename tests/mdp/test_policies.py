@@ -93,7 +93,7 @@ def test_twins_are_added():
         ([0, 1], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(2,\)$"),
         ([0.0, 1.0, 0.0], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
         ([True, False, True], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
-        ("go", r"policy must be an array of numbers"),
+        ("go", r"policy must be an action, or a distribution, for each of the \d+ states; it is 'go'"),
         (None, r"policy must "),
     ],
 )

@@ -201,7 +201,7 @@ def test_it_stops_where_it_is_told():
     [
         (lambda: FiniteMDP.from_env(gymnasium.make("CartPole-v1"), samples_per_pair=1), r"env\.observation_space must be d"),
         (lambda: FiniteMDP.from_env(gymnasium.make("Pendulum-v1"), samples_per_pair=1), r"env\.action_space must be Disc"),
-        (lambda: FiniteMDP.from_env(3, samples_per_pair=1), r"env\.action_space must be Discrete, from 0; it is None$"),
+        (lambda: FiniteMDP.from_env(3, samples_per_pair=1), r"env must be a Gymnasium environment; got int$"),
         (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=0), r"samples_per_pair must be a positive integer; it is 0$"),
         (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=1, max_steps=0), r"max_steps must be a positive integer"),
         (lambda: FiniteMDP.from_env(Corridor(), samples_per_pair=1, seed="x"), r"seed must be what"),

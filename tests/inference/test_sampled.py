@@ -1,0 +1,122 @@
+"""What a simulator's own sampling adds to an interval: coverage, and each part by another way of computing it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.inference.ambiguity import gather
+from oee_tabular.inference.sampled import sampling_margin
+from oee_tabular.mdp.sampling import Sampling
+
+PI = np.full((4, 2), 0.5)
+START = [0.5, 0, 0, 0.5]
+SIMULATOR = oee.FiniteMDP(
+    [[[0.6, 0.3, 0.1, 0], [0.2, 0.2, 0.3, 0.3]], [[0, 0.5, 0.5, 0], [0.1, 0.1, 0.1, 0.7]],
+     [[0.3, 0, 0.4, 0.3], [0.25] * 4], [[0, 0, 0.1, 0.9], [0.5, 0.02, 0, 0.48]]],
+    [0, 1, -2.0, 4], START, 0.8,
+)  # fmt: skip
+TARGET = SIMULATOR.with_transitions(
+    [[[0.5, 0.3, 0.2, 0], [0.3, 0.2, 0.2, 0.3]], [[0, 0.6, 0.4, 0], [0.1, 0.2, 0.1, 0.6]],
+     [[0.2, 0, 0.4, 0.4], [0.25] * 4], [[0, 0, 0.2, 0.8], [0.5, 0.02, 0, 0.48]]]
+)  # fmt: skip
+
+
+def sampled(seed, spread=2.0):
+    """The simulator of a log of its own, with noise in its rewards."""
+    log = oee.sample_episodes(SIMULATOR, PI, 40, 10, seed=(seed, 0))
+    noise = spread * np.random.default_rng(seed).normal(size=len(log))
+    return oee.FiniteMDP.from_log(oee.Transitions(**log.columns() | {"reward": log.reward + noise}), discount=0.8)
+
+
+def test_intervals_hold_the_truth_where_the_simulator_was_sampled_too():
+    """Of 60: 57; 46 without its share. Of 300: 287 and 236 (all by this function)."""
+    truth = oee.policy_value(TARGET, PI)
+    hits = {"whole": 0, "bare": 0}
+    for seed in range(60):
+        simulator = sampled(1000 + seed)
+        log = oee.sample_episodes(TARGET, PI, 40, 10, seed=(1000 + seed, 1))
+        for name, model in {"whole": simulator, "bare": simulator._changed(sampling=None)}.items():
+            hits[name] += truth in oee.interval(oee.Problem(model, log, impossible="drop"), PI)
+    assert hits["whole"] >= 54
+    assert hits["bare"] <= 50
+
+
+@pytest.mark.parametrize("horizon", [None, 6])
+def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
+    """By the values of the same rows under drawn starts and rewards."""
+    simulator = sampled(0)
+    log = oee.sample_transitions(SIMULATOR, np.full((4, 2), 1 / 8), 800, seed=1)
+    problem = oee.Problem(simulator, log, horizon=horizon, impossible="drop")
+    evidence = gather(problem, PI)
+    found = sampling_margin(problem, evidence)
+    rng = np.random.default_rng(0)
+    base = simulator.with_transitions(evidence.with_rows(evidence.phat).transitions)
+    pays, errors = base.transition_rewards, simulator.sampling.reward_error
+    values = []
+    for _ in range(1200):
+        table = pays.copy()
+        table.data = pays.data + rng.normal(size=pays.nnz) * np.sqrt(errors.toarray()[pays.nonzero()])
+        starts = rng.multinomial(int(simulator.sampling.starts), simulator.initial) / simulator.sampling.starts
+        drawn = oee.FiniteMDP(base.transitions, table, starts, 0.8)
+        values.append(oee.policy_value(drawn, PI, horizon=horizon))
+    assert_allclose(np.var(values), found.variance, rtol=0.15)
+
+
+def test_moves_met_once_may_lead_anywhere():
+    """Row (0, 0): one of its 5 samples is of a move that no other made: a fifth of its moves was never met."""
+    log = oee.Transitions([0, 0, 0, 0, 0, 1], [0] * 6, [0, 0, 0, 0, 1, 0], [0.0] * 6)
+    simulator = oee.FiniteMDP.from_log(log, [0.0, 10.0], discount=0.5, initial=0)
+    problem = oee.Problem(simulator, oee.Transitions([1], [0], [0]))
+    found = sampling_margin(problem, gather(problem, [0, 0]))
+    v0, v1 = oee.state_values(simulator, [0, 0])
+    time = oee.occupancy(simulator, [0, 0]).reshape(-1) / 0.5
+    assert_allclose(found.up, time[0] * 0.2 * 0.5 * (v1 - 0.8 * v0 - 0.2 * v1), rtol=1e-12)
+    assert_allclose(found.down, time[0] * 0.2 * 0.5 * (0.8 * v0 + 0.2 * v1 - v0), rtol=1e-12)  # (1, 0) was met twice
+    assert found.variance == 0.0
+    interval = oee.interval(problem, [0, 0])
+    bare = oee.interval(oee.Problem(simulator._changed(sampling=None), problem.log), [0, 0])
+    assert_allclose([interval.lower, interval.upper], [bare.lower - found.down, bare.upper + found.up], rtol=1e-9)
+    assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
+    again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
+    assert sampling_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
+
+
+def test_a_row_that_was_filled_in_may_lead_anywhere():
+    with pytest.warns(UserWarning, match="filled in"):
+        simulator = oee.FiniteMDP.from_log(oee.Transitions([0, 0, 1], [0, 0, 0], [0, 0, 1], [0, 0, 9.0]), n_actions=2)
+    assert simulator.sampling.pairs.tolist() == [2, 0, 1, 0]
+    problem = oee.Problem(simulator, oee.Transitions([0], [0], [0]))
+    found = oee.interval(problem, [1, 1])
+    assert found.upper > 0.5 * 9.0 * 99  # from 0 by action 1 to 1, where it stays
+
+
+def test_differences_know_of_it_and_the_report_says_it():
+    simulator = sampled(3)
+    log = oee.sample_episodes(TARGET, PI, 40, 10, seed=4)
+    policies = {"one": PI, "other": [0, 0, 0, 0]}
+    whole, bare = (
+        oee.inference.compare_policies(oee.Problem(model, log, impossible="drop"), policies)
+        for model in (simulator, simulator._changed(sampling=None))
+    )
+    assert whole.lower[1, 0] < bare.lower[1, 0]
+    assert whole.upper[1, 0] > bare.upper[1, 0]
+    told = [str(finding) for finding in oee.Problem(simulator, log, impossible="drop").findings]
+    assert told[-1].startswith("The simulator was made of samples")
+
+
+def test_it_is_kept_where_it_holds(tmp_path):
+    simulator = sampled(0)
+    own = simulator.sampling
+    assert isinstance(own, Sampling)
+    simulator.save(tmp_path / "s.npz")
+    loaded = oee.FiniteMDP.load(tmp_path / "s.npz").sampling
+    assert loaded.pairs.tolist() == own.pairs.tolist()
+    assert loaded.starts == own.starts == 40
+    assert abs(loaded.reward_error - own.reward_error).max() == 0
+    assert simulator.with_discount(0.5).sampling is own
+    assert simulator.with_transitions(simulator.transitions).sampling is None
+    assert simulator.with_rewards(np.zeros(4)).sampling.reward_error is None
+    assert simulator.with_initial(0).sampling.starts == np.inf
+    assert simulator.with_action_noise(0.1).sampling.pairs[:2].tolist() == [own.pairs[:2].min()] * 2
+    assert oee.tasks.gridworld(3, slip=0.3).sampling is None
