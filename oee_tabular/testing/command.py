@@ -216,7 +216,7 @@ def own_object(spec: str, what: str, example: str) -> Any:
     return found
 
 
-def _made(found: Any, spec: str) -> Any:
+def _made(found: object, spec: str) -> Any:
     """The estimator itself, or what a class or factory makes."""
     if not callable(found):
         raise ValueError(
