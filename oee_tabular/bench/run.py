@@ -199,7 +199,7 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
         return row | {"status": f"{type(error).__name__}: {error}"}
 
 
-def _read(estimate: Any, truth: float) -> Row:
+def _read(estimate: object, truth: float) -> Row:
     """What an estimate says; a value that is no finite number is none."""
     if not isinstance(estimate, Estimate):
         raise TypeError(f"an estimator must return an Estimate; it returned {type(estimate).__name__}")

@@ -254,7 +254,7 @@ def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
     return {str(name): check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in policies.items()}
 
 
-def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: Any) -> tuple[FiniteMDP, str]:
+def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple[FiniteMDP, str]:
     if isinstance(model, FiniteMDP):
         if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
             raise ValueError(

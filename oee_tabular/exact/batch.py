@@ -189,7 +189,7 @@ def evaluate_batch(
     return BatchValues(table, value, errors)
 
 
-def _policies(policies: Any, wanted: int | None) -> Any:
+def _policies(policies: object, wanted: int | None) -> Any:
     """A sequence of them, as many as there are models."""
     if not isinstance(policies, np.ndarray) or policies.ndim == 0:
         policies = _checks.collection(policies, "policies", "a sequence of policies")

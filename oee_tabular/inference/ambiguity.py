@@ -59,7 +59,7 @@ def gather(
 
 
 def evidence_of(
-    model: FiniteMDP, counts: sparse.csr_array, horizon: int | None, policy: Any, lower_ratio: float | None = None,
+    model: FiniteMDP, counts: sparse.csr_array, horizon: int | None, policy: PolicyLike, lower_ratio: float | None = None,
     upper_ratio: float | None = None,
 ) -> Evidence:  # fmt: skip
     """The same of a model and counts on its support."""

@@ -76,7 +76,7 @@ def read_table(env: Any) -> Table:
     return replace(built, action_names=_action_names(base, len(table[0])))
 
 
-def _refuse_changing_wrappers(env: Any) -> None:
+def _refuse_changing_wrappers(env: object) -> None:
     layer = env
     while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
         if type(layer).__name__ not in _HARMLESS:
@@ -87,7 +87,7 @@ def _refuse_changing_wrappers(env: Any) -> None:
         layer = layer.env
 
 
-def _map_of(base: Any, n_states: int) -> Array | None:
+def _map_of(base: object, n_states: int) -> Array | None:
     """(S, 2) row and column of each state of an environment on a map; None where there is no map with a cell a state."""
     shapes: tuple[Any, ...] = (getattr(getattr(base, "desc", None), "shape", None), getattr(base, "shape", None))
     for shape in shapes:
@@ -105,7 +105,7 @@ def _names(given: object, size: int) -> tuple[Name, ...] | None:
         return None
 
 
-def _action_names(base: Any, n_actions: int) -> tuple[Name, ...] | None:
+def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
     """What an environment calls its actions; None where it does not say."""
     meanings = getattr(base, "get_action_meanings", None)
     given = getattr(base, "action_names", None if meanings is None else meanings())

@@ -123,7 +123,7 @@ def is_name(item: object) -> bool:
     return isinstance(item, str)
 
 
-def _is_part(part: Any) -> bool:
+def _is_part(part: object) -> bool:
     return isinstance(part, str | int) or (isinstance(part, float) and math.isfinite(part)) or is_name(part)
 
 

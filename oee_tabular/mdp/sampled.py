@@ -312,7 +312,7 @@ def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
     return log.state * mdp.n_actions + log.action, to, log.reward
 
 
-def _require_log(log: Any) -> None:
+def _require_log(log: object) -> None:
     if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG):
         frame = hasattr(log, "columns") and not isinstance(log, type)
         hint = " (of a data frame: Transitions.from_frame(log))" * frame
@@ -320,7 +320,7 @@ def _require_log(log: Any) -> None:
 
 
 def _sized(
-    size: object, names: Any, own: tuple[Name, ...] | None, columns: tuple[IntArray, ...], label: str
+    size: object, names: object, own: tuple[Name, ...] | None, columns: tuple[IntArray, ...], label: str
 ) -> tuple[int, tuple[Name, ...] | None]:
     """How many states or actions there are, and their names."""
     largest = max(int(column.max()) for column in columns)

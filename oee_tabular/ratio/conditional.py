@@ -199,7 +199,7 @@ def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.
 
 
 def _tilt(
-    observed: Array, simulator: FiniteMDP, features: Any, smoothness: float | str | None, solver: str
+    observed: Array, simulator: FiniteMDP, features: object, smoothness: float | str | None, solver: str
 ) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
     """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
     smoothness = "evidence" if smoothness is None else smoothness

@@ -181,7 +181,7 @@ def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))
 
 
-def _given_counts(counts: Any, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
+def _given_counts(counts: object, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
     """A user's own counts, checked."""
     if not sparse.issparse(counts):
         raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(counts).__name__}")

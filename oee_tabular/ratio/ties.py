@@ -126,7 +126,7 @@ class Tied(Method):
         return replace(given.ratio(zeta, "tied", gap, details), tied=True)
 
 
-def _keys(tie: Any, rows: Rows) -> IntArray:
+def _keys(tie: object, rows: Rows) -> IntArray:
     """Keys numbered from 0, one for each entry."""
     if callable(tie):
         tie = tie(rows.spread(rows.state), rows.spread(rows.action), rows.arrival)

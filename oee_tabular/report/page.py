@@ -67,7 +67,7 @@ def legible(text: object) -> str:
     return "".join(c if c in "\n\t" or c.isprintable() or c.isspace() else "\ufffd" for c in str(text))
 
 
-def _stamp(report: Report) -> str:
+def _stamp(report: Evaluation) -> str:
     """Which inputs the page was made from: their names, their day, their hash."""
     told = [*inputs.names(report), inputs.date(report)]
     if report.problem is not None:

@@ -115,7 +115,7 @@ class Sampler:
         """gamma^t of each step."""
         return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
 
-    def _run(self, places: Any, path: object, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
+    def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
         from oee_tabular.simulate._lanes import Outcome, Plan, returns
 
         table, by_move = self.table, self.mdp.reward_data is not None

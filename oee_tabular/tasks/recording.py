@@ -122,7 +122,7 @@ def _table(policy: PolicyLike, n_states: int, n_actions: int) -> Array:
     return pi
 
 
-def _sizes(env: Any) -> tuple[int, int]:
+def _sizes(env: object) -> tuple[int, int]:
     sizes = []
     for name in ("observation_space", "action_space"):
         space: Any = getattr(env, name, None)

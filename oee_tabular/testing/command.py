@@ -222,7 +222,7 @@ def own_module(module_name: str) -> ModuleType:
         raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
 
 
-def _made(found: Any, spec: str) -> Any:
+def _made(found: object, spec: str) -> Any:
     """The estimator itself, or what a class or factory makes."""
     if not callable(found):
         raise ValueError(

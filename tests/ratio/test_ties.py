@@ -139,3 +139,13 @@ def test_transition_ratio_takes_a_tie():
 def test_what_a_tie_goes_with(options, text):
     with pytest.raises(ValueError, match=text):
         transition_ratio(100 * TARGET.transitions, SIMULATOR, **options)
+
+
+def test_a_tied_ratio_says_that_unseen_rows_come_from_the_tie():
+    """Rows that the log missed: the finding says where what is told of them comes from."""
+    log = oee.Transitions([0] * 30, [0, 1] * 15, [0, 1, 2] * 10)
+    policy = oee.uniform_policy(SIMULATOR)
+    for ratio, tied in ((Tied(displacement), True), ("conditional", False)):
+        found = oee.estimators.OffEnvironment(ratio=ratio)(oee.Problem(SIMULATOR, log), policy)
+        told = [finding.text for finding in found.findings if finding.kind == "coverage"]
+        assert [("(the tie)" in text) for text in told] == [tied]

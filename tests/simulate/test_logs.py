@@ -7,6 +7,7 @@ from scipy import stats
 
 import oee_tabular as oee
 from oee_tabular.simulate import _rollout as rollout
+from oee_tabular.simulate.logs import episodes_holding
 
 
 @pytest.mark.parametrize(
@@ -151,3 +152,17 @@ def test_twins_of_terminal_states_are_not_drawn_from():
     assert not log.terminated.any()
     episodes = oee.sample_episodes(mdp, np.ones((4, 1)), 20, 4, seed=0)
     assert episodes.terminated.dtype == bool
+
+
+@pytest.mark.parametrize("n", [1, 100, 401])
+def test_whole_episodes_hold_n_moves(n):
+    """At least n moves, whole episodes, and of one seed the same whatever number of episodes is tried first."""
+    grid = oee.tasks.gridworld(3, slip=0.1)
+    policy = oee.tasks.gridworld_expert(3)
+    logs = [episodes_holding(grid, policy, n, 20, seed=0, first=first) for first in (None, 1, 500)]
+    for log in logs:
+        assert len(log) >= n
+        assert log.terminated[-1]
+        assert_array_equal(log.first(n).state, logs[0].first(n).state)
+    generators = [episodes_holding(grid, policy, n, 20, seed=np.random.default_rng(1)) for _ in range(2)]
+    assert_array_equal(generators[0].state, generators[1].state)
