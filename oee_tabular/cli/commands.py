@@ -24,11 +24,13 @@ from oee_tabular.cli.inputs import (
     write_array,
 )
 from oee_tabular.continuous.command import (
+    ACTIONS_HELP,
     CALIBRATION_HELP,
     EPISODES_HELP,
     FLOOR_HELP,
     GRID_HELP,
     OUTSIDE_HELP,
+    STATE_HELP,
     STRICT_HELP,
     from_states,
     is_continuous,
@@ -95,6 +97,8 @@ def evaluate(
     calibration: Annotated[str | None, typer.Option(help=CALIBRATION_HELP)] = None,
     floor: Annotated[float | None, typer.Option(help=FLOOR_HELP)] = None,
     simulations: Annotated[int | None, typer.Option(help=EPISODES_HELP)] = None,
+    state: Annotated[str | None, typer.Option(help=STATE_HELP)] = None,
+    actions: Annotated[str | None, typer.Option(help=ACTIONS_HELP)] = None,
     seed: Seed = 0,
     output: Annotated[Path | None, typer.Option(help="Folder for report.json, table.csv and values.png.")] = None,
     page: Annotated[
@@ -121,7 +125,7 @@ def evaluate(
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
     continuous = is_continuous(simulator)
     if not continuous:
-        refuse_settings(settings)
+        refuse_settings(settings | {name: value for name, value in (("state", state), ("actions", actions)) if value})
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
@@ -129,7 +133,9 @@ def evaluate(
         given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
         raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
     elif continuous:
-        report = from_states(simulator, log, policy, behavior, target, options, bool(normalized), common, settings)
+        report = from_states(
+            simulator, log, policy, behavior, target, options, bool(normalized), common, settings, state, actions
+        )
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     typer.echo(report.to_json() if json else str(report))
@@ -156,6 +162,8 @@ def sample(
         int | None, typer.Option(help="Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.")
     ] = None,
     discount: Discount = None,
+    state: Annotated[str | None, typer.Option(help=STATE_HELP)] = None,
+    actions: Annotated[str | None, typer.Option(help=ACTIONS_HELP)] = None,
     overwrite: Overwrite = False,
     seed: Seed = 0,
 ) -> None:
@@ -166,10 +174,11 @@ def sample(
 
     _files.new_file(output, "--output", overwrite=overwrite)
     if is_continuous(environment):
-        states = recorded_states(environment, policy, transitions, episodes, horizon, seed)
+        states = recorded_states(environment, policy, transitions, episodes, horizon, seed, state, actions)
         states.save(output)
         typer.echo(f"{output}: {states!r}")
         return
+    refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
     log = recorded(environment, policy, transitions, episodes, horizon, discount, seed)
     log.save(output)
     typer.echo(f"{output}: {log.describe()}")

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 SIMULATOR_HELP = (
     "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
-    "an .npz of a FiniteMDP | a continuous task, cartpole:gravity=10"
+    "an .npz of a FiniteMDP | a continuous task, cartpole:gravity=10, or a Gymnasium id with physics, Pendulum-v1:g=9"
 )
 POLICY_HELP = (
     ".npy or .npz of an (S, A) array | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert "
     "are the simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, "
-    "and arrays of its cells"
+    "arrays of its cells, and MODULE:FUNCTION of its states"
 )
 
 _ENTRIES = (
