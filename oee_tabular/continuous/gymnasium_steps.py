@@ -14,49 +14,45 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 
 SAME_STEP = 1e-3  # of a coordinate's usual step: a step that is repeated
-NOT_REPEATED = (
-    "step must repeat itself: from one state, by one action and with one np_random, {} differ when stepped twice. Make it draw "
-    "its random numbers from np_random"
-)
-NOT_WHOLE = (
-    "get_state and set_state must have all that decides the next step: {} differ from the record when stepped again from its "
-    "states. Read and set the rest as well, such as other bodies' velocities and timers (--state MODULE:GET,SET)"
+DIFFER = (
+    "get_state and set_state must have all that decides the next step, and chance must come from np_random: {} differ from the "
+    "record when stepped again from its states. Read and set the rest as well, such as other bodies' velocities and timers "
+    "(--state MODULE:GET,SET)"
 )
 
 
 def check_steps_of(task: GymnasiumTask, env: Any, steps: int) -> tuple[Array, IntArray]:
-    """Step a record of random actions again from its states; what differs is an error. The record's (s, a)."""
+    """Step a record of random actions again from its states, in another order; what differs is an error.
+
+    Returns the record's (s, a).
+    """
     env.reset(seed=0)
     inner = env.unwrapped
-    numbers = np.random.default_rng(0).integers(task.n_actions, size=steps)
-    before, after, again, twice = np.zeros((4, steps, task.n_state + 1))  # rewards last
+    rng, generators = np.random.default_rng(0), []
+    numbers = rng.integers(task.n_actions, size=steps)
+    before, after, again = np.zeros((3, steps, task.n_state + 1))  # rewards last
     for i, number in enumerate(numbers):
         before[i, :-1] = task.read(env)
-        generator = copy.deepcopy(inner.np_random)
+        generators.append(copy.deepcopy(inner.np_random))
         _, reward, over, cut, _ = inner.step(task.command(int(number)))
         after[i] = np.append(task.read(env), reward)
-        for found in (again, twice):
-            moved = task.one_by_one(before[i : i + 1, :-1], numbers[i : i + 1], copy.deepcopy(generator))
-            found[i] = np.append(moved.next_state[0], moved.reward)
         if over or cut:
             inner.reset()
     env.close()
+    for i in rng.permutation(steps):  # in the record's own order what the state lacks would come along
+        moved = task.one_by_one(before[i : i + 1, :-1], numbers[i : i + 1], generators[i])
+        again[i] = np.append(moved.next_state[0], moved.reward)
     size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (1.0 + np.abs(after).max(axis=0))
-    _require_same(task, twice, again, size, NOT_REPEATED)
-    _require_same(task, again, after, size, NOT_WHOLE)
-    return before[:, :-1], np.asarray(numbers, dtype=np.int64)
-
-
-def _require_same(task: GymnasiumTask, found: Array, wanted: Array, size: Array, text: str) -> None:
-    away = np.abs(found - wanted)
+    away = np.abs(again - after)
     bad = (away > SAME_STEP * size).any(axis=1)
     if bad.any():
         k = int((away / size).max(axis=0).argmax())
         name = (*task.state_names, "the reward")[k]
         raise ValueError(
-            text.replace("{}", f"{int(bad.sum())} of {len(away)} steps of {task.name}")
+            DIFFER.replace("{}", f"{int(bad.sum())} of {steps} steps of {task.name}")
             + f"; the most in {name}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}"
         )
+    return before[:, :-1], np.asarray(numbers, dtype=np.int64)
 
 
 def repeats_at_once(task: GymnasiumTask, states: Array, numbers: IntArray) -> bool:

@@ -67,8 +67,8 @@ class GymnasiumTask(ContinuousTask):
     Raises
     ------
     ValueError
-        Functions, states, ranges and actions that do not fit the environment; a step that does not repeat itself; a state that
-        does not decide the next one (which coordinate of how many steps, and by how much).
+        Functions, states, ranges and actions that do not fit the environment; a state that does not decide the next one, or
+        a step that draws random numbers of its own (in how many steps, in which coordinate, by how much).
 
     Notes
     -----
@@ -155,7 +155,7 @@ class GymnasiumTask(ContinuousTask):
                 self._make_vector = make_vector if repeats_at_once(self, *record) else None
 
     @property
-    def stepsat_once(self) -> bool:
+    def steps_at_once(self) -> bool:
         """Whether many states are stepped at once."""
         return self._make_vector is not None
 

@@ -147,7 +147,7 @@ def test_a_vector_environment_of_other_physics_is_not_used():
 class Remembering(gymnasium.Env):
     """A point whose push is that of the step before: its position does not decide the next one."""
 
-    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,)), gymnasium.spaces.Discrete(2)
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
 
     def __init__(self, draws=None):
         self.draws = draws
@@ -176,15 +176,13 @@ def point(draws=None):
 
 
 def test_a_state_that_does_not_decide_the_next_one_is_refused():
-    match = r"get_state and set_state must have all .*: \d+ of 200 steps of environment differ from the record .* in place: 0.5"
+    match = r"get_state and set_state must have all .*: \d+ of 200 steps of environment differ from the record .* in place: "
     with pytest.raises(ValueError, match=match):
         point()
 
 
 def test_a_step_that_does_not_repeat_itself_is_refused():
-    with pytest.raises(
-        ValueError, match=r"step must repeat itself: .* 200 steps of environment differ .* from np_random; "
-    ):
+    with pytest.raises(ValueError, match=r"chance must come from np_random: \d+ of 200 steps of environment differ"):
         point(np.random.default_rng(0).random)
 
 
@@ -302,7 +300,7 @@ BAD = {
 class Nameless(gymnasium.Env):
     """Says nothing of its state."""
 
-    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,)), gymnasium.spaces.Discrete(2)
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -351,7 +349,7 @@ def test_which_ids_are_continuous():
 class Chain(gymnasium.Env):
     """Three masses on springs, pushed at one end: six dimensions."""
 
-    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (6,)), gymnasium.spaces.Discrete(3)
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (6,), np.float64), gymnasium.spaces.Discrete(3)
 
     def __init__(self, spring=1.0, weight=1.0):
         self.spring, self.weight = spring, weight
