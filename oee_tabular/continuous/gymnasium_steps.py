@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from oee_tabular.continuous.task import Moves
 if TYPE_CHECKING:
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 
-SAME_STEP = 1e-3  # of a coordinate's usual step: a step that is repeated
+SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
+FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
 DIFFER = (
     "get_state and set_state must have all that decides the next step, and chance must come from np_random: {} differ from the "
     "record when stepped again from its states. Read and set the rest as well, such as other bodies' velocities and timers "
@@ -24,7 +26,7 @@ DIFFER = (
 def check_steps_of(task: GymnasiumTask, env: Any, steps: int) -> tuple[Array, IntArray]:
     """Step a record of random actions again from its states, in another order; what differs is an error.
 
-    Returns the record's (s, a).
+    A warning where at most a twentieth of the steps differ. Returns the record's (s, a).
     """
     env.reset(seed=0)
     inner = env.unwrapped
@@ -48,10 +50,13 @@ def check_steps_of(task: GymnasiumTask, env: Any, steps: int) -> tuple[Array, In
     if bad.any():
         k = int((away / size).max(axis=0).argmax())
         name = (*task.state_names, "the reward")[k]
-        raise ValueError(
+        text = (
             DIFFER.replace("{}", f"{int(bad.sum())} of {steps} steps of {task.name}")
             + f"; the most in {name}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}"
         )
+        if bad.mean() > FEW:
+            raise ValueError(text)
+        warnings.warn(text, stacklevel=4)
     return before[:, :-1], np.asarray(numbers, dtype=np.int64)
 
 

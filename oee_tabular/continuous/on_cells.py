@@ -150,7 +150,7 @@ def on_cells(
     bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     share = uncovered_share(counts, model.mdp)
     if share > LEFT_OUT and settings.outside != "drop":
-        raise NoCellsError(_no_support(model, share, floor))
+        raise NoCellsError(no_support(model, share, floor))
     if share > 0.0:
         kept, _ = within_support(counts, model)
         if kept.nnz == 0:
@@ -183,7 +183,7 @@ def on_cells(
     return OnCells(model, plain, problem, support, zeta, facts, simulator, log, settings, own_seed)
 
 
-def _no_support(model: Discretization, share: float, floor: float) -> str:
+def no_support(model: Discretization, share: float, floor: float) -> str:
     """Why the cells cannot take the log, and the ways out that are not in force."""
     more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
     ways = [*(() if floor > 0.0 else ("a defensive share (--floor 0.001)",)), "a coarser grid (--grid)",

@@ -14,6 +14,7 @@ import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Residual
 from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.on_cells import no_support
 from oee_tabular.estimators import Estimate, calibrate
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.report.results import headline
@@ -461,33 +462,23 @@ def test_a_way_out_that_is_in_force_is_not_advised():
     columns = LOG.columns()
     columns["next_state"] = -columns["next_state"]
     bag = oee.ContinuousTransitions(**{k: columns[k] for k in ("state", "action", "next_state")})
-    few = Settings(episodes=50)
-    for settings, ways in (
-        (
-            few,
-            r"share of 0.001, and .* Ways out: a coarser grid \(--grid\), or without those moves \(--outside drop\)$",
-        ),
-        (
-            replace(few, floor=0.0),
-            r"none on .*, and no ratio .* Ways out: a defensive share \(--floor 0.001\), a coarser",
-        ),
-    ):
-        with pytest.warns(UserWarning, match=r"The rows on the grid are left out: .*" + ways):
-            report = evaluate_continuous(
-                simulator, bag, {"expert": simulator.expert}, settings=settings, seed=0, estimators=["oee"]
-            )
-        assert [row["estimator"] for row in report.records()] == ["oee (residual)", "simulator (continuous)"]
-    with pytest.warns(UserWarning, match=r"of the log's moves have no probability .* leave them out"):
-        report = evaluate_continuous(
-            simulator,
-            bag,
-            {"expert": simulator.expert},
-            settings=replace(few, outside="drop"),
-            seed=0,
-            estimators=["oee"],
-        )
-    assert report.records()[-1]["estimator"] == "oee on the grid"
+    few, policies = Settings(episodes=50), {"expert": simulator.expert}
+    for settings in (
+        few,
+        replace(few, floor=0.0, outside="drop"),
+    ):  # the floor reaches as far as the log; or they are dropped
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
+        assert report.records()[-1]["estimator"] == "oee on the grid"
     assert report.facts["moves_left_out"] > 0.01
+    said = r"left out: .* none on .*, and no ratio exists there. Ways out: a defensive share \(--floor 0.001\), a coarser grid"
+    settings = replace(few, floor=0.0)
+    with pytest.warns(UserWarning, match=said):
+        report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
+    assert [row["estimator"] for row in report.records()] == ["oee (residual)", "simulator (continuous)"]
+    text = no_support(GridInterpolation((6, 6), closure_episodes=0).build(CartPole()), 0.3, 0.01)
+    assert text.endswith("Ways out: a coarser grid (--grid), or without those moves (--outside drop)")
 
 
 def test_calibration_by_difference_and_none():

@@ -181,6 +181,27 @@ def test_a_state_that_does_not_decide_the_next_one_is_refused():
         point()
 
 
+def test_a_few_steps_that_differ_are_told():
+    """A wall that the state does not show, met in a few steps of a hundred."""
+
+    class Walled(Remembering):
+        def step(self, action):
+            self.state = self.state + action - 0.5
+            self.push = 0.9 * self.push + self.np_random.random() * 0.0 + 1.0
+            if 8.0 < self.push < 8.3:
+                self.state = self.state + 1.0
+            return self.state, 1.0, False, False, {}
+
+    def put(env, state):
+        env.unwrapped.state = np.array(state)
+
+    with pytest.warns(UserWarning, match=r": [1-9] of 200 steps of environment differ from the record"):
+        GymnasiumTask(
+            Walled, state_names=("place",), actions=[0, 1], low=[-9.0], high=[9.0],
+            get_state=lambda env: env.unwrapped.state, set_state=put,
+        )  # fmt: skip
+
+
 def test_a_step_that_does_not_repeat_itself_is_refused():
     with pytest.raises(ValueError, match=r"chance must come from np_random: \d+ of 200 steps of environment differ"):
         point(np.random.default_rng(0).random)
