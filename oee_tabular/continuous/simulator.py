@@ -44,11 +44,12 @@ class ContinuousSimulator:
     expert : function of states (n, d) giving probabilities (n, A); None where there is none
     cells : the shape of the default grid, or what makes a Discretization on other cells; see ``Builder``; () for no cells
     horizon : of an episode and of a value, where none is given
-    floor : share of the defensive simulator's other steps, where a log is evaluated; ``defence`` says which steps those are
+    floor : share of the defensive simulator's other steps, where a log is evaluated
     ratio : options of ``transition_ratio`` for the counts
     tie : the ties of zeta, a function of the Discretization; None: not tied
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
     count : (model, log, outside) -> csr of counts (S*A, S); None: ``model.counts``
+    defence : which other steps those are, in words
     episodes : of Monte Carlo, for each policy
     refit_paths : episodes by which each refit of a corrected simulator is compared with it
     at_log : whether the builder looks at the simulator in the log's own places
