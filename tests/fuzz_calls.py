@@ -118,6 +118,8 @@ LEFT_OUT = [
     "check_page",
     "Settings",
     "GymnasiumTask",
+    "gymnasium_simulator",
+    "ContinuousSimulator",
     "LinearReacher",
     "VisitedCells",
     "GridInterpolation",

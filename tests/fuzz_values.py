@@ -94,6 +94,7 @@ def own_values(known):
             "next_state": moves.next_state[:2],
         },
         "ResidualSimulator": {"log": moves},
+        "LinearModel": {"log": moves},
         "record": {"policy": driver, "n_episodes": None, "n_transitions": 20},
         "monte_carlo_value": {"policy": driver},
         "resimulate": {"log": moves},

@@ -61,10 +61,12 @@ NAMES = {
         SampledReturns sample_episodes sample_returns sample_transitions
     """,
     "oee_tabular.tasks": """
-        ArmCells CartPole Closure ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
-        KinovaArm KinovaHand LinearReacher MonteCarlo Moves NamedTask Reacher ResidualSimulator StatePolicy
+        ArmCells CartPole Closure ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
+        KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask Reacher ResidualSimulator Settings StatePolicy
         VisitedCells arm_cells cartpole_policy
-        defensive_mixture fit_hand gridworld gridworld_expert gridworld_policy hand_log kinova_model kinova_policy
+        defensive_mixture evaluate_continuous
+        fit_hand gridworld gridworld_expert gridworld_policy
+        gymnasium_simulator hand_log kinova_model kinova_policy
         load_kinova_log make_environment monte_carlo_value named_task reacher_log reacher_policy record
         record_episodes record_goals resimulate toy_text train_expert visited_states
     """,

@@ -48,11 +48,13 @@ from oee_tabular.cli.options import (
 from oee_tabular.cli.policies import POLICY_HELP, policies_of, policy_of
 from oee_tabular.cli.simulators import SIMULATOR_HELP, task_of
 from oee_tabular.continuous.command import (
+    ACTIONS_HELP,
     CALIBRATION_HELP,
     EPISODES_HELP,
     FLOOR_HELP,
     GRID_HELP,
     OUTSIDE_HELP,
+    STATE_HELP,
     STRICT_HELP,
     from_states,
     is_continuous,
@@ -109,6 +111,8 @@ def evaluate(
     calibration: Annotated[str | None, option(CONTINUOUS, CALIBRATION_HELP, metavar="WORD")] = None,
     floor: Annotated[float | None, option(CONTINUOUS, FLOOR_HELP, metavar="SHARE")] = None,
     simulations: Annotated[int | None, option(CONTINUOUS, EPISODES_HELP, metavar="N")] = None,
+    state: Annotated[str | None, option(CONTINUOUS, STATE_HELP, metavar="MODULE:GET,SET")] = None,
+    actions: Annotated[str | None, option(CONTINUOUS, ACTIONS_HELP, metavar="LEVELS")] = None,
 ) -> None:
     """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
     from oee_tabular.report import check_output, check_page
@@ -127,7 +131,7 @@ def evaluate(
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
     continuous = is_continuous(simulator)
     if not continuous:
-        refuse_settings(settings)
+        refuse_settings(settings | {name: value for name, value in (("state", state), ("actions", actions)) if value})
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
@@ -135,7 +139,9 @@ def evaluate(
         given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
         raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
     elif continuous:
-        report = from_states(simulator, log, policy, behavior, target, options, bool(normalized), common, settings)
+        report = from_states(
+            simulator, log, policy, behavior, target, options, bool(normalized), common, settings, state, actions
+        )
     else:
         report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
     answer("evaluate", str(report), report.to_dict() if json else {}, json)
@@ -250,6 +256,8 @@ def sample(
     ] = None,
     discount: Discount = None,
     initial: Initial = None,
+    state: Annotated[str | None, option(CONTINUOUS, STATE_HELP, metavar="MODULE:GET,SET")] = None,
+    actions: Annotated[str | None, option(CONTINUOUS, ACTIONS_HELP, metavar="LEVELS")] = None,
     overwrite: Overwrite = False,
     seed: Seed = 0,
     json: Annotated[bool, json_option("sample")] = False,
@@ -261,10 +269,11 @@ def sample(
 
     _files.new_file(output, "--output", overwrite=overwrite)
     if is_continuous(environment):
-        states = recorded_states(environment, policy, transitions, episodes, horizon, seed)
+        states = recorded_states(environment, policy, transitions, episodes, horizon, seed, state, actions)
         states.save(output)
         size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
     else:
+        refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
         log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed)
         log.save(output)
         size, number, text = len(log), log.n_episodes, f"{output}: {log.describe()}"

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 POLICY_HELP = (
     ".npy or .npz of an (S, A) array or of (S,) actions | .csv with columns state, action (and probability), or state and "
     "one for each action | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert are the "
-    "simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, and "
-    "arrays of its cells"
+    "simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, "
+    "arrays of its cells, and MODULE:FUNCTION of its states"
 )
 _FORMS = "uniform, optimal, expert, mix:WEIGHT, or a .npy, .npz or .csv file"
 

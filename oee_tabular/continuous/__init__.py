@@ -2,11 +2,11 @@
 
 A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``,
 ``report`` and ``experiments`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
-``ResidualSimulator`` (residual) is a task corrected by a log, again a task; a
-``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid (interpolation)
-or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
-evaluated (evaluation), and has a name on the command line (names). Each of ``cartpole``, ``reacher`` and ``kinova`` has its
-dynamics, its expert, its configuration and the paper's experiment.
+``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (linear_model) one learned from it, both again
+tasks; a ``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid
+(interpolation) or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
+logs are evaluated (evaluation), and has a name on the command line (names; Gymnasium's environments: gymnasium_named). Each of
+``cartpole``, ``reacher`` and ``kinova`` has its dynamics, its expert, its configuration and the paper's experiment.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _MODULES = {
     "discretization": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("Settings", "evaluate_continuous"),
+    "gymnasium_named": ("gymnasium_simulator",),
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
     "kinova.dynamics": ("KinovaArm",),
@@ -34,12 +35,14 @@ _MODULES = {
     "kinova.hand": ("KinovaHand", "fit_hand", "kinova_model"),
     "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
     "history": ("HistoryTask",),
+    "linear_model": ("LinearModel",),
     "log": ("ContinuousTransitions",),
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("LinearReacher", "Reacher"),
     "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
     "residual": ("ResidualSimulator",),
+    "simulator": ("ContinuousSimulator",),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,18 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
 
-GRID_HELP = "Vertices along each feature of a continuous task, 60x60; none: the task's own (cartpole: 32x32)."
-OUTSIDE_HELP = "What to do with a continuous log's states outside the grid: error (default), drop or nearest."
+GRID_HELP = (
+    "Vertices along each feature of a continuous task, 60x60, or none; left out: the task's own (cartpole: 32x32)."
+)
+STATE_HELP = (
+    "MODULE:GET,SET, functions get(env) and set(env, state) of a Gymnasium environment whose state is not found."
+)
+ACTIONS_HELP = (
+    "Of a Gymnasium environment with a Box of actions: levels of each coordinate (9, or -2,0,2), or the commands."
+)
+OUTSIDE_HELP = (
+    "A continuous log's states outside the grid: error (default), drop (and any moves without support) or nearest."
+)
 STRICT_HELP = "An error, not a warning, for actions of a continuous log that are not in the task's set."
 CALIBRATION_HELP = "Of a continuous task's values: ratio, difference or none; none given: the task's own."
 FLOOR_HELP = "Share of other steps in a continuous simulator (defensive); none: the task's own."
@@ -21,9 +32,26 @@ EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; 
 
 def is_continuous(spec: str | None) -> bool:
     """Whether ``spec`` names a continuous task."""
-    from oee_tabular.continuous.names import CONTINUOUS
+    from oee_tabular.continuous import names
 
-    return spec is not None and spec.partition(":")[0] in CONTINUOUS
+    return spec is not None and names.is_continuous(spec)
+
+
+def actions_of(text: str | None) -> Any:
+    """The option --actions: a number of levels, levels or commands, as ``actions.action_set`` takes them."""
+    if text is None:
+        return None
+    try:
+        found = ast.literal_eval(text)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        found = None
+    if isinstance(found, int) and not isinstance(found, bool):
+        return found
+    if not isinstance(found, list | tuple):
+        raise ValueError(
+            f"--actions must be a number of levels (9), levels (-2,0,2) or commands ([[-1,0],[1,0]]); got {text!r}"
+        )
+    return list(found)
 
 
 def settings_of(
@@ -36,11 +64,13 @@ def settings_of(
 ) -> dict[str, Any]:
     """The options that were given, by the names of ``Settings``."""
     shape: tuple[int, ...] | None = None
-    if grid is not None:
+    if grid == "none":
+        shape = ()
+    elif grid is not None:
         try:
             shape = tuple(int(part) for part in grid.lower().split("x"))
         except ValueError:
-            raise ValueError(f"--grid must be like 32x32; got {grid!r}") from None
+            raise ValueError(f"--grid must be like 32x32, or none; got {grid!r}") from None
     given = {"grid": shape, "outside": outside, "strict": strict or None, "calibration": calibration, "floor": floor,
              "episodes": episodes}  # fmt: skip
     return {name: value for name, value in given.items() if value is not None}
@@ -64,9 +94,13 @@ def from_states(
     normalized: bool,
     common: dict[str, Any],
     settings: dict[str, Any],
+    state: str | None = None,
+    actions: str | None = None,
 ) -> Report:
     """The report on a continuous simulator, a log of continuous states and policies."""
+    from oee_tabular.continuous.actions import commands_of
     from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.gymnasium_named import is_continuous_id
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
 
@@ -82,16 +116,24 @@ def from_states(
                 f"--{name} must be left out for a continuous task, whose moves are not between numbered states; "
                 f"it is {str(options[name])!r}"
             )
-    simulator = continuous_simulator(spec)
+    recorded = ContinuousTransitions.load(log)
+    given = actions_of(actions)
+    if given is None and is_continuous_id(spec):
+        given = commands_of(recorded)
+    simulator = continuous_simulator(spec, state=state, actions=given)
+    if simulator.task.actions.ndim == 2 and recorded.action.ndim == 1 and given is None and is_continuous_id(spec):
+        raise ValueError(
+            f"--actions must be given for {simulator.task.name}, whose actions are commands: the log has their numbers alone"
+        )
     if target is not None and not is_continuous(target):
         raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
     return evaluate_continuous(
         simulator,
-        ContinuousTransitions.load(log),
+        recorded,
         _policies(policy, simulator),
         settings=Settings(**settings),
         behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
-        target=None if target is None else continuous_simulator(target).task,
+        target=None if target is None else continuous_simulator(target, state=state, actions=given).task,
         horizon=options["horizon"],
         discount=0.99 if options["discount"] is None else options["discount"],
         normalized=normalized,
@@ -101,19 +143,30 @@ def from_states(
 
 
 def recorded_states(
-    spec: str, policy: str, transitions: int | None, episodes: int | None, horizon: int | None, seed: int
+    spec: str,
+    policy: str,
+    transitions: int | None,
+    episodes: int | None,
+    horizon: int | None,
+    seed: int,
+    state: str | None = None,
+    actions: str | None = None,
 ) -> ContinuousTransitions:
-    """A log of the continuous task that ``spec`` names."""
+    """A log of the continuous task that ``spec`` names; actions that are commands are written as such."""
+    from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
 
-    simulator = continuous_simulator(spec)
-    return simulator.record(
+    simulator = continuous_simulator(spec, state=state, actions=actions_of(actions))
+    log = simulator.record(
         _named(policy, simulator, "policy"),
         n_transitions=transitions,
         n_episodes=episodes,
         max_steps=horizon,
         seed=seed,
     )
+    if simulator.task.actions.ndim == 1:
+        return log
+    return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
 
 
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
@@ -121,6 +174,10 @@ def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[s
     from oee_tabular.mdp.policies import policy_array
     from oee_tabular.tasks.arguments import named_specs
 
+    if specs is None and simulator.expert is None:
+        raise ValueError(
+            f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
+        )
     found: dict[str, Any] = {}
     for label, source in named_specs(specs or ["expert"]).items():
         is_file = Path(source).suffix.lower() in (".npy", ".npz")
@@ -135,7 +192,7 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
     _refuse_arrays(spec, simulator, name)
-    from oee_tabular.continuous.evaluation import as_function, as_table
+    from oee_tabular.continuous.on_cells import as_function, as_table
     from oee_tabular.mdp.policies import policy_array
 
     model = simulator.build()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,13 +12,14 @@ from scipy import stats
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
-from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.estimators.base import IN_VALUES_UNIT, Basis
-from oee_tabular.estimators.findings import uncovered
+from oee_tabular.estimators.findings import Finding, uncovered
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
+
+QUANTILE = 1.96  # of the intervals that estimators set themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,21 +63,21 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
-    """J in the simulator corrected by the log's residuals, by Monte Carlo, with an error by refits on resampled episodes.
+class Refitted:
+    """J in a task learned from the log, by Monte Carlo, with an error by refits on resampled episodes.
 
         se^2 = se_MC^2 + Var_b (J_b - J),   J_b the value after refit b; both with the same random numbers
 
     Attributes
     ----------
-    value : of the corrected simulator
-    corrected : ResidualSimulator
+    value : of the learned task
+    learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a bootstrap's log
     refits : how many
     paths : episodes by which J_b - J is found
     """
 
     value: MonteCarloValue
-    corrected: ResidualSimulator
+    learned: Any
     refits: int = 20
     paths: int = 1000
 
@@ -95,8 +96,8 @@ class Residual:
                 task, function, paths, self.value.horizon, discount=self.value.discount, seed=streams[0]
             )
 
-        before = returns(self.corrected)
-        again = [self.corrected.resampled(np.random.default_rng(s)) for s in streams[1].spawn(self.refits)]
+        before = returns(self.learned)
+        again = [self.learned.resampled(np.random.default_rng(s)) for s in streams[1].spawn(self.refits)]
         moved = np.array([(returns(task) - before).mean() for task in again])
         of_log = float(moved.std(ddof=1))
         error = float(np.hypot(of_log, mc.standard_error))
@@ -104,12 +105,24 @@ class Residual:
         facts = {
             "standard_error_of": "log and rollouts", "n_rollouts": mc.n_episodes, "refits": self.refits,
             "standard_error_of_the_log": of_log, "interval_method": "refits",
-            "explained": ", ".join(f"{c.name} {c.explained:.3g}" for c in self.corrected.coordinates if c.kind != "zero"),
         }  # fmt: skip
-        ends = (mc.value - reach, mc.value + reach)
-        hidden = [c for c in self.corrected.coordinates if c.hidden]
-        basis = Basis(normal=True, corrected=not hidden)
-        return Estimate(mc.value, error, ends, facts, status=_not_markov(hidden), basis=basis)
+        return Estimate(mc.value, error, (mc.value - reach, mc.value + reach), facts, basis=Basis(normal=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Residual(Refitted):
+    """``Refitted`` in the simulator corrected by the log's residuals; no value to rely on where the state is not Markov."""
+
+    @one_thread
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """``seed`` is not used: the value's own is."""
+        found = Refitted.__call__(self, problem, policy, seed=seed)
+        hidden = [c for c in self.learned.coordinates if c.hidden]
+        told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
+        basis = replace(found.basis, corrected=not hidden)
+        return replace(
+            found, diagnostics=found.diagnostics | {"explained": told}, status=_not_markov(hidden), basis=basis
+        )
 
 
 def _not_markov(hidden: list[Any]) -> str:
@@ -150,27 +163,105 @@ class Supported:
         return replace(found, diagnostics=found.diagnostics | dict(self.support), findings=(*found.findings, *told))
 
 
+def second_calibration(value: float, gap: float) -> Finding:
+    """What the other calibration says."""
+    text = "calibrated by the simulator on a log of its own instead, the value is {}; the interval covers the gap."
+    return Finding("second calibration", gap, text, f"{value:.4g}")
+
+
+def calibrated_far(apart: float, own: float) -> Finding:
+    """Calibration takes out more than was put in."""
+    text = "calibration moves the value by {}: rely on the corrected simulator rather than on either."
+    figure = f"{apart:.3g}, more than the cells move the simulator's own value, {own:.3g}"
+    return Finding("calibrated far", apart, text, figure)
+
+
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The calibrated value in a row of its own; the raw one has its own."""
+    """The calibrated value in a row of its own; the raw one has its own.
+
+    Attributes
+    ----------
+    estimator : the raw value's
+    continuous : values in the continuous simulator
+    plain : policy -> value on the cells of the simulator without a floor, looked at in the log's places
+    own : the same, looked at in the places of a log of the simulator's own; None: not known
+    kind : "ratio" | "difference"
+    scale : of values in the sentences
+
+    Notes
+    -----
+    What the two calibrations differ by is what calibration is uncertain by: it is told, and the error counts it so that the
+    95% interval covers it, error^2 = se^2 + (gap / 1.96)^2.
+    """
 
     estimator: Estimator
     continuous: MonteCarloValue
+    plain: Callable[[Array], float]
+    own: Callable[[Array], float] | None
     kind: str
+    scale: float = 1.0
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's value, times J_continuous / J_discretised of the simulator, or plus their difference."""
         raw = self.estimator(problem, policy, seed=seed)
-        mc = self.continuous(policy)
-        below = policy_value(problem.simulator, policy, horizon=problem.horizon)
-        found = calibrate(
-            raw, discretised=below, continuous=mc.value, continuous_error=mc.standard_error, kind=self.kind
-        )
+        mc, below = self.continuous(policy), self.plain(policy)
+        found = self._by(raw, mc, below)
         facts = found.diagnostics
         value, error = facts["calibrated_value"], facts["calibrated_standard_error"]
         raw_only = IN_VALUES_UNIT | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
         kept = {name: x for name, x in facts.items() if name not in raw_only}
-        ends = None if found.interval is None or error is None else (value - 1.96 * error, value + 1.96 * error)
+        told = list(found.findings)
+        if self.own is not None:
+            second = float(self._by(raw, mc, self.own(policy)).diagnostics["calibrated_value"])
+            gap = abs(second - value)
+            error = None if error is None else float(np.hypot(error, gap / QUANTILE))
+            kept |= {"second_calibration_value": second, "interval_method": "calibrated"}
+            told.append(second_calibration(second * self.scale, gap))
+        apart, own = abs(raw.value - value), abs(mc.value - below)
+        if apart > 1.01 * own + 2.0 * mc.standard_error:
+            told.append(calibrated_far(apart * self.scale, own * self.scale))
+        ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
         basis = Basis(normal=True, measured=found.basis.measured)
-        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept, basis=basis)
+        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept, basis=basis,
+                       findings=tuple(told))  # fmt: skip
+
+    def _by(self, raw: Estimate, mc: MonteCarlo, below: float) -> Estimate:
+        return calibrate(
+            raw, discretised=below, continuous=mc.value, continuous_error=mc.standard_error, kind=self.kind
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Possible:
+    """An estimator whose values beyond what the rewards can sum to are refused, with a sentence.
+
+    A value that is beyond by at most two standard errors is put on the bound.
+
+    Attributes
+    ----------
+    estimator : whose value it is
+    lowest, highest : the least and the most that T rewards sum to
+    scale : of values in the sentence
+    """
+
+    estimator: Estimator
+    lowest: float
+    highest: float
+    scale: float = 1.0
+
+    @one_thread
+    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
+        """The estimator's, or no value."""
+        found = self.estimator(problem, policy, seed=seed)
+        room = 1e-9 * max(1.0, abs(self.lowest), abs(self.highest))
+        nearest = float(np.clip(found.value, self.lowest, self.highest))
+        if not np.isfinite(found.value) or abs(nearest - found.value) <= room:
+            return found
+        if abs(nearest - found.value) <= 2.0 * (found.standard_error or 0.0):
+            return replace(found, value=nearest)
+        value, low, high = (x * self.scale for x in (found.value, self.lowest, self.highest))
+        text = f"{value:.4g} cannot be: what {problem.horizon} rewards pay is between {low:.4g} and {high:.4g}"
+        return replace(found, value=float("nan"), standard_error=None, interval=None, status=text, findings=(),
+                       diagnostics=found.diagnostics | {"refused_value": found.value})  # fmt: skip

@@ -1,14 +1,13 @@
 """``evaluate`` for a continuous simulator and a log of continuous states.
 
-The simulator is discretised at the log's own places, with the small defensive share of its configuration; the log becomes
-numbered moves and soft counts on the same cells; zeta is fitted to the soft counts. Beside the raw value stands the
-calibrated one (``estimators.calibrate``), and beside the simulator on the cells the simulator itself, by Monte Carlo. Before
-all of them stands the simulator corrected by the log's residuals (``ResidualSimulator``), which needs no cells.
+The rows stand in the order of what they may be trusted for: the simulator corrected by the log's residuals
+(``ResidualSimulator``), the value on cells calibrated, a linear model of the log, importance sampling, the simulator itself by
+Monte Carlo and on the cells, and last off-environment evaluation on the grid alone, which has the grid's error. What the cells
+cannot take is said, and the other rows stand (``on_cells``).
 """
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,28 +17,35 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization import Discretization, require_log_of
-from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Residual, Simulated, Supported
+from oee_tabular.continuous.actions import as_probabilities
+from oee_tabular.continuous.discretization import require_log_of
+from oee_tabular.continuous.estimators import MonteCarloValue, Possible, Refitted, Residual, Simulated
 from oee_tabular.continuous.history import HistoryTask
+from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.on_cells import (
+    NoCellsError,
+    OnCells,
+    as_function,
+    as_table,
+    on_cells,
+    plain_rows,
+    reward_bounds,
+)
+from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.simulator import ContinuousSimulator
-from oee_tabular.continuous.support import within_support
+from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
+from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
-from oee_tabular.data import Transitions
-from oee_tabular.estimators import Estimator, OffEnvironment, Problem, Simulator
+from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.exact import policy_value
-from oee_tabular.mdp import check_policy
-from oee_tabular.ratio import transition_ratio, uncovered_share
 from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.report import Report
 
-LEFT_OUT = 0.01  # share of the log's moves without support that the rows on the cells may leave out
 CALIBRATIONS = (*KINDS, "none")
+ON_GRID, LINEAR = "oee on the grid", "linear model of the log"
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,9 @@ class Settings:
 
     Attributes
     ----------
-    grid : vertices along each feature
-    outside : "error" | "nearest" | "drop", for states outside the grid
+    grid : vertices along each feature; () for no cells
+    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out moves without support as well,
+        however many (otherwise more than a hundredth leave out the rows on the grid)
     strict : an error, not a warning, for actions that are not in the task's set
     calibration : "ratio" | "difference" | "none"
     floor : defensive share, in [0, 1]
@@ -71,7 +78,7 @@ class Settings:
 
 @one_thread
 def evaluate_continuous(
-    simulator: ContinuousSimulator,
+    simulator: ContinuousSimulator | ContinuousTask,
     log: ContinuousTransitions,
     policies: Mapping[str, StatePolicy | Array],
     *,
@@ -89,7 +96,7 @@ def evaluate_continuous(
 
     Parameters
     ----------
-    simulator : ContinuousSimulator
+    simulator : ContinuousSimulator, or a ContinuousTask, which needs ``horizon``
     log : ContinuousTransitions of the target
     policies : name -> function of states (n, d) giving probabilities (n, A), or an (S, A) array of probabilities on the cells
     settings : grid, calibration, and what to do with states outside and actions not in the set
@@ -104,14 +111,15 @@ def evaluate_continuous(
     Returns
     -------
     Report
-        Rows "oee (residual)" (of the corrected simulator, by Monte Carlo; where oee is asked for), "simulator (continuous)"
-        (Monte Carlo), "oee" (raw) and "oee (calibrated)" among the others; ``facts`` has the
-        support diagnostics and the closure error.
+        Rows "oee (residual)" (of the corrected simulator, by Monte Carlo), "oee (calibrated)" and, last, "oee on the grid"
+        where oee is asked for; "linear model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte Carlo)
+        always; ``facts`` has the support diagnostics and the closure error. Where the cells cannot take the log, or there are
+        none, their rows are left out with a sentence.
 
     Raises
     ------
     ValueError
-        A log that does not fit the task; states outside the grid; more than a hundredth of the moves without support.
+        A log that does not fit the task; states outside the grid, where ``settings.outside`` is "error".
 
     Examples
     --------
@@ -121,248 +129,164 @@ def evaluate_continuous(
     >>> few = Settings(episodes=2000)
     >>> report = evaluate_continuous(simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"])
     >>> [row["estimator"] for row in report.records()]
-    ['oee (residual)', 'simulator (continuous)', 'oee', 'oee (calibrated)']
+    ['oee (residual)', 'oee (calibrated)', 'simulator (continuous)', 'oee on the grid']
     """
+    given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
+    _checks.instance(given, ContinuousSimulator, "simulator", "a ContinuousTask or a ContinuousSimulator")
     chosen = Settings() if settings is None else settings
-    kind = simulator.calibration if chosen.calibration is None else chosen.calibration
+    kind = given.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
-    steps = simulator.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
-    require_log_of(simulator.task, log)
+    steps = given.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
+    require_log_of(given.task, log)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        made = _made(simulator, log, chosen, behavior, steps, discount, seed)
+        numbered = _numbered(given, log, chosen, behavior)
+        try:
+            made = on_cells(given, numbered, chosen, steps, discount, seed)
+        except NoCellsError as reason:
+            made = None
+            warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
     told = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-    tables = {name: as_table(policy, made.model, name) for name, policy in policies.items()}
-    functions = {tables[name].tobytes(): as_function(policy, made.model) for name, policy in policies.items()}
+    tables, functions = _policies(policies, made, given.task, numbered)
     stream = _checks.seed_sequence(seed, (10**6,))
-    episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
-    mc = MonteCarloValue(simulator.task, functions, steps, episodes, discount, stream)
-    rows = _rows(made, mc, kind, estimators)
+    episodes = given.episodes if chosen.episodes is None else chosen.episodes
+    mc = MonteCarloValue(given.task, functions, steps, episodes, discount, stream)
+    problem = on_rows(numbered, given.task.n_actions, steps, discount) if made is None else made.problem
+    wanted, left_out = _wanted(problem, estimators, made)
+    scale = 1.0 - discount if options.get("normalized") else 1.0
+    learned = _Learned.of(given, numbered, seed)
+    bounds = (-np.inf, np.inf) if made is None else reward_bounds(problem, numbered, steps)
+    rows = _rows(wanted, made, mc, learned, kind, bounds, scale)
+    if estimators is None:
+        rows = _with_linear(rows, learned, mc, bounds, scale)
     if target is not None:
-        there = MonteCarloValue(target, functions, steps, episodes, discount, stream)
-        rows["target (continuous)"] = Simulated(there)
-    told.append(_lost(made.plain, mc, tables, steps))
-    report = evaluate(made.problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
-    for text in told[:-1]:
+        rows["target (continuous)"] = Simulated(replace(mc, task=target, found={}))
+    said = [*left_out, *told, *filter(None, [rewards_contradict(given.task, numbered)])]
+    for text in told:
         warnings.warn(text, stacklevel=3)
-    said = [_placed(text, made.model) for text in report.warnings]
+    first = difference(learned.corrected)
+    if made is None:
+        known = {"simulator": f"{given.name}, without cells", "log": repr(log), **dict(facts or {})}
+        return report_on_rows(problem, tables, rows, tuple(said), first, seed=seed, facts=known, **options)
+    report = evaluate(problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
+    said.append(lost(made.plain, mc, tables, steps))
     sure = replace(
         report.sureness,
-        next=_placed(report.sureness.next, made.model),
-        distance=(_difference(made.corrected), *report.sureness.distance),
+        next=placed(report.sureness.next, made.model),
+        distance=(first, *report.sureness.distance),
     )
-    said += [_placed(text, made.model) for text in told]
-    return replace(report, warnings=tuple(said), sureness=sure)
+    every = [placed(text, made.model) for text in (*report.warnings, *said)]
+    return replace(report, warnings=tuple(every), sureness=sure)
 
 
-@dataclass(frozen=True)
-class _Made:
-    model: Discretization
-    plain: Discretization
-    problem: Problem
-    support: dict[str, float]
-    zeta: Any
-    facts: dict[str, Any]
-    corrected: ResidualSimulator
-    with_history: ResidualSimulator | None
-
-
-def _made(
-    simulator: ContinuousSimulator,
-    log: ContinuousTransitions,
-    settings: Settings,
-    behavior: StatePolicy | None,
-    horizon: int,
-    discount: float,
-    seed: Any,
-) -> _Made:
-    """Everything that does not depend on the policies."""
+def _numbered(
+    simulator: ContinuousSimulator, log: ContinuousTransitions, settings: Settings, behavior: StatePolicy | None
+) -> ContinuousTransitions:
+    """The log with action numbers, and the behaviour's probabilities where it lacks them."""
     task = simulator.task
     columns = log.columns() | {"action": log.action_numbers(task.actions, strict=settings.strict)}
     if behavior is not None and log.behavior_probability is None:
         probabilities = check_probabilities(behavior, log.state, task.n_actions)
         columns["behavior_probability"] = probabilities[np.arange(len(log)), columns["action"]]
-    numbered = ContinuousTransitions(**columns)
-    floor = simulator.floor if settings.floor is None else _checks.number_in(settings.floor, "floor", 0.0, 1.0)
-    model = simulator.build(grid=settings.grid, at=numbered, floor=floor, discount=discount)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a grid that is too coarse was warned about
-        plain = (
-            model if floor == 0.0 else simulator.build(grid=settings.grid, at=numbered, floor=0.0, discount=discount)
-        )
-    counts = simulator.counts(model, numbered, outside=settings.outside)
-    encoded = model.encode_log(numbered, seed=_checks.seed_sequence(seed, (10**6 + 1,)), outside=settings.outside)
-    bag, episodes = encoded, None
-    if task.reward_between(log.state[:1], columns["action"][:1], log.next_state[:1]) is not None:
-        # rewards differ within a cell: no contradiction of the simulator's mean
-        episodes = encoded if encoded.episode is not None else None
-        bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
-    share = uncovered_share(counts, model.mdp)
-    if 0.0 < share <= LEFT_OUT:
-        kept, _ = within_support(counts, model)
-        warnings.warn(_left_out(counts, kept, share, model), stacklevel=2)
-        counts = kept
-    if share > LEFT_OUT:
-        raise ValueError(
-            f"log must stay where the simulator has probability: {share:.2g} of its moves have none on "
-            f"{model.cells.extent()}, with a defensive share of {floor:g}. No ratio exists there. Ways out: "
-            f"{'' if floor > 0.0 else 'a defensive share (--floor 0.001), '}a coarser grid (--grid), process noise, or a "
-            "mixture of simulator parameters (tasks.defensive_mixture)"
-        )
-    problem = Problem(model.mdp, bag, horizon=horizon, counts=counts, episodes=episodes)
-    zeta = transition_ratio(counts, model.mdp, **simulator.ratio_options(model))
-    largest = float(zeta.values.data.max())
-    support = {
-        "uncovered_mass": uncovered_share(counts, plain.mdp),
-        "largest_zeta": largest,
-        "d_inf": float(np.log(largest)),
+    return ContinuousTransitions(**columns)
+
+
+def _policies(
+    policies: Mapping[str, StatePolicy | Array], made: OnCells | None, task: ContinuousTask, log: ContinuousTransitions
+) -> tuple[dict[str, Array], dict[bytes, StatePolicy]]:
+    """Name -> table on the cells (without cells: on the log's rows), and table -> function of states."""
+    tables: dict[str, Array] = {}
+    functions: dict[bytes, StatePolicy] = {}
+    for name, given in policies.items():
+        policy = as_probabilities(given, task.actions) if callable(given) else given
+        if made is not None:
+            tables[name], function = as_table(policy, made.model, name), as_function(policy, made.model)
+        elif callable(policy):
+            tables[name], function = table_on_rows(policy, log, task.n_actions), policy
+        else:
+            raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
+        functions[tables[name].tobytes()] = function
+    return tables, functions
+
+
+@dataclass(frozen=True, eq=False)
+class _Learned:
+    """What is learned from the log without cells; ``with_history`` where the state is not Markov."""
+
+    simulator: ContinuousSimulator
+    log: ContinuousTransitions
+    corrected: ResidualSimulator
+    with_history: ResidualSimulator | None
+
+    @classmethod
+    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: Any) -> _Learned:
+        corrected, with_history = ResidualSimulator(simulator.task, log, seed=seed), None
+        if any(coordinate.hidden for coordinate in corrected.coordinates):
+            whole = HistoryTask(simulator.task)
+            with_history = ResidualSimulator(whole, whole.log(log), seed=seed)
+        return cls(simulator, log, corrected, with_history)
+
+
+def _wanted(
+    problem: Problem, names: Sequence[str] | None, made: OnCells | None
+) -> tuple[dict[str, Estimator], list[str]]:
+    """The estimators by name; those of finite problems only where there are cells."""
+    chosen, left_out = default_names(problem) if names is None else (list(names), [])
+    found = named_estimators(chosen)
+    if made is not None:
+        return found, left_out
+    kept: dict[str, Estimator] = {
+        name: e for name, e in found.items() if isinstance(e, OffEnvironment | ImportanceSampling | Simulator)
     }
-    facts: dict[str, Any] = {
-        "simulator": _described(simulator, model, floor, support),
-        "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
-        "grid": model.cells.extent(),
-        "floor": floor,
-        "ratio": ({} if simulator.tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
-        "rows_left_out": len(log) - len(encoded),
-        "moves_left_out": share,
-        **support,
-    }
-    closure = model.diagnostics.get("closure")
-    if closure is not None:
-        facts["closure_error"] = float(closure.error)
-    corrected = ResidualSimulator(task, numbered, seed=seed)
-    with_history = None
-    if any(coordinate.hidden for coordinate in corrected.coordinates):
-        whole = HistoryTask(task)
-        with_history = ResidualSimulator(whole, whole.log(numbered), seed=seed)
-    return _Made(model, plain, problem, support, zeta, facts, corrected, with_history)
+    if names is not None and (gone := [name for name in found if name not in kept]):
+        left_out = [*left_out, f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need cells."]
+    return kept, left_out
 
 
-def _left_out(counts: Any, kept: Any, share: float, model: Discretization) -> str:
-    """How many moves have no support, and where most of them begin."""
-    lost = row_sums(counts) - row_sums(kept)
-    state = int(lost.argmax()) // model.task.n_actions
-    return (
-        f"{share:.2g} of the log's moves have no probability in the simulator on {model.cells.extent()}; the rows on the cells "
-        f"leave them out. Most of them begin at state {state}"
-    )
-
-
-def _difference(corrected: ResidualSimulator) -> str:
-    """Does the target differ, in which coordinate; is the state all that decides: the log's residuals against the simulator."""
-    changed = [c for c in corrected.coordinates if c.differs]
-    hidden = [c for c in corrected.coordinates if c.hidden]
-    if not changed:
-        return (
-            "The target's steps do not differ from the simulator's, as far as the log tells: its residuals s' - f(s, a) are "
-            "those of the simulator's own scatter."
-        )
-    told = "; ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}, "
-        f"{max(c.explained, 0.0):.1%} of their mean square explained by the correction)"
-        for c in changed
-    )
-    said = f"The target's steps differ from the simulator's in {told}."
-    if hidden:
-        names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
-        said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."
-    return said
-
-
-def _described(
-    simulator: ContinuousSimulator, model: Discretization, floor: float, support: Mapping[str, float]
-) -> str:
-    places = ", looked at in the log's own places" if simulator.at_log else ""
-    text = f"{simulator.name} on {model.cells.extent()}{places}: {model.mdp!r}"
-    if floor > 0:
-        text += f"; defensive: with probability {floor:g} {simulator.defence} (plain: without)"
-    closure = model.diagnostics.get("closure")
-    if closure is not None:
-        text += f"; closure error of the uniform policy {closure.error:+.1%} (+-{closure.standard_error:.1%})"
-    return text + (
-        f"; uncovered mass {support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} "
-        f"(D_inf {support['d_inf']:.2g} nats)"
-    )
-
-
-def _rows(made: _Made, mc: MonteCarloValue, kind: str, names: Sequence[str] | None) -> dict[str, Estimator]:
-    """The estimators by the names of their rows."""
-    wanted = named_estimators(default_names(made.problem)[0] if names is None else list(names))
-    rows: dict[str, Estimator] = {}
-    if OffEnvironment() in wanted.values():
-        rows |= _residual_rows(made, mc)
+def _rows(
+    wanted: Mapping[str, Estimator],
+    made: OnCells | None,
+    mc: MonteCarloValue,
+    learned: _Learned,
+    kind: str,
+    bounds: tuple[float, float],
+    scale: float,
+) -> dict[str, Estimator]:
+    """The estimators by the names of their rows, in the order of what they may be trusted for."""
+    oee = [name for name, estimator in wanted.items() if estimator == OffEnvironment()]
+    rows = _residual_rows(learned, mc) if oee else {}
+    if oee and made is not None and kind != "none":
+        rows["oee (calibrated)"] = made.calibrated(mc, kind, bounds, scale)
+    rows |= {name: estimator for name, estimator in wanted.items() if isinstance(estimator, ImportanceSampling)}
     rows["simulator (continuous)"] = Simulated(mc)
+    if made is None:
+        return rows
     for name, estimator in wanted.items():
-        if estimator != OffEnvironment():
+        if name not in oee and name not in rows:
             rows[name] = estimator
-            if isinstance(estimator, Simulator) and made.plain is not made.model:
-                rows["simulator (plain)"] = Plain(made.plain.mdp)
-            continue
-        raw = Supported(OffEnvironment(made.zeta), made.support)
-        rows[name] = raw
-        if kind != "none":
-            rows["oee (calibrated)"] = Calibrated(raw, mc, kind)
-    return rows
+            rows |= plain_rows(made) if isinstance(estimator, Simulator) else {}
+    return rows | ({ON_GRID: made.raw()} if oee else {})
 
 
-def _residual_rows(made: _Made, mc: MonteCarloValue) -> dict[str, Estimator]:
+def _with_linear(
+    rows: dict[str, Estimator], learned: _Learned, mc: MonteCarloValue, bounds: tuple[float, float], scale: float
+) -> dict[str, Estimator]:
+    """With the linear model of the log, before importance sampling and the simulator."""
+    model = LinearModel(learned.simulator.task, learned.log)
+    row = Refitted(replace(mc, task=model, found={}), model, paths=learned.simulator.refit_paths)
+    ahead = [name for name in rows if name.startswith("oee (")]
+    first = {name: rows[name] for name in ahead}
+    return first | {LINEAR: Possible(row, *bounds, scale)} | {name: rows[name] for name in rows if name not in ahead}
+
+
+def _residual_rows(learned: _Learned, mc: MonteCarloValue) -> dict[str, Estimator]:
     """The corrected simulator; before it, where the state is not Markov, the one with the last action in its state."""
     rows: dict[str, Estimator] = {}
-    if made.with_history is not None:
-        whole = HistoryTask(made.corrected.task)
+    paths = learned.simulator.refit_paths
+    if learned.with_history is not None:
+        whole = HistoryTask(learned.corrected.task)
         functions = {key: whole.policy(function) for key, function in mc.functions.items()}
-        value = replace(mc, task=made.with_history, functions=functions, found={})
-        rows["oee (residual, last action)"] = Residual(value, made.with_history)
-    return rows | {"oee (residual)": Residual(replace(mc, task=made.corrected, found={}), made.corrected)}
-
-
-def _lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
-    """What the cells make of the simulator's own values, which no interval covers."""
-    lost = []
-    for name, table in tables.items():
-        there = mc(table)
-        lost.append(
-            f"{policy_value(plain.mdp, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
-        )
-    return (
-        "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
-        f"they make {', '.join(lost)}, and another environment's may suffer more"
-    )
-
-
-def as_table(policy: StatePolicy | Array, model: Discretization, name: str) -> Array:
-    """(S, A) a policy on the cells; an array may leave out the state that is over."""
-    if callable(policy):
-        return check_policy(model.policy(policy), model.mdp, name=f"policy {name!r}")
-    table = _checks.float_array(policy, f"policy {name!r}", ndim=(2,))
-    if model.over is not None and table.shape == (model.cells.n_cells, model.task.n_actions):
-        table = np.concatenate([table, np.full((1, model.task.n_actions), 1.0 / model.task.n_actions)])
-    return check_policy(table, model.mdp, name=f"policy {name!r}")
-
-
-def as_function(policy: StatePolicy | Array, model: Discretization) -> StatePolicy:
-    """A policy of states: of an array, the mean over the cells that a state is shared out to."""
-    if callable(policy):
-        return policy
-    table = np.asarray(policy, dtype=np.float64)[: model.cells.n_cells]
-
-    def interpolated(states: Array) -> Array:
-        found = model.cells.weights(model.task.features(states)) @ table
-        return np.asarray(found / found.sum(axis=1, keepdims=True))
-
-    return interpolated
-
-
-def _placed(text: str, model: Discretization) -> str:
-    """A warning with the features of the states that it numbers."""
-    n, names = model.cells.n_cells, model.task.feature_names
-
-    def place(match: re.Match[str]) -> str:
-        number = int(match[1])
-        points = model.points[model.point_cell == number] if number < n else model.points[:0]
-        if len(points) == 0:
-            return match[0]
-        at = model.task.features(points).mean(axis=0)
-        return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in zip(names, at, strict=True))})"
-
-    return re.sub(r"\bstate (\d+)", place, text)
+        value = replace(mc, task=learned.with_history, functions=functions, found={})
+        rows["oee (residual, last action)"] = Residual(value, learned.with_history, paths=paths)
+    value = replace(mc, task=learned.corrected, found={})
+    return rows | {"oee (residual)": Residual(value, learned.corrected, paths=paths)}

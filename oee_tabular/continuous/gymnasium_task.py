@@ -32,8 +32,11 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular.continuous.gymnasium_steps import check_steps_of, repeats_at_once
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
+
+FEWEST_AT_ONCE, MOST_AT_ONCE = 16, 4096  # states
 
 
 class GymnasiumTask(ContinuousTask):
@@ -53,11 +56,25 @@ class GymnasiumTask(ContinuousTask):
         environment)
     reward_between : function of (states, action numbers, next states), optional
     parameters : what distinguishes it, written into files
+    make_vector : function of n that makes n environments whose ``state`` is (d, n) and which step at once; used where it
+        repeats the steps of one
+    check_steps : how many recorded steps are stepped again from their states; 0: none
+
+    Attributes
+    ----------
+    steps_at_once : whether ``make_vector`` is used
+
+    Raises
+    ------
+    ValueError
+        Functions, states, ranges and actions that do not fit the environment; a state that does not decide the next one, or
+        a step that draws random numbers of its own (in how many steps, in which coordinate, by how much).
 
     Notes
     -----
-    Some 10^5 steps a second and less: each state is put into the environment by itself. An environment that draws random
-    numbers takes them from the generator of ``step``; ``moves`` has no disturbance to give it, and reseeds it with 0 each time.
+    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 by ``make_vector``. An
+    environment that draws random numbers takes them from the generator of ``step``; ``moves`` has no disturbance to give it,
+    and reseeds it with 0 each time.
 
     Examples
     --------
@@ -90,6 +107,8 @@ class GymnasiumTask(ContinuousTask):
         over: Callable[[Array], Any] | None = None,
         reward_between: Callable[[Array, IntArray, Array], Array] | None = None,
         parameters: dict[str, Any] | None = None,
+        make_vector: Callable[[int], Any] | None = None,
+        check_steps: int = 200,
     ) -> None:
         _checks.boolean(terminates, "terminates")
         for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
@@ -119,7 +138,7 @@ class GymnasiumTask(ContinuousTask):
         self.periodic = (False,) * d if periodic is None else tuple(periodic)
         self.terminates = terminates
         for number in range(len(self.actions)):
-            if not self._env.action_space.contains(self._command(number)):
+            if not self._env.action_space.contains(self.command(number)):
                 raise ValueError(
                     f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
                 )
@@ -127,6 +146,22 @@ class GymnasiumTask(ContinuousTask):
         kept = np.asarray(self._get(self._env), dtype=np.float64)
         if not np.array_equal(kept, state):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
+        self._vectors: dict[int, Any] = {}
+        self._make_vector: Callable[[int], Any] | None = None
+        if check_steps:
+            record = check_steps_of(self, make(), _checks.positive_integer(check_steps, "check_steps"))
+            if make_vector is not None:
+                self._make_vector = make_vector
+                self._make_vector = make_vector if repeats_at_once(self, *record) else None
+
+    @property
+    def steps_at_once(self) -> bool:
+        """Whether many states are stepped at once."""
+        return self._make_vector is not None
+
+    def read(self, env: Any) -> Array:
+        """(d,) the state of an environment."""
+        return np.array(self._get(env), dtype=np.float64)
 
     def parameters(self) -> dict[str, Any]:
         """As given."""
@@ -138,14 +173,44 @@ class GymnasiumTask(ContinuousTask):
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One step from each state; the environment's random numbers are ``rng``'s."""
+        if self._make_vector is not None and len(states) >= FEWEST_AT_ONCE:
+            return self.at_once(states, actions, rng)
+        return self.one_by_one(states, actions, rng)
+
+    def at_once(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """By environments that step together, as many as a power of two holds."""
+        parts = []
+        for low in range(0, len(states), MOST_AT_ONCE):
+            part, taken = states[low : low + MOST_AT_ONCE], np.asarray(actions[low : low + MOST_AT_ONCE])
+            n = len(part)
+            size = 1 << (n - 1).bit_length()
+            if size not in self._vectors:
+                self._vectors[size] = self._made_vector(size)
+            envs = self._vectors[size]
+            more = np.resize(np.arange(n), size)
+            envs.reset(seed=0)  # nothing of the step before is left
+            envs.np_random = rng
+            envs.state = part[more].T.copy()
+            commands = self.commands[taken[more]].astype(envs.action_space.dtype)
+            _, reward, over, _, _ = envs.step(commands)
+            parts.append((np.array(envs.state).T[:n], np.asarray(reward)[:n], np.asarray(over)[:n]))
+        following, reward, over = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return Moves(following.astype(np.float64), reward.astype(np.float64), over.astype(np.bool_))
+
+    def _made_vector(self, size: int) -> Any:
+        assert self._make_vector is not None
+        return self._make_vector(size).unwrapped
+
+    def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """Each state put into the environment by itself."""
         env = self._env
         env.unwrapped.np_random = rng
         following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
         inner = env.unwrapped
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
             self._set(env, state)
-            _, reward[i], over[i], _, _ = inner.step(self._command(int(action)))
-            following[i] = self._get(env)
+            _, reward[i], over[i], _, _ = inner.step(self.command(int(action)))
+            following[i] = self.read(env)
         return Moves(following, reward, over)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
@@ -155,7 +220,7 @@ class GymnasiumTask(ContinuousTask):
         found = np.empty((n, self.n_state))
         for i in range(n):
             env.reset()
-            found[i] = self._get(env)
+            found[i] = self.read(env)
         return found
 
     def initial_points(self) -> tuple[Array, Array]:
@@ -191,13 +256,13 @@ class GymnasiumTask(ContinuousTask):
         episode, t = 0, 0
         inner.reset()
         for row in range(rows):
-            state = np.array(self._get(env), dtype=np.float64)
+            state = np.array(self.read(env), dtype=np.float64)
             probabilities = check_probabilities(policy, state[None], self.n_actions)[0]
             action = int(np.searchsorted(np.cumsum(probabilities), rng.random() * probabilities.sum(), side="right"))
-            _, reward, over, cut, _ = inner.step(self._command(action))
+            _, reward, over, cut, _ = inner.step(self.command(action))
             t += 1
             stop = not over and (cut or t == steps or row == rows - 1)
-            following = np.array(self._get(env), dtype=np.float64)
+            following = np.array(self.read(env), dtype=np.float64)
             values = (state, action, following, reward, over, stop, episode, probabilities[action])
             for column, value in zip(columns, values, strict=True):
                 column.append(value)
@@ -217,7 +282,8 @@ class GymnasiumTask(ContinuousTask):
         )
         return ContinuousTransitions(**dict(zip(names, map(np.array, columns), strict=True)))
 
-    def _command(self, number: int) -> Any:
+    def command(self, number: int) -> Any:
+        """What is passed to the environment's ``step``."""
         command = self.commands[number]
         if command.ndim:
             return command.astype(self._env.action_space.dtype)

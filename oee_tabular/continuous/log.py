@@ -93,7 +93,8 @@ class ContinuousTransitions(Log):
         """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
 
         Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
-        are not and the largest distance, or an error does with ``strict``.
+        are not and the largest distance, or an error does with ``strict``, and where one lies farther off than half of what the
+        actions are apart.
         """
         _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
@@ -122,6 +123,11 @@ class ContinuousTransitions(Log):
             )
             if strict:
                 raise ValueError(f"log.action must be one of the task's {len(table)} actions; {found}")
+            if away[worst] > _half_apart(table):
+                raise ValueError(
+                    f"log.action must lie among the task's {len(table)} actions, no farther off than half of what they are "
+                    f"apart; {found}. Name actions that reach as far (tasks.GymnasiumTask(actions=), --actions)"
+                )
             warnings.warn(f"log.action is moved to the nearest of the task's actions: {found}", stacklevel=3)
         return np.asarray(nearest, dtype=np.int64)
 
@@ -134,6 +140,13 @@ def _vectors(value: Any, name: str) -> Array:
         raise ValueError(f"{name} must have at least one row; the log is empty")
     _checks.require_finite(array, name)
     return array
+
+
+def _half_apart(table: Array) -> float:
+    """Half the diagonal of the widest gaps between the levels of actions (A, k); inf of a single one."""
+    gaps = [np.diff(np.unique(column)) for column in table.T]
+    widest = [float(gap.max()) for gap in gaps if len(gap)]
+    return 0.5 * float(np.hypot.reduce(widest)) * (1.0 + 1e-9) if widest else np.inf
 
 
 def _actions(value: Any) -> NDArray[Any]:

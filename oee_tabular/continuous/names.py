@@ -1,6 +1,7 @@
 """Continuous simulators by name, ``cartpole:gravity=10``, each with the configuration that logs are evaluated by.
 
-A task is one line in ``CONTINUOUS``: its name, and a function that makes a ``ContinuousSimulator`` of the arguments.
+Gymnasium's environments are named by their ids, ``Pendulum-v1:g=9`` (``gymnasium_named``). A task of ours is one
+line in ``CONTINUOUS``: its name, and a function that makes a ``ContinuousSimulator`` of the arguments.
 """
 
 from __future__ import annotations
@@ -8,8 +9,10 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from oee_tabular.continuous.cartpole import cartpole
+from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, is_continuous_id
 from oee_tabular.continuous.kinova import kinova
 from oee_tabular.continuous.reacher import reacher
 from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -22,12 +25,18 @@ CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
 }
 
 
-def continuous_simulator(spec: str) -> ContinuousSimulator:
+def is_continuous(spec: str) -> bool:
+    """Whether ``spec`` names a continuous task."""
+    return spec.partition(":")[0] in CONTINUOUS or is_continuous_id(spec)
+
+
+def continuous_simulator(spec: str, *, state: str | None = None, actions: Any = None) -> ContinuousSimulator:
     """The continuous simulator that ``spec`` names, ``NAME`` or ``NAME:key=value,...``.
 
     Parameters
     ----------
-    spec : a name in ``CONTINUOUS``, and parameters of its task
+    spec : a name in ``CONTINUOUS`` or the id of a Gymnasium environment, and parameters of its task
+    state, actions : of a Gymnasium environment; see ``gymnasium_simulator``
 
     Raises
     ------
@@ -41,7 +50,17 @@ def continuous_simulator(spec: str) -> ContinuousSimulator:
     """
     name, _, rest = spec.partition(":")
     if name not in CONTINUOUS:
-        raise ValueError(f"spec must begin with one of {', '.join(CONTINUOUS)}; got {spec!r}")
+        if not is_continuous_id(spec):
+            raise ValueError(
+                f"spec must begin with one of {', '.join(CONTINUOUS)}, or with a Gymnasium id whose states are no numbers; "
+                f"got {spec!r}"
+            )
+        return gymnasium_simulator(spec, state=state, actions=actions)
+    for option, given in (("--state", state), ("--actions", actions)):
+        if given is not None:
+            raise ValueError(
+                f"{option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
+            )
     positional, keywords = arguments(rest)
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")

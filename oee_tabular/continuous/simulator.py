@@ -11,12 +11,17 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.continuous.actions import as_probabilities
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
+from oee_tabular.testing.command import own_modules, own_object
 
+SLOW_EPISODES, SLOW_PATHS = 2000, 200  # of tasks that step one state at a time
+DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15, 4: 9}  # along each feature, by how many there are
 Counter = Callable[[Discretization, ContinuousTransitions, str], sparse.csr_array]
 
 
@@ -36,15 +41,17 @@ class ContinuousSimulator:
     ----------
     name : str, as it was given
     task : ContinuousTask
-    expert : function of states (n, d) giving probabilities (n, A)
-    cells : the shape of the default grid, or what makes a Discretization on other cells; see ``Builder``
+    expert : function of states (n, d) giving probabilities (n, A); None where there is none
+    cells : the shape of the default grid, or what makes a Discretization on other cells; see ``Builder``; () for no cells
     horizon : of an episode and of a value, where none is given
-    floor : share of the defensive simulator's other steps, where a log is evaluated; ``defence`` says which steps those are
+    floor : share of the defensive simulator's other steps, where a log is evaluated
     ratio : options of ``transition_ratio`` for the counts
     tie : the ties of zeta, a function of the Discretization; None: not tied
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
     count : (model, log, outside) -> csr of counts (S*A, S); None: ``model.counts``
+    defence : which other steps those are, in words
     episodes : of Monte Carlo, for each policy
+    refit_paths : episodes by which each refit of a corrected simulator is compared with it
     at_log : whether the builder looks at the simulator in the log's own places
     cells_of_log : whether the cells are made of the log, so that no array of a policy can be known before
     no_grid : why no other grid can be asked for; empty where it can
@@ -59,7 +66,7 @@ class ContinuousSimulator:
 
     name: str
     task: ContinuousTask
-    expert: StatePolicy
+    expert: StatePolicy | None
     cells: tuple[int, ...] | Builder
     horizon: int
     floor: float = 0.0
@@ -69,6 +76,7 @@ class ContinuousSimulator:
     count: Counter | None = None
     defence: str = "a step ends anywhere near"
     episodes: int = 50_000
+    refit_paths: int = 1000
     at_log: bool = True
     cells_of_log: bool = False
     no_grid: str = ""
@@ -84,18 +92,36 @@ class ContinuousSimulator:
         return dict(self.ratio) if self.tie is None else {"tie": self.tie(model), **self.ratio}
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
-        """``uniform``, ``expert``, or ``mix:0.7``: the expert with that probability, else uniform."""
+        """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else uniform; or ``module:function``.
+
+        The function takes states (n, d) and gives probabilities (n, A), action numbers (n,) or commands (n, k); see
+        ``actions.as_probabilities``.
+        """
         if spec == "uniform":
-            return _mixed(self.expert, 0.0)
-        if spec == "expert":
+            n = self.task.n_actions
+            return lambda states: np.full((len(states), n), 1.0 / n)
+        own = "uniform, expert, mix:WEIGHT" if self.expert is not None else "uniform"
+        if self.expert is not None and spec == "expert":
             return self.expert
-        if not spec.startswith("mix:"):
-            raise ValueError(f"{name} of {self.task.name} must be uniform, expert or mix:WEIGHT; got {spec!r}")
-        try:
-            weight = float(spec.removeprefix("mix:"))
-        except ValueError:
-            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
-        return _mixed(self.expert, _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0))
+        if self.expert is not None and spec.startswith("mix:"):
+            return _mixed(self.expert, _weight(spec, name))
+        if ":" not in spec or spec.startswith("mix:"):
+            raise ValueError(f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {spec!r}")
+        with own_modules():
+            return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
+
+    def has_cells(self, grid: tuple[int, ...] | None) -> bool:
+        """Whether there are cells: the default ones, or a ``grid`` that was asked for."""
+        return (self.cells if grid is None else grid) != ()
+
+    def no_cells(self, grid: tuple[int, ...] | None) -> str:
+        """Why there are none, where there are none."""
+        if grid is not None:
+            return "no grid was asked for"
+        return (
+            f"there is no grid in the {len(self.task.feature_names)} dimensions of {self.task.name}; the corrected simulator "
+            "needs none"
+        )
 
     def build(
         self,
@@ -104,18 +130,61 @@ class ContinuousSimulator:
         at: ContinuousTransitions | None = None,
         floor: float = 0.0,
         discount: float = 0.99,
+        reach: int = USUAL,
     ) -> Discretization:
-        """The finite MDP: on the default cells or a grid of that shape, plain or defensive, looked at where the log was."""
+        """The finite MDP: on the default cells or a grid of that shape, plain or defensive, looked at where the log was.
+
+        ``reach`` of the floor, on a grid; see ``GridInterpolation``.
+        """
         if grid is not None and self.no_grid:
             raise ValueError(f"grid must be left out for {self.no_grid}")
+        if not self.has_cells(grid):
+            raise ValueError(f"cells must be given: {self.no_cells(grid)}")
         cells = self.cells if grid is None else grid
         if not isinstance(cells, tuple):
             return cells(self.task, at=at, floor=floor, discount=discount)
-        return GridInterpolation(cells, floor=floor).build(self.task, at=at, discount=discount)
+        return GridInterpolation(cells, floor=floor, reach=reach).build(self.task, at=at, discount=discount)
+
+    def reach(self, grid: tuple[int, ...] | None, log: ContinuousTransitions) -> int:
+        """The reach that the log asks of a floor on the grid."""
+        cells = self.cells if grid is None else grid
+        return reach_of(self.task, GridInterpolation(cells).grid(self.task), log) if isinstance(cells, tuple) else USUAL
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
         """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as in ``tasks.record``."""
         return record(self.task, policy, max_steps=self.horizon if max_steps is None else max_steps, **options)
+
+
+def default_grid(dimensions: int) -> tuple[int, ...]:
+    """Vertices along each feature of a task without a grid of its own; () where a grid would be too coarse."""
+    return (DEFAULT_VERTICES[dimensions],) * dimensions if dimensions in DEFAULT_VERTICES else ()
+
+
+def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulator:
+    """A task as a simulator, configured as a Gymnasium environment is; ``horizon`` of its episodes."""
+    if horizon is None:
+        raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
+    slow = not getattr(task, "steps_at_once", True)
+    return ContinuousSimulator(
+        task.name,
+        task,
+        None,
+        default_grid(len(task.feature_names)),
+        horizon,
+        floor=1e-3,
+        ratio={"prior": "simulator", "strength": 0.01},
+        calibration="difference",
+        episodes=SLOW_EPISODES if slow else 50_000,
+        refit_paths=SLOW_PATHS if slow else 1000,
+    )
+
+
+def _weight(spec: str, name: str) -> float:
+    try:
+        weight = float(spec.removeprefix("mix:"))
+    except ValueError:
+        raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+    return _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
 
 
 def _mixed(expert: StatePolicy, weight: float) -> StatePolicy:

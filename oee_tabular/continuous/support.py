@@ -18,8 +18,14 @@ from oee_tabular._checks import BoolArray
 from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry, row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action
+from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.mdp import FiniteMDP
+
+USUAL = 2  # cells that a floor reaches at least
+DUST = 1e-3  # share of the moves that a floor need not reach
+LOOKED = 5000  # moves by which the reach is found
+MOST_ENTRIES = 2e7  # of a matrix with a floor
 
 
 def defensive_mixture(
@@ -137,3 +143,30 @@ def with_floor(
         block.eliminate_zeros()
         blocks.append(block)
     return sparse.csr_array((1.0 - floor) * matrix + sparse.vstack(blocks, format="csr"))
+
+
+def reach_of(task: ContinuousTask, grid: Grid, log: ContinuousTransitions) -> int:
+    """The ``reach`` of ``with_floor`` by which all but a thousandth of the log's moves have support; its actions are numbers.
+
+    At least 2 cells, and at most what keeps the rows within 20 million entries; by 5000 of the moves.
+    """
+    some = np.unique(np.linspace(0, len(log) - 1, LOOKED).astype(np.int64))
+    features, arrivals = (task.features(states[some]) for states in (log.state, log.next_state))
+    kept = ~(grid.outside(features) | grid.outside(arrivals) | log.terminated[some])
+    if not kept.any():
+        return USUAL
+    start = grid.weights(features[kept])
+    row = np.repeat(np.arange(start.shape[0]), np.diff(start.indptr))
+    pairs, which = np.unique(
+        start.indices.astype(np.int64) * task.n_actions + log.action[some][kept][row], return_inverse=True
+    )
+    states = task.embed(grid.vertices(pairs // task.n_actions))
+    moved = task.moves(states, pairs % task.n_actions, np.zeros((len(pairs), task.n_disturbances)))
+    lead = grid.locate(task.features(moved.next_state))[0]
+    away = np.abs(grid.locate(arrivals[kept])[0][row] - lead[which])
+    away = np.where(grid.periodic, np.minimum(away, np.array(grid.shape) - away), away).max(axis=1)
+    farthest = np.zeros(start.shape[0], dtype=np.int64)
+    np.maximum.at(farthest, row, away)
+    wanted = int(np.quantile(farthest, 1.0 - DUST, method="higher"))
+    room = (MOST_ENTRIES / (grid.n_cells * task.n_actions)) ** (1.0 / len(grid.shape)) / 2.0 - 1.0
+    return max(USUAL, min(wanted, int(room)))

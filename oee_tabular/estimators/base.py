@@ -62,7 +62,7 @@ IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values:
     (
         "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
         "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
-        "standard_error_of_the_log",
+        "standard_error_of_the_log", "second_calibration_value", "refused_value",
     )
 )  # fmt: skip
 

@@ -50,7 +50,8 @@ def read_table(env: Any) -> Table:
     if table is None or not hasattr(base, "initial_state_distrib"):
         raise ValueError(
             f"env must have a toy-text table env.unwrapped.P and an initial_state_distrib; {name} has none "
-            "(build the FiniteMDP from its arrays, or sample it: FiniteMDP.from_env(env, samples_per_pair=...))"
+            "(build the FiniteMDP from its arrays, or sample it: FiniteMDP.from_env(env, samples_per_pair=...); of an "
+            "environment with continuous states make a tasks.GymnasiumTask)"
         )
     if getattr(base, "fickle_passenger", False):
         raise ValueError(

@@ -83,7 +83,7 @@ def answers(report: Evaluation) -> list[Answer]:
     return found
 
 
-def _unseen(report: Report, policy: str) -> int:
+def _unseen(report: Evaluation, policy: str) -> int:
     sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
     return 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
 

@@ -19,6 +19,7 @@ METHODS: Mapping[str, str] = {
     LIKELIHOOD: "every value in keeping with the log; where it has nothing, any move that the simulator makes is possible",
     "one-step": "value plus or minus normal quantile x standard error, to which pairs never recorded add as if recorded once",
     "refits": "value plus or minus t quantile x standard error, by refits on resampled episodes and the rollouts' own",
+    "calibrated": "value plus or minus normal quantile x standard error, in which the gap between two calibrations counts",
     OWN: "as the estimator gives it",
     NOISE: "value plus or minus normal quantile x standard error: the noise of the log, or of the rollouts, alone",
 }

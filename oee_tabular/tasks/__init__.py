@@ -17,6 +17,8 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.closure import Closure
     from oee_tabular.continuous.discretization import Discretization
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
+    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.history import HistoryTask
     from oee_tabular.continuous.interpolation import GridInterpolation
@@ -24,11 +26,13 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.kinova.expert import kinova_policy
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
     from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
+    from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
+    from oee_tabular.continuous.simulator import ContinuousSimulator
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
@@ -36,6 +40,7 @@ __all__ = [
     "ArmCells",
     "CartPole",
     "Closure",
+    "ContinuousSimulator",
     "ContinuousTask",
     "Discretization",
     "GridInterpolation",
@@ -43,22 +48,26 @@ __all__ = [
     "HistoryTask",
     "KinovaArm",
     "KinovaHand",
+    "LinearModel",
     "LinearReacher",
     "MonteCarlo",
     "Moves",
     "NamedTask",
     "Reacher",
     "ResidualSimulator",
+    "Settings",
     "StatePolicy",
     "VisitedCells",
     "arm_cells",
     "cartpole_policy",
     "corrected_value",
     "defensive_mixture",
+    "evaluate_continuous",
     "fit_hand",
     "gridworld",
     "gridworld_expert",
     "gridworld_policy",
+    "gymnasium_simulator",
     "hand_log",
     "kinova_model",
     "kinova_policy",

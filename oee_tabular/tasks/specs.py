@@ -55,8 +55,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """The task that ``spec`` names.
 
     ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"; "cartpole" on its
-    default grid), a Gymnasium id with a toy-text table, or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
-    literals or words.
+    default grid), a Gymnasium id with a toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its grid), or
+    the path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
 
     Parameters
     ----------
@@ -82,10 +82,11 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
     name, _, rest = spec.partition(":")
     names = importlib.import_module("oee_tabular.continuous.names")
-    if name in names.CONTINUOUS:
+    if names.is_continuous(spec):
         found = names.continuous_simulator(spec)
         model = found.build(discount=0.99 if discount is None else discount)
-        return NamedTask(spec, model.mdp, lambda: model.policy(found.expert), continuous=found, discretization=model)
+        expert = lambda: model.policy(found.policy("expert"))  # noqa: E731
+        return NamedTask(spec, model.mdp, expert, continuous=found, discretization=model)
     positional, keywords = arguments(rest)
     if discount is not None:
         keywords["discount"] = discount

@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Residual
 from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.on_cells import no_support
 from oee_tabular.estimators import Estimate, calibrate
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.report.results import headline
@@ -84,8 +86,8 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(capsys, tmp_path):
         assert text in shown
     report = json.loads(run(capsys, *words, "--json"))
     rows = {(row["policy"], row["estimator"]): row for row in report["results"]}
-    raw, calibrated = rows["half", "oee"], rows["half", "oee (calibrated)"]
-    factor = rows["half", "simulator (continuous)"]["value"] / rows["half", "simulator"]["value"]
+    raw, calibrated = rows["half", "oee on the grid"], rows["half", "oee (calibrated)"]
+    factor = rows["half", "simulator (continuous)"]["value"] / rows["half", "simulator (plain)"]["value"]
     assert_allclose(calibrated["value"], raw["value"] * factor)
     assert "calibration" in calibrated
     assert {"uncovered_mass", "largest_zeta", "d_inf"} <= set(raw)
@@ -131,7 +133,7 @@ def test_the_files_of_a_task(capsys, tmp_path):
         "--json",
     ]
     rows = json.loads(run(capsys, *words, "--policy", f"file={table}", "--policy", "name=mix:0.5"))["results"]
-    raw = {row["policy"]: row["value"] for row in rows if row["estimator"] == "oee"}
+    raw = {row["policy"]: row["value"] for row in rows if row["estimator"] == "oee on the grid"}
     assert_allclose(raw["file"], raw["name"], rtol=1e-10)
     words = ["sample", "cartpole", "--policy", table, "--episodes", 3, "--horizon", 7, "--output", log]
     said = run(capsys, *words, "--overwrite")
@@ -213,15 +215,14 @@ BAD = {
     ),
     "no such action": (changed(action=lambda a: a + 1), [], "must be in 0..1, the numbers of the task's actions; it is 2"),
     "outside how": (LOG, ["--outside", "clip"], "outside must be one of 'error', 'nearest', 'drop'; got 'clip'"),
-    "a grid in words": (LOG, ["--grid", "fine"], "--grid must be like 32x32; got 'fine'"),
+    "a grid in words": (LOG, ["--grid", "fine"], "--grid must be like 32x32, or none; got 'fine'"),
     "a line": (
         LOG, ["--grid", "32"], "shape must have 2 numbers, one for each feature of CartPole (theta, theta_dot); it is (32,)",
     ),
     "calibration": (LOG, ["--calibration", "both"], "calibration must be one of 'ratio', 'difference', 'none'; got 'both'"),
     "floor": (LOG, ["--floor", "2"], "floor must be in [0, 1]; it is 2"),
-    "no support": (LOG, ["--floor", "0"], "Ways out: a defensive share (--floor 0.001), a coarser grid (--grid)"),
     "simulations": (LOG, ["--simulations", "0"], "n_episodes must be a positive integer; it is 0"),
-    "policy": (LOG, ["--policy", "optimal"], "--policy of CartPole must be uniform, expert or mix:WEIGHT; got 'optimal'"),
+    "policy": (LOG, ["--policy", "optimal"], "must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION of states; got"),
     "mixture": (LOG, ["--policy", "mix:2"], "the weight of --policy 'mix:2' must be in [0, 1]; it is 2"),
     "twice": (LOG, ["--policy", "a=expert", "--policy", "a=uniform"], "--policy names must differ; 'a' is given twice"),
     "noise": (LOG, ["--action-noise", "0.1"], "--action-noise must be left out for a continuous task; it is 0.1"),
@@ -235,8 +236,17 @@ BAD = {
 def test_bad_calls(capsys, tmp_path, case):
     log, options, text = BAD[case]
     log.save(tmp_path / "log.npz")
-    grid = ["--grid", "200x200"] if case == "no support" else ["--grid", "16x16"]
-    words = ["evaluate", "--simulator", "cartpole", "--log", tmp_path / "log.npz", *grid, "--simulations", 50]
+    words = [
+        "evaluate",
+        "--simulator",
+        "cartpole",
+        "--log",
+        tmp_path / "log.npz",
+        "--grid",
+        "16x16",
+        "--simulations",
+        50,
+    ]
     said = run(capsys, *words, "--estimators", "oee", *options, code=2).splitlines()
     assert text in said[-1]
     assert said[-1].startswith("oee: ")
@@ -340,14 +350,20 @@ def test_the_command_s_configuration_by_hand():
     problem = oee.Problem(model.mdp, model.encode_log(LOG, seed=0), horizon=100, counts=model.counts(LOG))
     raw = oee.estimators.OffEnvironment(zeta)(problem, pi)
     rows = {row["estimator"]: row for row in report.records()}
-    assert_allclose(rows["oee"]["value"], raw.value, rtol=1e-12)
+    assert_allclose(rows["oee on the grid"]["value"], raw.value, rtol=1e-12)
     mc = rows["simulator (continuous)"]
+    plain = GridInterpolation((16, 16), closure_episodes=0).build(CartPole(10), at=LOG)  # without the floor
     found = calibrate(
-        raw, discretised=oee.policy_value(model.mdp, pi, horizon=100), continuous=mc["value"],
+        raw, discretised=oee.policy_value(plain.mdp, pi, horizon=100), continuous=mc["value"],
         continuous_error=mc["standard_error"],
     )  # fmt: skip
-    assert_allclose(rows["oee (calibrated)"]["value"], found.diagnostics["calibrated_value"], rtol=1e-12)
-    assert_allclose(rows["oee (calibrated)"]["standard_error"], found.diagnostics["calibrated_standard_error"])
+    row = rows["oee (calibrated)"]
+    assert_allclose(row["value"], found.diagnostics["calibrated_value"], rtol=1e-12)
+    gap = row["second_calibration_value"] - row["value"]
+    assert gap != 0.0
+    assert_allclose(row["standard_error"], np.hypot(found.diagnostics["calibrated_standard_error"], gap / 1.96))
+    assert row["lower"] <= row["second_calibration_value"] <= row["upper"]
+    assert any("on a log of its own instead, the value is" in text for text in report.warnings)
     far = monte_carlo_value(CartPole(10), cartpole_policy(0.0), 4000, 100, seed=1)
     assert abs(mc["value"] - far.value) < 5 * np.hypot(mc["standard_error"], far.standard_error)
 
@@ -446,8 +462,23 @@ def test_a_way_out_that_is_in_force_is_not_advised():
     columns = LOG.columns()
     columns["next_state"] = -columns["next_state"]
     bag = oee.ContinuousTransitions(**{k: columns[k] for k in ("state", "action", "next_state")})
-    with pytest.raises(ValueError, match=r"Ways out: a coarser grid \(--grid\), process noise"):
-        evaluate_continuous(simulator, bag, {"expert": simulator.expert}, seed=0, estimators=["oee"])
+    few, policies = Settings(episodes=50), {"expert": simulator.expert}
+    for settings in (
+        few,
+        replace(few, floor=0.0, outside="drop"),
+    ):  # the floor reaches as far as the log; or they are dropped
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
+        assert report.records()[-1]["estimator"] == "oee on the grid"
+    assert report.facts["moves_left_out"] > 0.01
+    said = r"left out: .* none on .*, and no ratio exists there. Ways out: a defensive share \(--floor 0.001\), a coarser grid"
+    settings = replace(few, floor=0.0)
+    with pytest.warns(UserWarning, match=said):
+        report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
+    assert [row["estimator"] for row in report.records()] == ["oee (residual)", "simulator (continuous)"]
+    text = no_support(GridInterpolation((6, 6), closure_episodes=0).build(CartPole()), 0.3, 0.01)
+    assert text.endswith("Ways out: a coarser grid (--grid), or without those moves (--outside drop)")
 
 
 def test_calibration_by_difference_and_none():
@@ -456,7 +487,7 @@ def test_calibration_by_difference_and_none():
     _, none = evaluated(LOG, calibration="none")
     assert "oee (calibrated)" not in {row["estimator"] for row in none.records()}
     values = [{row["estimator"]: row["value"] for row in report.records()} for report in (ratio, plus)]
-    assert values[0]["oee"] == values[1]["oee"]
+    assert values[0]["oee on the grid"] == values[1]["oee on the grid"]
     assert values[0]["oee (calibrated)"] != values[1]["oee (calibrated)"]
 
 
@@ -502,7 +533,7 @@ def test_reacher_from_the_command_line(capsys, tmp_path):
     report = json.loads(run(capsys, *words, "--target", "reacher:length=0.2,tamed=True"))
     value = {row["estimator"]: row["value"] for row in report["results"]}
     right = value["target (continuous)"]
-    assert abs(value["oee"] - right) < 0.7 * abs(value["simulator (continuous)"] - right)
+    assert abs(value["oee on the grid"] - right) < 0.7 * abs(value["simulator (continuous)"] - right)
     assert "oee (calibrated)" not in value
     assert report["facts"]["floor"] == 1.0
     assert "links as long times one of 0.5, 0.7, 1.0, 1.4, 2.0" in report["facts"]["simulator"]
@@ -524,8 +555,8 @@ def test_the_arm_from_the_command_line(capsys, tmp_path):
     value = {row["estimator"]: row["value"] for row in report["results"]}
     right = value["target (continuous)"]
     assert abs(value["oee (calibrated)"] - right) < 0.3 * abs(value["simulator (continuous)"] - right)
-    assert value["oee (calibrated)"] - value["oee"] == pytest.approx(
-        value["simulator (continuous)"] - value["simulator"]
+    assert value["oee (calibrated)"] - value["oee on the grid"] == pytest.approx(
+        value["simulator (continuous)"] - value["simulator (plain)"]
     )
     assert report["facts"]["ratio"] == {"tie": "displacements", "strength": 3.0}
     said = [text for text in report["warnings"] if "that the log has never seen" in text and text.startswith("oee")]
@@ -562,7 +593,7 @@ def test_the_advice_says_where_a_cell_is_and_the_calibrated_value_keeps_its_inte
     found = MonteCarloValue(
         simulator.task, {table.tobytes(): simulator.expert}, 20, 200, 0.99, np.random.SeedSequence(0)
     )
-    calibrated = Calibrated(raw, found, "difference")(report.problem, table)
+    calibrated = Calibrated(raw, found, lambda _: 12.0, None, "difference")(report.problem, table)
     assert calibrated.interval == pytest.approx(
         (calibrated.value - 1.96 * calibrated.standard_error, calibrated.value + 1.96 * calibrated.standard_error)
     )

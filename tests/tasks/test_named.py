@@ -41,7 +41,7 @@ def test_files(tmp_path):
         ("gridworld:4,slip=1.3", r"slip must be in \[0, 1\]; it is 1.3"),
         ("FrozenLake-v1:8x8", "must give its arguments as key=value; found '8x8'"),
         ("FrozenLake-v1:map=8x8", "does not take these arguments"),
-        ("CartPole-v1", "must have a toy-text table"),
+        ("Blackjack-v1", "must have a state that can be set"),
     ],
 )
 def test_bad_names(spec, text):

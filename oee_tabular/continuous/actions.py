@@ -1,0 +1,125 @@
+"""Finitely many actions of a Gymnasium action space, and policies that say commands or numbers in place of probabilities."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import StatePolicy
+
+LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
+MOST = 1000  # commands
+FEW = 100  # commands of a log, which are then the actions
+
+
+def action_set(space: Any, given: Any = None) -> Array:
+    """(A,) numbers of a Discrete space, or (A, k) commands of a Box.
+
+    Parameters
+    ----------
+    space : Gymnasium's Discrete or Box
+    given : of a Box, how many levels each coordinate has, evenly from low to high (None: 9 of one coordinate, 5 of two,
+        else 3); or the levels themselves, (m,); or the commands, (A, k)
+
+    Raises
+    ------
+    ValueError
+        Another space; levels of an endless range; actions of a Discrete space; commands outside the space.
+
+    Examples
+    --------
+    >>> from gymnasium.spaces import Box
+    >>> action_set(Box(-2.0, 2.0, (1,)), 3).tolist()
+    [[-2.0], [0.0], [2.0]]
+    """
+    if hasattr(space, "n"):
+        if given is not None:
+            raise ValueError(f"actions must be left out where the environment has {space}; they are {given!r}")
+        return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
+    shape = getattr(space, "shape", None)
+    if shape is None or len(shape) != 1 or not hasattr(space, "low"):
+        raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
+    k = shape[0]
+    count = LEVELS.get(k, 3) if given is None else given
+    if isinstance(count, int):
+        most = _checks.positive_integer(count, "actions")
+        if not np.isfinite([space.low, space.high]).all():
+            raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
+        levels = [np.linspace(low, high, most) for low, high in zip(space.low, space.high, strict=True)]
+    else:
+        table = _checks.float_array(count, "actions", ndim=(1, 2))
+        if table.ndim == 2:
+            return _inside(table, space)
+        levels = [table] * k
+    if np.prod([float(len(each)) for each in levels]) > MOST:
+        raise ValueError(f"actions must be at most {MOST} in all; {len(levels[0])} levels of {k} coordinates are more")
+    return _inside(np.array(list(itertools.product(*levels))), space)
+
+
+def _inside(table: Array, space: Any) -> Array:
+    bad = [i for i, row in enumerate(table) if not space.contains(row.astype(space.dtype))]
+    if bad:
+        raise ValueError(f"actions[{bad[0]}] must be in {space}; it is {table[bad[0]].tolist()}")
+    return table
+
+
+def commands_of(log: ContinuousTransitions) -> Any:
+    """The log's own commands where they are few; None where the log has numbers, or more commands than a set should have."""
+    if log.action.ndim == 1:
+        return None
+    found = np.unique(log.action, axis=0)
+    return found.tolist() if len(found) <= FEW else None
+
+
+def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePolicy:
+    """A policy that may say, for states (n, d), probabilities (n, A), action numbers (n,) or commands (n, k).
+
+    A command between those of a product grid is shared out among its neighbours so that its mean is kept; elsewhere the nearest
+    of ``actions`` (A, k) is taken.
+
+    Examples
+    --------
+    >>> brake = as_probabilities(lambda states: -states, np.array([[-1.0], [0.0], [1.0]]))
+    >>> brake(np.array([[0.25], [4.0]])).tolist()
+    [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
+    """
+    _checks.function(policy, "policy")
+    n_actions = len(actions)
+
+    def probabilities(states: Array) -> Array:
+        found = np.asarray(policy(states))
+        if found.shape == (len(states), n_actions):
+            return found
+        if actions.ndim == 1 and found.shape == (len(states),) and found.dtype.kind in "iu":
+            bad = np.flatnonzero((found < 0) | (found >= n_actions))
+            if bad.size:
+                raise ValueError(f"policy(states)[{bad[0]}] must be in 0..{n_actions - 1}; it is {found[bad[0]]}")
+            return np.asarray(np.eye(n_actions)[found])
+        commands = found[:, None] if found.ndim == 1 else found
+        if actions.ndim == 1 or commands.shape != (len(states), actions.shape[1]):
+            return found
+        _checks.require_finite(commands, "policy(states)")
+        return _shared(commands.astype(np.float64), actions)
+
+    return probabilities
+
+
+def _shared(commands: Array, actions: Array) -> Array:
+    """(n, A) multilinear weights on a product grid, the nearest where the actions are none."""
+    levels = [np.unique(column) for column in actions.T]
+    shape = tuple(len(each) for each in levels)
+    if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(actions):
+        distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
+        return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
+    found = np.ones((len(commands), 1))
+    for column, each in zip(commands.T, levels, strict=True):
+        weights = np.column_stack([np.interp(column, each, one) for one in np.eye(len(each))])
+        found = (found[:, :, None] * weights[:, None, :]).reshape(len(commands), -1)
+    place = [np.searchsorted(each, column) for column, each in zip(actions.T, levels, strict=True)]
+    return np.asarray(found[:, np.ravel_multi_index(tuple(place), shape)])

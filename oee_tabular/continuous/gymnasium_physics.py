@@ -1,0 +1,147 @@
+"""Gymnasium environments by id with other physics: constructor arguments, constants of the class, fields of a MuJoCo model.
+
+A constant is set while the environment is made, wherever its ``__init__`` would set it, so that what is computed from it there
+(CartPole's ``polemass_length`` from ``length``) follows.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular.tasks.toy_text import environment_exists, make_environment
+
+
+def maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[], Any]:
+    """() -> environment ``identifier`` with this physics; a ValueError for what it does not have."""
+    plain, constants, fields = _sorted_out(identifier, physics)
+
+    def make() -> Any:
+        if not constants and not fields:
+            return make_environment(identifier, **plain)
+        env = _made_with(identifier, "entry_point", constants, plain)
+        _set_fields(env, fields)
+        return env
+
+    return make
+
+
+def vector_maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[int], Any] | None:
+    """n -> n environments that step at once, where Gymnasium has such; None where not."""
+    import gymnasium
+
+    spec = gymnasium.spec(identifier)
+    if spec.vector_entry_point is None:
+        return None
+    plain, constants, fields = _sorted_out(identifier, physics)
+    if fields:
+        return None
+    return lambda n: _made_with(identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
+
+
+def _sorted_out(identifier: str, physics: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Constructor arguments, constants and fields of the model."""
+    import gymnasium
+
+    environment_exists(identifier)
+    spec = gymnasium.spec(identifier)
+    takes = inspect.signature(_entry(spec.entry_point)).parameters
+    plain = {key: value for key, value in physics.items() if key in takes or key in spec.kwargs}
+    for key, value in plain.items():
+        usual = takes[key].default if key in takes else None
+        if isinstance(usual, int | float) and not isinstance(usual, bool):
+            _checks.number_in(value, key, -np.inf, np.inf)
+    rest = {key: value for key, value in physics.items() if key not in plain}
+    if not rest:
+        return plain, {}, {}
+    env = make_environment(identifier, **plain)
+    inner, model = env.unwrapped, getattr(env.unwrapped, "model", None)
+    fields = {key: value for key, value in rest.items() if not hasattr(inner, key) and _holder(model, key) is not None}
+    constants = {key: value for key, value in rest.items() if key not in fields}
+    for key, value in constants.items():
+        _check_constant(inner, key, value, identifier, [name for name in takes if name != "kwargs"])
+    env.close()
+    return plain, constants, fields
+
+
+def _check_constant(inner: Any, key: str, value: Any, identifier: str, takes: list[str]) -> None:
+    own = getattr(inner, key, None)
+    if isinstance(own, int | float | np.number) and not isinstance(own, bool):
+        _checks.number_in(value, key, -np.inf, np.inf)
+        return
+    known = sorted({name for owner in (type(inner), inner) for name in dir(owner) if _is_number(inner, name)})
+    raise ValueError(
+        f"{key} must be an argument or a number of {identifier}: it takes {', '.join(takes) or 'none'} and has "
+        f"{', '.join(known) or 'none'}; got {key}={value!r}"
+    )
+
+
+def _is_number(inner: Any, name: str) -> bool:
+    if name.startswith("_") or isinstance(inspect.getattr_static(inner, name, None), property):
+        return False
+    value = getattr(inner, name, None)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _entry(point: Any) -> Any:
+    from gymnasium.envs.registration import load_env_creator
+
+    return point if callable(point) else load_env_creator(str(point))
+
+
+def _made_with(identifier: str, point: str, constants: Mapping[str, Any], arguments: Mapping[str, Any]) -> Any:
+    """The environment's class with constants that its own ``__init__`` cannot set otherwise."""
+    import gymnasium
+
+    spec = gymnasium.spec(identifier)
+    owner = _entry(getattr(spec, point))
+    if not isinstance(owner, type):
+        if constants:
+            raise ValueError(
+                f"{next(iter(constants))} must be an argument of {identifier}, which is made by a function"
+            )
+        return owner(**(spec.kwargs | dict(arguments)))
+
+    def held(self: Any, name: str, value: Any) -> None:
+        object.__setattr__(self, name, constants.get(name, value))
+
+    changed = type(owner.__name__, (owner,), {**constants, "__setattr__": held, "__module__": owner.__module__})
+    try:
+        env = changed(**(spec.kwargs | dict(arguments)))
+    except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
+        raise ValueError(f"environment {identifier!r} does not take {dict(arguments)}: {error}") from None
+    env.spec = spec
+    return env
+
+
+def _holder(model: Any, key: str) -> Any:
+    """What of a MuJoCo model holds the field ``key``: the model or its options."""
+    if model is None:
+        return None
+    return next((part for part in (model, getattr(model, "opt", None)) if hasattr(part, key)), None)
+
+
+def _set_fields(env: Any, fields: Mapping[str, Any]) -> None:
+    """Fields of a MuJoCo model, arrays whole."""
+    if not fields:
+        return
+    import mujoco
+
+    model = env.unwrapped.model
+    for key, value in fields.items():
+        holder = _holder(model, key)
+        own = np.asarray(getattr(holder, key), dtype=np.float64)
+        found = _checks.float_array(value, key, ndim=(0, 1, 2))
+        if found.shape != own.shape:
+            raise ValueError(
+                f"{key} must have shape {own.shape}, as in the model: {own.tolist()}; it has shape {found.shape}"
+            )
+        if own.ndim:
+            getattr(holder, key)[...] = found
+        else:
+            setattr(holder, key, type(getattr(holder, key))(found))
+    mujoco.mj_setConst(model, env.unwrapped.data)

@@ -1,0 +1,163 @@
+"""A linear model of the log alone, as a ``ContinuousTask``: what a corrected simulator must beat.
+
+    s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's moves of action a,
+
+x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's residual drawn from the log's moves of the same
+action. The simulator says only where episodes begin, where they end and what is paid.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._threads import one_thread
+from oee_tabular.continuous.discretization import require_log_of
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import ContinuousTask, Moves
+
+GROUPS = 40  # of whole episodes, for resampling
+
+
+class LinearModel(ContinuousTask):
+    """The task with steps linear in its smooth coordinates, fitted to a log.
+
+    Parameters
+    ----------
+    task : ContinuousTask, for its rewards, ends and beginnings
+    log : ContinuousTransitions of the target
+
+    Attributes
+    ----------
+    coefficients : (A, p, d) B_a; an action that was never logged has those of all moves
+    residuals : (n, d) what they leave over
+
+    Raises
+    ------
+    ValueError
+        A log of other states than the task's, or of actions that it has not.
+
+    Notes
+    -----
+    Next states stay within those that were logged, for a linear model's own may run away. Rewards are ``reward_between``'s, or
+    else those of the simulator's own step from (s, a). O(n p^2).
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
+    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> model = LinearModel(CartPole(10.0), log)
+    >>> model.residuals.shape, bool(np.abs(model.residuals).max() < 0.02)
+    ((2000, 4), True)
+    """
+
+    def __init__(self, task: ContinuousTask, log: ContinuousTransitions) -> None:
+        self.task = _checks.instance(task, ContinuousTask, "task")
+        require_log_of(task, log)
+        for name in (
+            "state_names",
+            "actions",
+            "feature_names",
+            "feature_low",
+            "feature_high",
+            "periodic",
+            "terminates",
+        ):
+            setattr(self, name, getattr(task, name))
+        self.name, self.n_disturbances = f"linear model of a log of {task.name}", 1
+        self._actions = log.action_numbers(task.actions)
+        turns = np.array(task.periodic, dtype=np.bool_)
+        whole = len(turns) == task.n_state and turns.any()
+        self._period = np.where(turns, np.subtract(task.feature_high, task.feature_low), np.inf) if whole else None
+        self._x, self._y = self._inputs(log.state), self._shortest(log.next_state - log.state)
+        self._low, self._high = log.next_state.min(axis=0), log.next_state.max(axis=0)
+        if self._period is not None:  # an angle may go round
+            self._low, self._high = (
+                np.where(turns, end, own) for end, own in ((-np.inf, self._low), (np.inf, self._high))
+            )
+        number = np.arange(len(log)) * GROUPS // len(log)
+        if log.episode is not None and len(np.unique(log.episode)) >= GROUPS:
+            number = np.unique(log.episode, return_inverse=True)[1] % GROUPS
+        self._group = number
+        self._fit(np.ones(len(log)))
+
+    def _inputs(self, states: Array) -> Array:
+        return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
+
+    def _shortest(self, differences: Array) -> Array:
+        if self._period is None:
+            return differences
+        turns = np.isfinite(self._period)
+        differences = np.array(differences)
+        differences[:, turns] -= self._period[turns] * np.round(differences[:, turns] / self._period[turns])
+        return differences
+
+    def _fit(self, weights: Array) -> None:
+        """Least squares with these weights of the rows, and whose residuals are drawn how often."""
+        root = np.sqrt(weights)[:, None]
+        pooled = np.linalg.lstsq(root * self._x, root * self._y)[0]
+        self.coefficients = np.repeat(pooled[None], self.n_actions, axis=0)
+        self._pools = [(np.arange(len(weights)), np.cumsum(weights))] * self.n_actions
+        for a in range(self.n_actions):
+            rows = np.flatnonzero((self._actions == a) & (weights > 0))
+            if len(rows) > self._x.shape[1]:
+                self.coefficients[a] = np.linalg.lstsq(root[rows] * self._x[rows], root[rows] * self._y[rows])[0]
+                self._pools[a] = rows, np.cumsum(weights[rows])
+        self.residuals = np.empty_like(self._y)
+        for a in range(self.n_actions):
+            rows = np.flatnonzero(self._actions == a)
+            self.residuals[rows] = self._y[rows] - self._x[rows] @ self.coefficients[a]
+
+    def resampled(self, seed: Any = None) -> LinearModel:
+        """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""
+        n_groups = int(self._group.max()) + 1
+        weights = np.bincount(_checks.generator(seed).integers(n_groups, size=n_groups), minlength=n_groups)
+        again = copy.copy(self)
+        again._fit(weights[self._group].astype(np.float64))
+        return again
+
+    @one_thread
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step; the disturbance chooses the residual."""
+        actions, x, uniform = np.asarray(actions, dtype=np.int64), self._inputs(states), ndtr(disturbance[:, 0])
+        following = np.array(states, dtype=np.float64)
+        for a in np.unique(actions):
+            at = np.flatnonzero(actions == a)
+            rows, running = self._pools[a]
+            drawn = rows[np.minimum(np.searchsorted(running, uniform[at] * running[-1], side="right"), len(rows) - 1)]
+            following[at] += x[at] @ self.coefficients[a] + self.residuals[drawn]
+        following = np.clip(following, self._low, self._high)
+        over = self.task.terminated(following) if self.terminates else np.zeros(len(states), dtype=np.bool_)
+        paid = self.task.reward_between(states, actions, following)
+        if paid is None:
+            paid = self.task.moves(states, actions, np.zeros((len(states), self.task.n_disturbances))).reward
+        return Moves(following, paid, over)
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """The task's."""
+        return self.task.initial_states(n, rng)
+
+    def terminated(self, states: Array) -> Any:
+        """The task's."""
+        return self.task.terminated(states)
+
+    def features(self, states: Array) -> Array:
+        """The task's."""
+        return self.task.features(states)
+
+    def smooth(self, states: Array) -> Array:
+        """The task's."""
+        return self.task.smooth(states)
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+        """The task's."""
+        return self.task.reward_between(states, actions, next_states)
+
+    def parameters(self) -> dict[str, Any]:
+        """The task's, and how many moves the model is fitted to."""
+        return self.task.parameters() | {"linear_model_of_moves": len(self.residuals)}

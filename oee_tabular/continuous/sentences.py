@@ -1,0 +1,114 @@
+"""What the report of a continuous task says in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular._sparse import row_sums
+from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous.simulator import ContinuousSimulator
+from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.exact import policy_value
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.estimators import MonteCarloValue
+
+
+def left_out(counts: Any, kept: Any, share: float, model: Discretization) -> str:
+    """How many moves have no support, and where most of them begin."""
+    lost = row_sums(counts) - row_sums(kept)
+    state = int(lost.argmax()) // model.task.n_actions
+    return (
+        f"{share:.2g} of the log's moves have no probability in the simulator on {model.cells.extent()}; the rows on the cells "
+        f"leave them out. Most of them begin at state {state}"
+    )
+
+
+def difference(corrected: ResidualSimulator) -> str:
+    """Does the target differ, in which coordinate; is the state all that decides: the log's residuals against the simulator."""
+    changed = [c for c in corrected.coordinates if c.differs]
+    hidden = [c for c in corrected.coordinates if c.hidden]
+    if not changed:
+        return (
+            "The target's steps do not differ from the simulator's, as far as the log tells: its residuals s' - f(s, a) are "
+            "those of the simulator's own scatter."
+        )
+    told = "; ".join(
+        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}, "
+        f"{max(c.explained, 0.0):.1%} of their mean square explained by the correction)"
+        for c in changed
+    )
+    said = f"The target's steps differ from the simulator's in {told}."
+    if hidden:
+        names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
+        said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."
+    return said
+
+
+def described(simulator: ContinuousSimulator, model: Discretization, floor: float, support: Mapping[str, float]) -> str:
+    """The simulator on cells, in one line of a report."""
+    places = ", looked at in the log's own places" if simulator.at_log else ""
+    text = f"{simulator.name} on {model.cells.extent()}{places}: {model.mdp!r}"
+    if floor > 0:
+        text += f"; defensive: with probability {floor:g} {simulator.defence} (plain: without)"
+    closure = model.diagnostics.get("closure")
+    if closure is not None:
+        text += f"; closure error of the uniform policy {closure.error:+.1%} (+-{closure.standard_error:.1%})"
+    return text + (
+        f"; uncovered mass {support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} "
+        f"(D_inf {support['d_inf']:.2g} nats)"
+    )
+
+
+def lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
+    """What the cells make of the simulator's own values, which no interval covers."""
+    found = []
+    for name, table in tables.items():
+        there = mc(table)
+        found.append(
+            f"{policy_value(plain.mdp, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
+        )
+    return (
+        "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
+        f"they make {', '.join(found)}, and another environment's may suffer more"
+    )
+
+
+def placed(text: str, model: Discretization) -> str:
+    """A warning with the features of the states that it numbers."""
+    n, names = model.cells.n_cells, model.task.feature_names
+
+    def place(match: re.Match[str]) -> str:
+        number = int(match[1])
+        points = model.points[model.point_cell == number] if number < n else model.points[:0]
+        if len(points) == 0:
+            return match[0]
+        at = model.task.features(points).mean(axis=0)
+        return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in zip(names, at, strict=True))})"
+
+    return re.sub(r"\bstate (\d+)", place, text)
+
+
+def rewards_contradict(task: ContinuousTask, log: ContinuousTransitions) -> str:
+    """Where the log does not pay what the task's r(s, a, s') says; "" where it does, or where neither is known."""
+    if log.reward is None:
+        return ""
+    known = task.reward_between(log.state, log.action, log.next_state)
+    if known is None:
+        return ""
+    away = np.abs(log.reward - known)
+    bad = np.flatnonzero(away > 1e-6 * max(1.0, float(np.abs(known).max())))
+    if bad.size == 0:
+        return ""
+    k = int(away.argmax())
+    return (
+        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} moves; row {k} pays "
+        f"{log.reward[k]:g} in the log, {known[k]:g} in the simulator, whose rewards are used"
+    )

@@ -1,0 +1,447 @@
+"""Any Gymnasium environment: physics by name, states that are found or refused, its log evaluated end to end."""
+
+import json
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+from oee_tabular.cli import main
+from oee_tabular.continuous.actions import action_set, as_probabilities
+from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, gymnasium_spec, is_continuous_id
+from oee_tabular.report import Settings, evaluate_continuous
+from oee_tabular.tasks import GymnasiumTask, monte_carlo_value, record
+
+CLASSIC = {
+    "CartPole-v1:gravity=12,length=0.65": (4, {"gravity": 12, "length": 0.65, "polemass_length": 0.065}),
+    "Pendulum-v1,g=9.0,m=1.2": (2, {"g": 9.0, "m": 1.2}),
+    "MountainCar-v0:gravity=0.0027": (2, {"gravity": 0.0027}),
+    "MountainCarContinuous-v0:power=0.001": (2, {"power": 0.001}),
+    "Acrobot-v1:LINK_MASS_2=1.3": (4, {"LINK_MASS_2": 1.3}),
+}
+
+SWING = """
+import numpy as np
+
+def swing(states):
+    angle, speed = (states[:, 0] + np.pi) % (2 * np.pi) - np.pi, states[:, 1]
+    energy = speed**2 / 6 + 5 * (np.cos(angle) - 1)
+    torque = np.where(np.abs(angle) < 0.6, -8 * angle - 2 * speed, np.where(energy < 0, 2, -2) * np.sign(speed))
+    return np.clip(torque, -2, 2)
+
+def explore(states):
+    spread = np.column_stack([np.interp(swing(states), [-2, -1, 0, 1, 2], one) for one in np.eye(5)])
+    return 0.7 * spread + 0.3 / 5
+
+def get(env):
+    return env.unwrapped.state
+
+def put(env, state):
+    env.unwrapped.state = np.array(state)
+
+def half(env):
+    return env.unwrapped.state[:1]
+
+def put_half(env, state):
+    env.unwrapped.state = np.array([state[0], env.unwrapped.state[1]])
+"""
+
+
+def run(capsys, *words, code=0):
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit) as ended:
+            main([str(word) for word in words])
+    captured = capsys.readouterr()
+    assert (ended.value.code or 0) == code, captured.err
+    return captured.out if code == 0 else captured.err
+
+
+@pytest.fixture(autouse=True)
+def _own_showwarning(monkeypatch):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """A module of one's own in the current directory."""
+    (tmp_path / "swinging.py").write_text(SWING)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(__import__("sys").modules, "swinging", raising=False)
+    return tmp_path
+
+
+# ---------------------------------------------------------------- physics and states
+
+
+@pytest.mark.parametrize("spec", CLASSIC)
+def test_physics_by_key_and_value(spec):
+    """Constants are those that were asked for, and what is computed of them follows; a step is the environment's own."""
+    simulator = gymnasium_simulator(spec)
+    d, constants = CLASSIC[spec]
+    inner = simulator.task._env.unwrapped
+    assert {key: getattr(inner, key) for key in constants} == pytest.approx(constants)
+    assert simulator.task.n_state == d
+    identifier, physics = gymnasium_spec(spec)
+    assert physics.items() <= constants.items()
+    plain = gymnasium_simulator(identifier)
+    log = record(simulator.task, simulator.policy("uniform"), n_transitions=40, max_steps=20, seed=0)
+    moved = [task.moves(log.state, log.action, np.zeros((40, 0))).next_state for task in (simulator.task, plain.task)]
+    assert_array_equal(moved[0], log.next_state)
+    assert np.abs(moved[1] - moved[0]).max() > 0
+    assert simulator.task.parameters() == physics
+
+
+def test_where_a_state_is_over_is_what_the_steps_say():
+    for spec, states in {
+        "CartPole-v1": [[2.5, 0, 0, 0], [0, 0, 0.3, 0], [0, 0, 0, 0]],
+        "MountainCar-v0": [[0.52, 0.03], [0.4, 0.03], [-0.5, 0.0]],
+        "Acrobot-v1": [[3.0, 0.1, 0, 0], [1.0, 0.1, 0, 0], [0.0, 0.0, 0, 0]],
+    }.items():
+        task = gymnasium_simulator(spec).task
+        log = record(
+            task, lambda s, n=task.n_actions: np.full((len(s), n), 1 / n), n_transitions=600, max_steps=500, seed=1
+        )
+        assert_array_equal(task.terminated(log.next_state), log.terminated)
+        assert task.terminated(np.array(states, dtype=float)).tolist()[-1] is False
+        assert task.terminated(np.array(states, dtype=float)).any()
+
+
+def test_a_vector_environment_steps_as_one_does():
+    simulator = gymnasium_simulator("CartPole-v1:gravity=12")
+    task = simulator.task
+    assert task.steps_at_once
+    log = record(task, simulator.policy("uniform"), n_transitions=300, max_steps=100, seed=0)
+    assert log.terminated.any()
+    one, many = (f(log.state, log.action, np.random.default_rng(0)) for f in (task.one_by_one, task.at_once))
+    assert_allclose(many.next_state, one.next_state, rtol=0, atol=1e-12)
+    assert_array_equal(many.terminated, one.terminated)
+    assert_array_equal(many.reward, one.reward)
+    assert not gymnasium_simulator("Pendulum-v1").task.steps_at_once
+
+
+def test_a_vector_environment_of_other_physics_is_not_used():
+    def make(**options):
+        return lambda: gymnasium.make("CartPole-v1", **options)
+
+    def vector(gravity):
+        def made(n):
+            envs = gymnasium.make_vec("CartPole-v1", num_envs=n, vectorization_mode="vector_entry_point")
+            envs.unwrapped.gravity = gravity
+            return envs
+
+        return made
+
+    named = gymnasium_simulator("CartPole-v1").task
+    options = {
+        "state_names": named.state_names, "actions": [0, 1], "low": named.feature_low, "high": named.feature_high,
+        "get_state": named._get, "set_state": named._set,
+    }  # fmt: skip
+    assert GymnasiumTask(make(), make_vector=vector(9.8), **options).steps_at_once
+    assert not GymnasiumTask(make(), make_vector=vector(9.0), **options).steps_at_once
+
+
+class Remembering(gymnasium.Env):
+    """A point whose push is that of the step before: its position does not decide the next one."""
+
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
+
+    def __init__(self, draws=None):
+        self.draws = draws
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state, self.push = np.zeros(1), 0.0
+        return self.state, {}
+
+    def step(self, action):
+        if self.draws is not None:
+            self.push = float(self.draws())
+        self.state = self.state + 0.5 * self.push
+        self.push = action - 0.5
+        return self.state, 1.0, False, False, {}
+
+
+def point(draws=None):
+    def put(env, state):
+        env.unwrapped.state = np.array(state)
+
+    return GymnasiumTask(
+        lambda: Remembering(draws), state_names=("place",), actions=[0, 1], low=[-9.0], high=[9.0],
+        get_state=lambda env: env.unwrapped.state, set_state=put,
+    )  # fmt: skip
+
+
+def test_a_state_that_does_not_decide_the_next_one_is_refused():
+    match = r"get_state and set_state must have all .*: \d+ of 200 steps of environment differ from the record .* in place: "
+    with pytest.raises(ValueError, match=match):
+        point()
+
+
+def test_a_few_steps_that_differ_are_told():
+    """A wall that the state does not show, met in a few steps of a hundred."""
+
+    class Walled(Remembering):
+        def step(self, action):
+            self.state = self.state + action - 0.5
+            self.push = 0.9 * self.push + self.np_random.random() * 0.0 + 1.0
+            if 8.0 < self.push < 8.3:
+                self.state = self.state + 1.0
+            return self.state, 1.0, False, False, {}
+
+    def put(env, state):
+        env.unwrapped.state = np.array(state)
+
+    with pytest.warns(UserWarning, match=r": [1-9] of 200 steps of environment differ from the record"):
+        GymnasiumTask(
+            Walled, state_names=("place",), actions=[0, 1], low=[-9.0], high=[9.0],
+            get_state=lambda env: env.unwrapped.state, set_state=put,
+        )  # fmt: skip
+
+
+def test_a_step_that_does_not_repeat_itself_is_refused():
+    with pytest.raises(ValueError, match=r"chance must come from np_random: \d+ of 200 steps of environment differ"):
+        point(np.random.default_rng(0).random)
+
+
+def test_noise_of_the_environment_s_own_is_no_error():
+    """np_random is carried along: the record is repeated with its own draws."""
+
+    class Noisy(Remembering):
+        def step(self, action):
+            self.state = self.state + self.np_random.normal() + action
+            return self.state, 1.0, False, False, {}
+
+    def put(env, state):
+        env.unwrapped.state = np.array(state)
+
+    task = GymnasiumTask(
+        Noisy, state_names=("place",), actions=[0, 1], low=[-9.0], high=[9.0],
+        get_state=lambda env: env.unwrapped.state, set_state=put,
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    assert np.std(task.step(np.zeros((200, 1)), np.zeros(200, dtype=int), rng).next_state) > 0.5
+
+
+# ---------------------------------------------------------------- actions and policies
+
+
+def test_actions_of_a_box():
+    box = gymnasium.spaces.Box(np.array([-1.0, 0.0]), np.array([1.0, 4.0]), dtype=np.float64)
+    assert len(action_set(box)) == 25
+    assert_array_equal(action_set(box, 2), [[-1, 0], [-1, 4], [1, 0], [1, 4]])
+    assert_array_equal(action_set(box, [0.0, 0.5]), [[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]])
+    assert_array_equal(action_set(box, [[0.5, 3.0]]), [[0.5, 3.0]])
+    assert_array_equal(action_set(gymnasium.spaces.Discrete(3, start=1)), [1, 2, 3])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_commands_keep_their_mean(seed):
+    rng = np.random.default_rng(seed)
+    actions = action_set(gymnasium.spaces.Box(-2.0, 2.0, (2,), dtype=np.float64), 4)[rng.permutation(16)]
+    wanted = rng.uniform(-2, 2, (30, 2))
+    found = as_probabilities(lambda states: wanted, actions)(np.zeros((30, 3)))
+    assert_allclose(found.sum(axis=1), 1.0)
+    assert_allclose(found @ actions, wanted)
+
+
+def test_other_forms_of_a_policy():
+    states = np.zeros((2, 1))
+    assert_array_equal(as_probabilities(lambda s: np.array([1, 0]), np.arange(2.0))(states), [[0, 1], [1, 0]])
+    table = np.full((2, 3), 1 / 3)
+    assert as_probabilities(lambda s: table, np.array([[0.0], [1.0], [2.0]]))(states) is table
+    scattered = np.array([[0.0, 0.0], [1.0, 1.0], [3.0, 0.0]])  # no product: the nearest
+    assert_array_equal(
+        as_probabilities(lambda s: np.array([[0.9, 0.8], [2.5, 0.0]]), scattered)(states), np.eye(3)[[1, 2]]
+    )
+
+
+# ---------------------------------------------------------------- end to end
+
+
+def test_pendulum_from_the_command_line(capsys, mine):
+    """Sample a target, evaluate in another simulator: the first row is near the truth, rows are in order."""
+    said = run(capsys, "sample", "Pendulum-v1:g=11,m=1.2", "--policy", "swinging:explore", "--actions", 5, "--transitions",
+               2000, "--output", "log.csv")  # fmt: skip
+    assert "actions are 1-dimensional commands" in said
+    words = ["evaluate", "--simulator", "Pendulum-v1", "--log", "log.csv", "--policy", "near=swinging:swing", "--simulations",
+             40, "--horizon", 60, "--grid", "15x15", "--target", "Pendulum-v1,g=11,m=1.2", "--json"]  # fmt: skip
+    report = json.loads(run(capsys, *words))
+    rows = {row["estimator"]: row for row in report["results"]}
+    assert list(rows) == [
+        "oee (residual)", "oee (calibrated)", "linear model of the log", "pdis", "wpdis", "simulator (continuous)", "simulator",
+        "simulator (plain)", "model-based", "oee on the grid", "target (continuous)",
+    ]  # fmt: skip
+    truth = rows["target (continuous)"]
+    assert (
+        abs(rows["oee (residual)"]["value"] - truth["value"]) < 0.1 * truth["standard_error"]
+    )  # common random numbers
+    assert not any("rewards contradict" in text for text in report["warnings"])
+    assert report["conclusion"][0].startswith("The target's steps differ from the simulator's in ")
+
+
+def test_a_state_by_two_functions(capsys, mine):
+    run(capsys, "sample", "Pendulum-v1", "--state", "swinging:get,put", "--actions", "-2,2", "--episodes", 2, "--horizon", 5,
+        "--output", "log.npz")  # fmt: skip
+    log = oee.ContinuousTransitions.load("log.npz")
+    assert_array_equal(np.unique(log.action), [-2.0, 2.0])
+    said = run(
+        capsys,
+        "sample",
+        "Pendulum-v1",
+        "--state",
+        "swinging:half,put_half",
+        "--episodes",
+        1,
+        "--output",
+        "l.npz",
+        code=2,
+    )
+    assert "get_state and set_state must have all that decides the next step" in said
+
+
+BAD = {
+    "no state": (["sample", "Blackjack3-v0"], "must have a state that can be set, unwrapped.state (numbers) or"),
+    "physics": (["sample", "Pendulum-v1:q=3"], "q must be an argument or a number of Pendulum-v1: it takes render_mode, g"),
+    "a word": (["sample", "Pendulum-v1:g=strong"], "g must be a number; got 'strong'"),
+    "state": (["sample", "Pendulum-v1", "--state", "swinging:get"], "--state must be like my_module:get,set, two functions"),
+    "no function": (["sample", "Pendulum-v1", "--state", "swinging:get,got"], "'swinging' has no object 'got'"),
+    "actions": (["sample", "Pendulum-v1", "--actions", "many"], "--actions must be a number of levels (9), levels (-2,0,2)"),
+    "an action": (["sample", "Pendulum-v1", "--actions", "0,3"], "actions[1] must be in Box(-2.0, 2.0, (1,), float32); it is"),
+    "discrete": (["sample", "CartPole-v1", "--actions", "3"], "actions must be left out where the environment has Discrete(2)"),
+    "ours": (["sample", "cartpole", "--actions", "3"], "--actions must be left out for cartpole, which is no Gymnasium"),
+    "finite": (["sample", "FrozenLake-v1", "--actions", "3"], "--actions needs a continuous task"),
+    "policy": (["sample", "Pendulum-v1", "--policy", "expert"], "policy of Pendulum-v1 must be uniform or MODULE:FUNCTION of"),
+}  # fmt: skip
+
+
+class Nameless(gymnasium.Env):
+    """Says nothing of its state."""
+
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1), {}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_words(capsys, mine, monkeypatch, case):
+    monkeypatch.setitem(
+        gymnasium.registry, "Blackjack3-v0", gymnasium.envs.registration.EnvSpec("Blackjack3-v0", Nameless)
+    )
+    words, text = BAD[case]
+    said = run(capsys, *words, "--episodes", 1, "--output", "l.csv", code=2)
+    assert text in said
+    assert said.count("\n") == 1
+    assert not (mine / "l.csv").exists()
+
+
+def test_a_log_of_other_commands_or_states(capsys, mine):
+    log = oee.ContinuousTransitions(np.zeros((3, 3)), [[0.0]] * 3, np.zeros((3, 3)))
+    log.save("observations.csv")  # Pendulum's observations are no state
+    words = ["evaluate", "--simulator", "Pendulum-v1", "--policy", "uniform", "--log"]
+    said = run(capsys, *words, "observations.csv", code=2)
+    assert "log.state must have the 2 coordinates of Pendulum-v1 (angle, speed); it has 3" in said
+    log = oee.ContinuousTransitions(np.zeros((3, 2)), [[0.0], [2.0], [7.0]], np.zeros((3, 2)))
+    log.save("far.csv")
+    said = run(capsys, *words, "far.csv", "--actions", "-2,0,2", code=2)
+    assert "log.action must lie among the task's 3 actions" in said
+    assert "row 2, is [7.0], 5 from [2.0]" in said
+    oee.ContinuousTransitions(np.zeros((3, 2)), [0, 1, 2], np.zeros((3, 2))).save("numbers.csv")
+    assert "--actions must be given" in run(capsys, *words, "numbers.csv", code=2)
+    assert "--policy must be given for Pendulum-v1" in run(
+        capsys, *words[:3], "--log", "numbers.csv", "--actions", 3, code=2
+    )
+
+
+def test_which_ids_are_continuous():
+    assert is_continuous_id("Pendulum-v1:g=9")
+    assert not is_continuous_id("FrozenLake-v1")
+    assert not is_continuous_id("Nothing-v1")
+
+
+# ---------------------------------------------------------------- more dimensions than a grid has
+
+
+class Chain(gymnasium.Env):
+    """Three masses on springs, pushed at one end: six dimensions."""
+
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (6,), np.float64), gymnasium.spaces.Discrete(3)
+
+    def __init__(self, spring=1.0, weight=1.0):
+        self.spring, self.weight = spring, weight
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = self.np_random.uniform(-0.5, 0.5, 6)
+        return self.state, {}
+
+    def step(self, action):
+        x, v = self.state[:3], self.state[3:]
+        pull = -self.spring * (2 * x - np.append(x[1:], 0.0) - np.append(0.0, x[:-1]))
+        pull[0] += action - 1.0
+        v = 0.97 * v + 0.1 * pull / self.weight
+        paid = -float(x @ x)
+        self.state = np.concatenate([x + 0.1 * v, v])
+        return self.state, paid, False, False, {}
+
+
+def damped(states):
+    return np.where(states[:, 3] > 0, 0, 2)
+
+
+def test_six_dimensions_have_no_grid_and_a_value(monkeypatch):
+    monkeypatch.setitem(gymnasium.registry, "Chain-v0", gymnasium.envs.registration.EnvSpec("Chain-v0", Chain))
+    simulator, target = (gymnasium_simulator(spec) for spec in ("Chain-v0", "Chain-v0:spring=1.6,weight=1.2"))
+    assert simulator.cells == ()
+    log = record(target.task, target.policy("uniform"), n_transitions=1500, max_steps=50, seed=0)
+    with pytest.warns(
+        UserWarning, match=r"rows on the grid are left out: there is no grid in the 6 dimensions of Chain-v0"
+    ):
+        report = evaluate_continuous(
+            simulator.task, log, {"damped": damped}, settings=Settings(episodes=60), seed=0, horizon=50, target=target.task,
+            normalized=True,
+        )  # fmt: skip
+    rows = {row["estimator"]: row for row in report.records()}
+    assert list(rows) == ["oee (residual)", "linear model of the log", "pdis", "wpdis", "simulator (continuous)",
+                          "target (continuous)"]  # fmt: skip
+    truth, before = rows["target (continuous)"]["value"], rows["simulator (continuous)"]["value"]
+    assert abs(rows["oee (residual)"]["value"] - truth) < 0.05 * abs(before - truth)
+    assert rows["oee (residual)"]["lower"] < truth < rows["oee (residual)"]["upper"]
+    assert "<!doctype html>" in report.to_html()
+    again = record(target.task, target.policy("uniform"), n_transitions=4000, max_steps=50, seed=1)
+    with pytest.warns(UserWarning, match="no grid was asked for"):
+        found = evaluate_continuous(
+            simulator, again, {"uniform": simulator.policy("uniform")}, settings=Settings(grid=(), episodes=60), seed=0,
+            horizon=50, estimators=["pdis", "model-based"],
+        )  # fmt: skip
+    weighted = {row["estimator"]: row for row in found.records()}["pdis"]  # the behaviour itself: every weight is 1
+    gamma = 0.99 ** np.asarray(again.timestep)
+    mean = (gamma * again.reward).sum() / len(np.unique(again.episode))
+    assert weighted["value"] == pytest.approx(mean)
+    assert any(
+        "model-based is left out: they need cells" in text or "they need cells" in text for text in found.warnings
+    )
+
+
+def test_inverted_double_pendulum():
+    """MuJoCo: found by itself, six dimensions, other physics by the model's fields."""
+    pytest.importorskip("mujoco")
+    plain = gymnasium_simulator("InvertedDoublePendulum-v5", actions=3)
+    assert plain.task.state_names[:3] == ("qpos_0", "qpos_1", "qpos_2")
+    assert plain.task.n_state == 6
+    damping = plain.task._env.unwrapped.model.dof_damping * 3.0
+    target = gymnasium_simulator(f"InvertedDoublePendulum-v5:dof_damping={damping.tolist()}", actions=3)
+    assert_allclose(target.task._env.unwrapped.model.dof_damping, damping)
+
+    def balance(states):
+        return np.clip(states @ np.array([0.2, 4.0, -3.0, 0.3, 0.4, -0.4]), -1, 1)
+
+    policy = as_probabilities(balance, plain.task.actions)
+    log = record(target.task, lambda s: 0.7 * policy(s) + 0.1, n_transitions=800, max_steps=50, seed=0)
+    assert monte_carlo_value(plain.task, policy, 5, 50, seed=0).value > 0
+    assert len(log) == 800

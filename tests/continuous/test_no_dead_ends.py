@@ -1,0 +1,210 @@
+"""What stopped a report, or was said without a word of warning, before: each with its log."""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from oee_tabular.continuous.estimators import Calibrated, Possible
+from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.support import USUAL, reach_of
+from oee_tabular.data import ContinuousTransitions
+from oee_tabular.estimators import Estimate
+from oee_tabular.report import Settings, evaluate_continuous
+from oee_tabular.tasks import (
+    CartPole,
+    GridInterpolation,
+    LinearModel,
+    cartpole_policy,
+    gymnasium_simulator,
+    monte_carlo_value,
+    record,
+)
+
+FEW = Settings(grid=(16, 16), episodes=200)
+
+
+@dataclass(frozen=True)
+class Windy(CartPole):
+    """Pushed by gusts."""
+
+    gusts: float = 0.0
+
+    def moves(self, states, actions, disturbance):
+        moved = super().moves(states, actions, disturbance)
+        moved.next_state[:, 3] += self.gusts * disturbance[:, 3]
+        return replace(moved, terminated=self.terminated(moved.next_state))
+
+
+def report_of(log, settings=FEW, simulator="cartpole:gravity=10", **options):
+    given = continuous_simulator(simulator) if isinstance(simulator, str) else simulator
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return evaluate_continuous(
+            given, log, {"mixed": cartpole_policy(0.4)}, settings=settings, seed=0, estimators=["oee"], **options
+        )
+
+
+def log_of(task, n=3000):
+    return record(task, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=0)
+
+
+# ---------------------------------------------------------------- support
+
+
+def test_wind_that_no_cell_reaches_leaves_the_report_standing():
+    """Gusts of .6 rad/s, six cells of a fine grid: reach follows the log, and what is left is left out and told."""
+    log = log_of(Windy(10.0, gusts=0.3))
+    report = report_of(log, replace(FEW, grid=(40, 40), outside="nearest"))
+    rows = [row["estimator"] for row in report.records()]
+    assert rows[0] == "oee (residual)"
+    assert report.facts["reach"] > USUAL
+    assert rows[-1] == "oee on the grid"
+    assert report.facts["moves_left_out"] < 0.01
+
+
+def test_the_reach_is_what_the_log_asks():
+    """A target that is d cells farther than the simulator asks for d cells, not for more; dust asks for nothing."""
+    task, spacing = CartPole(10.0, noise=0.0), 6.4 / 31
+    grid = GridInterpolation((32, 32)).grid(task)
+    log = log_of(task, 2000)
+    assert reach_of(task, grid, log) == USUAL
+    columns = log.columns()
+    quiet = np.abs(log.next_state[:, 3]) < 1.0
+    kept = {name: column[quiet] for name, column in columns.items() if name in ("state", "action")}
+    for cells in (4, 7):
+        moved = log.next_state[quiet] + [0.0, 0.0, 0.0, cells * spacing]
+        found = reach_of(task, grid, ContinuousTransitions(**kept, next_state=moved))
+        assert cells <= found <= cells + 2
+    odd = np.array(log.next_state[quiet])
+    odd[0, 3] += 9 * spacing
+    assert reach_of(task, grid, ContinuousTransitions(**kept, next_state=odd)) == USUAL
+
+
+@pytest.mark.parametrize("share", [0.001, 0.02])
+def test_moves_without_support(share):
+    """Few are left out of the rows on the cells, many leave those rows out; the report stands, and says so."""
+    log = log_of(CartPole(12.0, noise=0.0), 2000)
+    following = np.array(log.next_state)
+    odd = np.flatnonzero(~log.terminated)[: int(share * 2000)]
+    following[odd, 3] = np.where(following[odd, 3] > 0, -3.0, 3.0)
+    bag = ContinuousTransitions(log.state, log.action, following, log.reward, terminated=log.terminated)
+    report = report_of(bag, replace(FEW, floor=0.0))
+    rows = [row["estimator"] for row in report.records()]
+    assert rows[0] == "oee (residual)"
+    assert ("oee on the grid" in rows) == (share < 0.01)
+    text = "leave them out" if share < 0.01 else "The rows on the grid are left out"
+    assert any(text in said for said in report.warnings)
+    dropped = report_of(bag, replace(FEW, floor=0.0, outside="drop"))
+    assert dropped.records()[-1]["estimator"] == "oee on the grid"
+    assert dropped.facts["moves_left_out"] == pytest.approx(share, rel=0.7)
+
+
+def test_dust_at_a_speed_limit():
+    """MountainCar: soft weights of a thousandth of a move have no support, which was an error."""
+    simulator, target = (gymnasium_simulator(f"MountainCar-v0:gravity={g}") for g in (0.0025, 0.0027))
+
+    def along(states):
+        return np.eye(3)[np.where(states[:, 1] >= 0, 2, 0)] * 0.7 + 0.1
+
+    log = record(target.task, along, n_transitions=1500, max_steps=200, seed=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report = evaluate_continuous(
+            simulator, log, {"along": along}, settings=Settings(grid=(15, 15), episodes=20), seed=0, horizon=50
+        )
+    assert report.records()[0]["estimator"] == "oee (residual)"
+    assert report.records()[-1]["estimator"] == "oee on the grid"
+
+
+# ---------------------------------------------------------------- calibration
+
+
+def test_calibration_is_by_the_plain_simulator():
+    """A large floor shrinks the simulator on the cells; dividing by it gave more than the rewards can pay."""
+    log = log_of(Windy(10.0, gusts=0.1))
+    report = report_of(log, replace(FEW, grid=(12, 12), floor=0.05), normalized=True)
+    rows = {row["estimator"]: row for row in report.records()}
+    most = 1.0 - 0.99**100
+    assert rows["oee (calibrated)"]["value"] <= most
+    truth = monte_carlo_value(Windy(10.0, gusts=0.1), cartpole_policy(0.4), 5000, 100, seed=0, normalized=True).value
+    assert abs(rows["oee (calibrated)"]["value"] - truth) < 0.05
+    assert rows["oee (calibrated)"]["lower"] <= rows["oee (calibrated)"]["second_calibration_value"]
+    assert rows["oee (calibrated)"]["second_calibration_value"] <= rows["oee (calibrated)"]["upper"]
+
+
+class _Fixed:
+    horizon = 10
+
+
+def estimator_of(value, error=None):
+    return lambda problem, policy, seed=None: Estimate(value, error, None if error is None else (value - 1, value + 1))
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "found"),
+    [(5.0, None, 5.0), (10.5, None, np.nan), (10.5, 0.1, np.nan), (10.5, 0.4, 10.0), (-0.1, 0.01, np.nan)],
+)
+def test_values_that_cannot_be_are_refused(value, error, found):
+    estimate = Possible(estimator_of(value, error), 0.0, 10.0)(_Fixed(), None)
+    assert estimate.value == pytest.approx(found, nan_ok=True)
+    if np.isnan(found):
+        assert estimate.status == f"{value:.4g} cannot be: what 10 rewards pay is between 0 and 10"
+        assert estimate.interval is None
+
+
+class _Simulated:
+    value, standard_error = 9.0, 0.0
+
+
+@pytest.mark.parametrize(("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)])
+def test_calibration_that_moves_more_than_the_simulator_is_said(raw, below, said):
+    """By the ratio 9/6 a raw 9 moves by 4.5, the simulator's own value by 3."""
+    found = Calibrated(
+        estimator_of(raw, 0.1), lambda policy: _Simulated(), lambda policy: below, lambda policy: 5.0, "ratio"
+    )
+    estimate = found(_Fixed(), None)
+    assert estimate.value == pytest.approx(raw * 1.5)
+    assert estimate.diagnostics["second_calibration_value"] == pytest.approx(raw * 9 / 5)
+    assert estimate.interval[1] >= raw * 9 / 5
+    assert any("more than the cells move" in str(finding) for finding in estimate.findings) == said
+    assert any("on a log of its own instead" in str(finding) for finding in estimate.findings)
+
+
+# ---------------------------------------------------------------- the linear model, rewards
+
+
+def test_a_linear_model_is_least_squares_with_the_log_s_residuals():
+    log = log_of(CartPole(15.0))
+    model = LinearModel(CartPole(10.0), log)
+    a = log.action == 1
+    x = np.column_stack([np.ones(a.sum()), log.state[a]])
+    by_hand = np.linalg.lstsq(x, log.next_state[a] - log.state[a])[0]
+    left = log.next_state[a] - log.state[a] - x @ by_hand
+    np.testing.assert_allclose(model.residuals[a], left, atol=1e-9)
+    states, actions = np.zeros((4000, 4)), np.ones(4000, dtype=np.int64)
+    moved = model.step(states, actions, np.random.default_rng(0)).next_state - by_hand[0]
+    assert np.abs(moved.std(axis=0) / model.residuals[a].std(axis=0) - 1).max() < 0.1
+    again = model.resampled(0)
+    assert 0 < np.abs(again.coefficients - model.coefficients).max() < 0.1
+    truth, found, before = (
+        monte_carlo_value(task, cartpole_policy(0.4), 4000, 100, seed=0, normalized=True).value
+        for task in (CartPole(15.0), model, CartPole(10.0))
+    )
+    assert abs(found - truth) < 0.3 * abs(before - truth)
+
+
+def test_rewards_that_are_not_the_task_s_are_told():
+    class Paid(CartPole):
+        def reward_between(self, states, actions, next_states):
+            return np.ones(len(states))
+
+    simulator = replace(continuous_simulator("cartpole"), task=Paid(10.0))
+    log = log_of(CartPole(10.0), 400)
+    assert not any("contradict" in text for text in report_of(log, simulator=simulator).warnings)
+    columns = log.columns() | {"reward": np.where(np.arange(400) < 3, 2.0, 1.0)}
+    said = report_of(ContinuousTransitions(**columns), simulator=simulator).warnings
+    assert any(
+        "rewards contradict the simulator's r(s, a, s') in 3 of 400 moves; row 0 pays 2" in text for text in said
+    )
