@@ -154,7 +154,9 @@ class Grams:
 
     def solve(self, columns: IntArray, target: slice, ridge: float, per_action: bool, weights: Array) -> Array:
         """(A, p, targets) the coefficients from groups with these weights; an action without rows has the pooled ones."""
-        gram = np.tensordot(weights, self.g, axes=1)
+        return self._solved(np.tensordot(weights, self.g, axes=1), columns, target, ridge, per_action)
+
+    def _solved(self, gram: Array, columns: IntArray, target: slice, ridge: float, per_action: bool) -> Array:
         pooled = self._one(gram.sum(axis=0), columns, target, ridge)
         if not per_action:
             return np.repeat(pooled[None], len(gram), axis=0)
@@ -171,18 +173,11 @@ class Grams:
         factor = linalg.cho_factor(scaled, check_finite=False)
         return np.asarray(linalg.cho_solve(factor, right / size[:, None], check_finite=False) / size[:, None])
 
-    def errors(self, columns: IntArray, coefficients: Array, groups: IntArray) -> Array:
-        """(groups, targets) sums of squared errors of coefficients (A, p, targets)."""
+    def _parts(self, columns: IntArray, groups: IntArray) -> tuple[Array, Array, Array]:
+        """Of groups: y'y (groups, targets), G_Cy (groups, A, p, targets), G_CC (groups, A, p, p)."""
         g = self.g[groups]
         total = g[:, :, self.p :, self.p :].diagonal(axis1=2, axis2=3).sum(axis=1)
-        if len(columns) == 0:
-            return np.asarray(total)
-        cross = np.einsum("gapk,apk->gk", g[:, :, columns, self.p :], coefficients, optimize=True)
-        square = np.zeros_like(total)
-        inner = g[:, :, columns][:, :, :, columns]
-        for a, w in enumerate(coefficients):
-            square += np.einsum("pk,gpk->gk", w, inner[:, a] @ w)
-        return np.asarray(np.maximum(total - 2.0 * cross + square, 0.0))
+        return np.asarray(total), g[:, :, columns, self.p :], g[:, :, columns][:, :, :, columns]
 
     def choose(self) -> list[Fit]:
         """For each target the simplest class whose held-out error is within a standard error (over groups) of the best.
@@ -191,20 +186,30 @@ class Grams:
         """
         n_groups, n_actions = self.g.shape[:2]
         fold = np.arange(n_groups) % FOLDS
+        grams = [np.tensordot((fold != f).astype(np.float64), self.g, axes=1) for f in range(FOLDS)]
         tried: list[tuple[str, bool, float, Array]] = []
         for name, columns in self.functions.nested.items():
-            for per_action in (False, True)[: 1 + (len(columns) > 0 and n_actions > 1)]:
-                for ridge in RIDGES if len(columns) > 1 else RIDGES[-1:]:
-                    tried.append((name, per_action, ridge, self._held_out(columns, ridge, per_action, fold)))
+            options = [
+                (per_action, ridge)
+                for per_action in (False, True)[: 1 + (len(columns) > 0 and n_actions > 1)]
+                for ridge in (RIDGES if len(columns) > 1 else RIDGES[-1:])
+            ]
+            found = self._held_out(columns, options, fold, grams)
+            tried += [(name, *option, errors) for option, errors in zip(options, found, strict=True)]
         tried.sort(key=lambda c: (len(self.functions.nested[c[0]]) * (n_actions if c[1] else 1), -c[2]))
         return [self._chosen(tried, k, n_groups) for k in range(self.k)]
 
-    def _held_out(self, columns: IntArray, ridge: float, per_action: bool, fold: IntArray) -> Array:
-        found = np.empty((len(fold), self.k))
+    def _held_out(
+        self, columns: IntArray, options: list[tuple[bool, float]], fold: IntArray, grams: list[Array]
+    ) -> Array:
+        """(options, groups, targets) sums of squared errors on groups by the fit to the other folds, ``grams`` theirs."""
+        found = np.empty((len(options), len(fold), self.k))
         for f in range(FOLDS):
             inside = np.flatnonzero(fold == f)
-            w = self.solve(columns, slice(None), ridge, per_action, (fold != f).astype(np.float64))
-            found[inside] = self.errors(columns, w, inside)
+            parts = self._parts(columns, inside)
+            for i, (per_action, ridge) in enumerate(options):
+                w = self._solved(grams[f], columns, slice(None), ridge, per_action)
+                found[i, inside] = _errors(parts, w)
         return found
 
     def _chosen(self, tried: list[tuple[str, bool, float, Array]], target: int, n_groups: int) -> Fit:
@@ -229,6 +234,18 @@ class Grams:
             w = self.solve(fit.columns, slice(k, k + 1), fit.ridge, fit.per_action, weights)[:, :, 0]
             again.append(replace(fit, coefficients=w))
         return again
+
+
+def _errors(parts: tuple[Array, Array, Array], coefficients: Array) -> Array:
+    """(groups, targets) y'y - 2 w'G_Cy + w'G_CC w, of coefficients w (A, p, targets)."""
+    total, cross, inner = parts
+    if coefficients.shape[1] == 0:
+        return total
+    crossed = np.einsum("gapk,apk->gk", cross, coefficients, optimize=True)
+    square = np.zeros_like(total)
+    for a, w in enumerate(coefficients):
+        square += np.einsum("pk,gpk->gk", w, inner[:, a] @ w)
+    return np.asarray(np.maximum(total - 2.0 * crossed + square, 0.0))
 
 
 def _blocks(rows: Rows, n_actions: int) -> Iterator[tuple[int, int, IntArray]]:
