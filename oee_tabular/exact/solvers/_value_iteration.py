@@ -6,7 +6,8 @@ Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 
 @njit(cache=True)
