@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
@@ -18,7 +20,8 @@ from oee_tabular.inference import Comparison, Interval, compare_policies, interv
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
 from oee_tabular.mdp.naming import names_of
 
-LARGEST = 2_000_000  # reachable moves beyond which the likelihood interval is left out: it takes minutes
+LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes a quarter of an hour
+PATIENCE = 2.0  # seconds before a terminal gets a progress bar
 
 SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
@@ -91,7 +94,7 @@ def how_sure(
     if lacking and not soft:
         distance.append(f"There are no likelihood intervals: {lacking}.")
     elif not soft:
-        intervals = {name: _intervals(problem, policy, confidence, guaranteed) for name, policy in policies.items()}
+        intervals = _intervals(problem, policies, confidence, guaranteed)
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
     return Sureness(
@@ -103,9 +106,29 @@ def how_sure(
     )
 
 
-def _intervals(problem: Problem, policy: Array, confidence: float, guaranteed: bool) -> dict[str, Interval]:
+def _intervals(
+    problem: Problem, policies: Mapping[str, Array], confidence: float, guaranteed: bool
+) -> dict[str, dict[str, Interval]]:
+    """Of each policy by each method; a terminal is told which one, from the third second on."""
+    from tqdm import tqdm
+
     methods: tuple[Literal["likelihood", "robust"], ...] = ("likelihood", "robust") if guaranteed else ("likelihood",)
-    return {method: interval(problem, policy, method=method, confidence=confidence) for method in methods}
+    found: dict[str, dict[str, Interval]] = {name: {} for name in policies}
+    with tqdm(total=len(found) * len(methods), disable=None, delay=PATIENCE, leave=False, file=sys.stderr) as bar:
+        waiting = threading.Timer(PATIENCE, bar.refresh)  # tqdm itself looks at the clock only between two intervals
+        waiting.start()
+        try:
+            for name, policy in policies.items():
+                for method in methods:
+                    bar.set_description(f"{method} interval of {name}", refresh=not waiting.is_alive())
+                    found[name][method] = interval(problem, policy, method=method, confidence=confidence)
+                    bar.update()
+        finally:
+            if waiting.is_alive():
+                waiting.cancel()
+            else:
+                bar.clear()
+    return found
 
 
 def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:

@@ -1,6 +1,9 @@
 """The sentences that end a report: how far, how sure, what would help."""
 
+import io
 import json
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -118,3 +121,20 @@ def test_quick_leaves_the_likelihood_intervals_out():
         oee.evaluate(problem, pair.policy, quick=True, guaranteed=True)
     with pytest.raises(ValueError, match="quick must be True or False; got 1"):
         oee.evaluate(problem, pair.policy, quick=1)
+
+
+def test_a_terminal_is_told_which_interval_of_which_policy_takes_long(monkeypatch):
+    """Nothing is written where it does not last, or where nobody looks."""
+    from oee_tabular.report import sureness
+
+    pair = oee.testing.case("ragged")
+    problem, policies = pair.problem(200, seed=0), {"new": pair.policy, "old": pair.policy}
+    monkeypatch.setattr(sureness, "interval", lambda *_, method, **__: time.sleep(0.05))
+    for looks, delay in ((True, 0.01), (True, 60.0), (False, 0.01)):
+        screen = io.StringIO()
+        screen.isatty = lambda looks=looks: looks
+        monkeypatch.setattr(sys, "stderr", screen)
+        monkeypatch.setattr(sureness, "PATIENCE", delay)
+        sureness._intervals(problem, policies, 0.95, True)
+        said = [f"{method} interval of {name}" for method in ("likelihood", "robust") for name in policies]
+        assert all((one in screen.getvalue()) is (looks and delay < 1.0) for one in said)
