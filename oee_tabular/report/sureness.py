@@ -20,7 +20,7 @@ from oee_tabular.inference import Comparison, Interval, compare_policies, interv
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
 from oee_tabular.mdp.naming import names_of
 
-LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes a quarter of an hour
+LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes
 PATIENCE = 2.0  # seconds before a terminal gets a progress bar
 
 SOFT = (
