@@ -16,16 +16,18 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numba
+from numba.core import config
 from numba.core.compiler_lock import global_compiler_lock
 from numba.np.ufunc.parallel import threading_layer
 
 from oee_tabular._forks import forked
+from oee_tabular._kernels import Kernel
 
 _turns = threading.Lock()
 
 
 def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function compiled, its ``prange`` shared among threads; in a forked process, one thread does all of it.
+    """A kernel, its ``prange`` shared among threads once it is compiled; in a forked process, one thread does all of it.
 
     Costs a microsecond a call, and in the first call of a forked process the seconds of another compilation (which is cached).
     """
@@ -39,7 +41,8 @@ def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
         with _turn():
             return shared(*arguments)
 
-    return run
+    run._cache = getattr(shared, "_cache", None)  # type: ignore[attr-defined]
+    return run if config.DISABLE_JIT else Kernel(function, run, ["over"])  # type: ignore[attr-defined]
 
 
 def _another(function: Callable[..., Any]) -> Callable[..., Any]:

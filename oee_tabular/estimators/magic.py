@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
@@ -109,5 +108,7 @@ def simplex_minimum(matrix: Array) -> Array:
     scale = max(float(values.max()), 1e-300)
     root = (np.sqrt(np.maximum(values, 0.0) / scale) * vectors).T
     stacked = np.vstack([root, np.ones(len(matrix))])
+    from scipy.optimize import nnls  # a tenth of a second
+
     y, _ = nnls(stacked, np.append(np.zeros(len(root)), 1.0), maxiter=100 * len(matrix))
     return np.asarray(y / y.sum())

@@ -9,8 +9,8 @@ Every sum keeps the order of its row, so that a value has the same bits in which
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
+from oee_tabular._kernels import njit, put
 from oee_tabular.exact._policy_rows import transposed
 from oee_tabular.exact.system import Kernel
 
@@ -70,7 +70,7 @@ def grown(array, size):
     if size <= len(array):
         return array
     longer = np.zeros(2 * size, array.dtype)
-    longer[: len(array)] = array
+    put(array, longer)
     return longer
 
 
@@ -177,7 +177,7 @@ def cone_visits(cone):
     back = Kernel(*transposed(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
     here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
-    here[: ends[0]] = cone.initial
+    put(cone.initial, here)
     weight = 1.0
     for t in range(len(ends)):
         for i in range(ends[t]):

@@ -1,7 +1,8 @@
 """What a policy makes of the rows s*A + a: the kernel of its states, and residuals of its linear system."""
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 
 @njit(cache=True)

@@ -9,8 +9,11 @@ pi(a | s).
     KL_r    = sum_i phat_i log(1 + e_r - u_i)
 """
 
+from math import log, log1p
+
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit, put
 
 PATIENCE = 16  # sweeps between looks at how many more it takes
 
@@ -37,7 +40,7 @@ def hopeless(sweep, change, last, tolerance, most):
     """Whether the change, ``PATIENCE`` sweeps after ``last``, will not be below the tolerance in ``most`` sweeps."""
     if not change < last:
         return True
-    return sweep + PATIENCE * np.log(change / tolerance) / np.log(last / change) > most
+    return sweep + PATIENCE * log(change / tolerance) / log(last / change) > most
 
 
 @njit(cache=True, error_model="numpy")
@@ -57,9 +60,11 @@ def sweep_values(indptr, column, value, paid, gamma, values, tolerance, most):
             other[s] = paid[s] + gamma * total
             change = other[s] - values[s]
             low, high = min(low, change), max(high, change)
-        values[:] = other
+        put(other, values)
         if high - low <= enough:
-            values += 0.5 * gamma / (1.0 - gamma) * (low + high)
+            shift = 0.5 * gamma / (1.0 - gamma) * (low + high)
+            for s in range(len(values)):
+                values[s] += shift
             return True
         if k % PATIENCE == 0:
             if hopeless(k, high - low, last, enough, most):
@@ -74,7 +79,7 @@ def sweep_visits(indptr, column, value, initial, gamma, visits, tolerance, most)
     other = np.empty_like(visits)
     last, enough = np.inf, tolerance / (1.0 - gamma)
     for k in range(1, most + 1):
-        other[:] = initial
+        put(initial, other)
         for s in range(len(visits)):
             share = gamma * visits[s]
             for i in range(indptr[s], indptr[s + 1]):
@@ -82,7 +87,7 @@ def sweep_visits(indptr, column, value, initial, gamma, visits, tolerance, most)
         change = 0.0
         for s in range(len(visits)):
             change += abs(other[s] - visits[s])
-        visits[:] = other
+        put(other, visits)
         if change <= enough:
             return True
         if k % PATIENCE == 0:
@@ -153,7 +158,8 @@ def moments_of_rows(indptr, phat, v, mean, best, spread):
                 top, largest = i, v[i]
         mean[r], best[r], spread[r] = total, top, largest - least
         for i in range(start, stop):
-            variance[r] += phat[i] * (v[i] - total) ** 2
+            away = v[i] - total
+            variance[r] += phat[i] * (away * away)
     return variance
 
 
@@ -200,7 +206,7 @@ def fill(tau, rows, scale, chain, v, mean, best, p):
             u = slope * (v[i] - mean[r])
             x = e - u
             p[i] = phat[i] / (1.0 + x)
-            kl += phat[i] * np.log1p(x)
+            kl += phat[i] * log1p(x)
             mass += p[i]
             along += p[i] * u
             square += p[i] / (1.0 + x)

@@ -9,7 +9,7 @@ Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993.
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
@@ -31,7 +31,7 @@ def delta_ends(evidence: Evidence, confidence: float) -> tuple[float, float, flo
     variance = np.add.reduceat(evidence.phat * (gradient - mean[rows]) ** 2, starts)
     seen = evidence.n > 0
     error = float(np.sqrt(np.sum(variance[seen] / evidence.n[seen])))
-    z = float(stats.norm.ppf(0.5 + confidence / 2.0))
+    z = float(ndtri(0.5 + confidence / 2.0))
     return value - z * error, value + z * error, error
 
 

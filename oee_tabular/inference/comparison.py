@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import ndtri
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
@@ -175,7 +175,7 @@ def compare_policies(
     variance = np.diag(covariance)
     difference = values[:, None] - values[None, :]
     spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
-    z = float(stats.norm.ppf(0.5 + level / 2.0))
+    z = float(ndtri(0.5 + level / 2.0))
     down, up = np.array([_swing(problem, evidences[i], z) for i in order]).T
     return Comparison(
         tuple(names[i] for i in order),
@@ -285,6 +285,8 @@ def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -
     if number > len(guess):
         raise ValueError(f"k must be at most the number of policies, {len(guess)}; it is {number}")
     flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
+    from scipy import stats  # a quarter of a second
+
     correlation = float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
     chosen = np.argsort(-guess, kind="stable")[:number]
     short = float(truth.max() - truth[chosen].max())

@@ -17,6 +17,7 @@ from oee_tabular.exact import solve_policy_system
 from oee_tabular.inference.ambiguity import Evidence, reached_rows
 from oee_tabular.mdp.horizons import optional_steps
 
+DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms), and needs no compiling
 SWEEPS = 300  # at most: an exact solve costs about as much (random graphs of 10 000 states)
 
 
@@ -118,10 +119,12 @@ class Taken:
         return np.repeat(self.chain.n > 0, np.diff(self.chain.indptr))
 
     def _solved(self, p: Array, near: Array, tolerance: float, transpose: bool) -> Array:
-        """V, or transposed d, by sweeps from one near by; exactly once those have failed."""
+        """V, or transposed d, by sweeps from one near by; exactly once those have failed, and where states are few."""
         from oee_tabular.inference import _profile as kernel
 
         gamma, n = self.discount, len(self.chain.initial)
+        if n <= DENSE:
+            return self._dense(p, transpose)
         indptr, column, value, paid = kernel.kernel_of(self.chain, p)
         b = self.chain.initial if transpose else paid
         if self._mixes[transpose]:
@@ -132,6 +135,22 @@ class Taken:
         matrix = sparse.csr_array((value, column, indptr), shape=(n, n))
         matrix.sum_duplicates()
         return np.asarray(solve_policy_system(matrix, b, gamma, transpose=transpose).x)
+
+    def _dense(self, p: Array, transpose: bool) -> Array:
+        """V, or transposed d, by LAPACK."""
+        chain, n = self.chain, len(self.chain.initial)
+        taken = np.repeat(chain.weight, np.diff(chain.indptr)) * p
+        matrix = np.eye(n) - self.discount * np.bincount(self.places, taken, n * n).reshape(n, n)
+        if transpose:
+            return np.asarray(np.linalg.solve(matrix.T, chain.initial))
+        return np.asarray(np.linalg.solve(matrix, np.bincount(self.places // n, taken * chain.pay, n)))
+
+    @cached_property
+    def places(self) -> IntArray:
+        """(entries,) in an (S, S) matrix of the states that are reached."""
+        n = len(self.chain.initial)
+        state = np.repeat(np.arange(n), np.diff(self.chain.first))
+        return np.repeat(state, np.diff(self.chain.indptr)) * n + self.chain.column
 
     def valued(self, p: Array, near: Point | None, tolerance: float = 0.0) -> Point:
         """J, and V from that of a point near by, to ``tolerance``; without a horizon d is left to ``direction``."""

@@ -6,8 +6,11 @@ negative, plus |multiplier| times what an equality is missed by, and the miss it
 its sum: a wrong g, a wrong multiplier and a point outside the constraints all show.
 """
 
+from math import log1p
+
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 
 @njit(cache=True, error_model="numpy")
@@ -38,7 +41,7 @@ def excess(b, a, p, g, lower, upper):
         total += max((b + a * y - (p / y if p > 0.0 else 0.0)) * step, 0.0)
     if p > 0.0 and step != 0.0:
         u = step / y
-        total += p * (0.5 * u * u if abs(u) < 1e-9 else u - np.log1p(u))
+        total += p * (0.5 * u * u if abs(u) < 1e-9 else u - log1p(u))
     return total
 
 

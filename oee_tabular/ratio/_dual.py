@@ -9,7 +9,8 @@ the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancel
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 
 class Form(NamedTuple):

@@ -7,7 +7,8 @@ in blocks of 256 entries, for accuracy, in an order that depends on the row alon
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 BLOCK = 256
 

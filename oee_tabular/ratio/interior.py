@@ -22,7 +22,6 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import linprog
 
 from oee_tabular._checks import Array
 from oee_tabular.ratio.statements import LinearProgram
@@ -102,6 +101,8 @@ def nearest_miss(program: LinearProgram) -> float:
         rows.append(np.hstack([program.features, -ones]))
         limits.append(program.upper - program.offset)
     equality = np.append(program.features.T @ program.q, 0.0)[None, :] if program.normalized else None
+    from scipy.optimize import linprog  # a tenth of a second
+
     found = linprog(
         np.append(np.zeros(d), 1.0),
         A_ub=np.vstack(rows),

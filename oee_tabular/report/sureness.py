@@ -16,7 +16,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
 
-LARGEST = 2_000_000  # reachable moves beyond which the likelihood interval is left out: it takes minutes
+LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes
 
 SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "

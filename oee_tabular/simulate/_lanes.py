@@ -7,9 +7,10 @@ Thresholds there have 64 bits: where the first 32 do not decide, in one step of 
 from collections import namedtuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from oee_tabular._compiled import threads_share
+from oee_tabular._kernels import njit
 from oee_tabular.simulate._rollout import philox
 
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)

@@ -8,9 +8,10 @@ Reference: [1] Salmon, Moraes, Dror and Shaw, Parallel random numbers: as easy a
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from oee_tabular._compiled import threads_share
+from oee_tabular._kernels import njit
 
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)

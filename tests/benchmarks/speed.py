@@ -1,7 +1,8 @@
 """Exact evaluation, moments and rollouts against every peer: one table, Markdown and JSON.
 
-    python tests/benchmarks/speed.py [values] [horizon] [rollouts] [start] [regimes] [planning] [--quick] [--environment FOLDER]
-        [--json FILE]
+    python tests/benchmarks/speed.py [TASK ...] [--quick] [--environment FOLDER] [--json FILE]
+
+A task is one of values, horizon, rollouts, start, regimes, planning and main_job; all without one.
 
 The peers (PEERS) are installed into a virtual environment of their own, beside this package: a temporary one, or FOLDER,
 where what is there already is used; one that cannot be installed is said and left out. The benchmark then runs there, all
@@ -19,18 +20,9 @@ import tempfile
 import venv
 from pathlib import Path
 
-PEERS = (
-    "quantecon",
-    "pypardiso",
-    "mdpsolver",
-    "pymdptoolbox",
-    "mdptoolbox-hiive",
-    "jax",
-    "envpool",
-    "python-flint",
-    "psutil",
-)
-TASKS = ("values", "horizon", "rollouts", "start", "regimes", "planning")
+PEERS = ("quantecon", "pypardiso", "mdpsolver", "mdptoolbox-hiive", "jax", "envpool", "python-flint", "psutil")
+PEERS += ("pymdptoolbox", "duckdb", "pyarrow")
+TASKS = ("values", "horizon", "rollouts", "start", "regimes", "planning", "main_job")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 XLA = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1", "JAX_ENABLE_X64": "1"}
 

@@ -94,7 +94,7 @@ def test_ends_are_stationary():
     for seed in range(8):
         problem, policy = problem_of(np.random.default_rng(seed), n=400)
         found = oee.interval(problem, policy)
-        assert 0 <= found.diagnostics["promised"] + 1e-12 <= 1e-5 * found.width + 2e-12
+        assert 0 <= found.diagnostics["promised"] + 4e-12 <= 1e-5 * found.width + 8e-12
         assert found.width == 0 or abs(found.diagnostics["divergence"] - LIMIT) < 1e-7
 
 

@@ -12,7 +12,8 @@ Reference: [1] Gabow, Path-based depth-first search for strong and biconnected c
 """
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 _ONE = np.uint32(1)
 

@@ -1,7 +1,8 @@
 """Greedy heavy-edge matching of a weighted graph: one round of coarsening."""
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 
 @njit(cache=True)

@@ -7,7 +7,8 @@ from math import log, log1p
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from oee_tabular._kernels import njit
 
 FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
 
