@@ -42,7 +42,7 @@ def task_of(spec: str, discount: float | None, initial: str | None = None, sampl
 def is_own(spec: str) -> bool:
     """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
     from oee_tabular.continuous.names import CONTINUOUS
-    from oee_tabular.tasks.specs import arguments
+    from oee_tabular.tasks.arguments import arguments
 
     module, colon, rest = spec.partition(":")
     named = (
@@ -56,7 +56,7 @@ def is_own(spec: str) -> bool:
 
 def _environment(spec: str) -> Callable[[], Any]:
     """A function that makes the Gymnasium environment of "Id-v0:key=value"."""
-    from oee_tabular.tasks.specs import arguments
+    from oee_tabular.tasks.arguments import arguments
     from oee_tabular.tasks.toy_text import make_environment
 
     name, _, rest = spec.partition(":")
@@ -64,7 +64,7 @@ def _environment(spec: str) -> Callable[[], Any]:
 
 
 def _own_task(spec: str, discount: float, samples: int | None) -> NamedTask:
-    from oee_tabular.tasks.specs import arguments
+    from oee_tabular.tasks.arguments import arguments
     from oee_tabular.tasks.toy_text import make_environment
     from oee_tabular.testing.command import own_module, own_modules, own_object
 

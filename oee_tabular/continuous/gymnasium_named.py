@@ -20,7 +20,7 @@ from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
-from oee_tabular.tasks.specs import arguments
+from oee_tabular.tasks.arguments import arguments
 from oee_tabular.testing.command import own_modules, own_object
 
 HORIZON = 1000  # where the environment has no limit

@@ -291,6 +291,6 @@ def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
         return Transitions.from_frame(value, simulator=simulator)
     if not isinstance(value, Transitions):
         hint = " (a mapping of columns: Transitions(**log))" if isinstance(value, Mapping) else ""
-        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (np.ndim(value) == 2)
+        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(value, "ndim", 0) == 2)
         raise ValueError(f"{name} must be Transitions; got {type(value).__name__}{hint}")
     return value.numbered(simulator, name)

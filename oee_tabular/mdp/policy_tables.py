@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from oee_tabular.mdp.naming import names_of, numbers_of
 
 if TYPE_CHECKING:
-    from oee_tabular.mdp.policies import Sized
+    from oee_tabular.mdp.policy_forms import Sized
 
 COLUMNS = "the columns state and action, with probability or without, or state and one for each action"
 

@@ -16,7 +16,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 
 if TYPE_CHECKING:
-    from oee_tabular.report.results import Report
+    from oee_tabular.report.results import Evaluation
 
 EPOCH = "SOURCE_DATE_EPOCH"
 
@@ -27,7 +27,7 @@ def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
     return _day(max(file.stat().st_mtime for file in there)) if there else ""
 
 
-def date(report: Report) -> str:
+def date(report: Evaluation) -> str:
     """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input file; "" where there are no files."""
     given = os.environ.get(EPOCH, "")
     if not given:
@@ -43,7 +43,7 @@ def _day(seconds: float) -> str:
     return f"{day.day} {day:%B %Y}"
 
 
-def names(report: Report) -> list[str]:
+def names(report: Evaluation) -> list[str]:
     """The inputs' names, as far as they are known."""
     facts = report.facts
     specs = facts.get("policy_names", {})
@@ -67,7 +67,7 @@ def fingerprint(problem: Problem, policies: Mapping[str, Any]) -> str:
     return digest.hexdigest()[:8]
 
 
-def plan_command(report: Report) -> str:
+def plan_command(report: Evaluation) -> str:
     """What plans the next recording, ready to be typed: the command in the files' own names, or the call in Python.
 
     "" where neither can (a continuous task's log).
