@@ -284,11 +284,11 @@ def optional_horizon(horizon: object) -> int | None:
     return None if horizon is None else positive_integer(horizon, "horizon")
 
 
-def one_of(value: object, name: str, allowed: tuple[str, ...]) -> None:
-    """``value`` is one of the allowed words."""
+def one_of(value: object, name: str, allowed: tuple[str, ...], hint: str = "") -> None:
+    """``value`` is one of the allowed words; ``hint``: what else there is to do."""
     if not isinstance(value, str) or value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
-        raise ValueError(f"{name} must be one of {words}; got {value!r}")
+        raise ValueError(f"{name} must be one of {words}; got {value!r}{hint}")
 
 
 def generator(seed: Seed) -> np.random.Generator:

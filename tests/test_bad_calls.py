@@ -198,7 +198,7 @@ TABLE = {
     ),
     "impossible moves allowed": (
         lambda: Problem(GRID, LOG, impossible="allow"),
-        r"impossible must be one of 'refuse', 'drop'; got 'allow'",
+        r"impossible must be one of 'refuse', 'drop'; got 'allow' \(to allow them: simulator\.with_support_of\(log",
     ),
     "support for all and more": (lambda: GRID.with_support_of(LOG, 2), r"epsilon must be in \(0, 1\); it is 2"),
     "support of a data frame": (
@@ -207,7 +207,24 @@ TABLE = {
     ),
     "a frame without its columns": (
         lambda: Problem(GRID, pd.DataFrame({"place": [0], "action": [0]})),
-        r"frame must have the columns state, action, next_state; it has place, action",
+        r"frame must have the columns state, action, next_state; it has place, action "
+        r"\(say which it is: Transitions\.from_frame\(frame, state='its name', \.\.\.\)\)$",
+    ),
+    "a frame that is a file": (
+        lambda: Transitions.from_frame("log.csv"),
+        r"frame must be a data frame \(.*\); got str \(a file: Transitions\.load\)$",
+    ),
+    "a first state like a name": (
+        lambda: oee.tasks.gridworld(3, 0.3).with_names([("r", k) for k in range(9)]).with_initial(("r", 9)),
+        r"initial must be one of the MDP's names; it is \('r', 9\) \(did you mean \('r', \d\)\?\)",
+    ),
+    "a first state of numbers": (
+        lambda: oee.tasks.gridworld(3, 0.3).with_names([(k // 3, k % 3) for k in range(9)]).with_initial((7, 7)),
+        r"initial must be one of the MDP's names; it is \(7, 7\)",
+    ),
+    "a policy by the word of the command": (
+        lambda: oee.interval(oee.Problem(GRID, LOG), "uniform"),
+        r"states; it is 'uniform' \(oee\.uniform_policy\(simulator\)\)$",
     ),
     "names twice": (
         lambda: GRID.with_names([f"s{k // 2}" for k in range(GRID.n_states)]),

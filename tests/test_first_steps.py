@@ -199,7 +199,10 @@ def test_what_a_navigation_grid_is_told_is_in_its_own_words():
 
 def test_impossible_moves_are_allowed_in_a_line():
     log = log_of([0, 0, 1, 2], [0, 0, 0, 0], [1, 2, 2, 3])
-    with pytest.raises(ValueError, match=r"simulator\.with_support_of\(log, epsilon\) gives every such move some"):
+    with pytest.raises(
+        ValueError,
+        match=r"simulator\.with_support_of\(log, epsilon\) \(--impossible allow=0\.01\) gives every such move some",
+    ):
         oee.Problem(dock(), log)
     found = oee.interval(oee.Problem(dock().with_support_of(log, 0.01), log), [0, 0, 0, 0])
     assert np.isfinite([found.lower, found.upper]).all()

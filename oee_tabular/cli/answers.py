@@ -30,6 +30,7 @@ SHAPES: Mapping[str, Mapping[str, str]] = {
         "status": "ok, or what is wrong", "gap": "at most so far from the best plan",
         "policies": "a row each: standard_error and width, now and after; inefficiency",
         "most": "a row each (state, action) with the largest shares: state, action, share",
+        "advice": "the sentence on what would help most",
         "next": "rows: state, action to record next", "file": "that was written, or null",
     },
     "sample": {"version": "of oee_tabular", "file": "", "transitions": "how many", "episodes": "how many, or null"},

@@ -13,21 +13,23 @@ if TYPE_CHECKING:
 
 POLICY_HELP = (
     ".npy or .npz of an (S, A) array or of (S,) actions | .csv with columns state, action (and probability), or state and "
-    "one for each action | uniform | optimal | expert | mix:0.5 (half expert, half uniform); optimal and expert are the "
-    "simulator's; expert is optimal where a task has none of its own; a continuous task has expert, uniform and mix, "
-    "arrays of its cells, and MODULE:FUNCTION of its states"
+    "one for each action | MODULE:FUNCTION of a state | uniform | optimal | expert | mix:0.5 (half expert, half uniform); "
+    "optimal and expert are the simulator's; expert is optimal where a task has none of its own; a continuous task has "
+    "expert, uniform and mix, arrays of its cells, and MODULE:FUNCTION of its states"
 )
-_FORMS = "uniform, optimal, expert, mix:WEIGHT, or a .npy, .npz or .csv file"
+_FORMS = "uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file"
 
 
 def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     """The policy that ``spec`` names, in the MDP of ``task``."""
     from oee_tabular import _progress
+    from oee_tabular.cli.simulators import is_own
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import policy_array
     from oee_tabular.mdp.policy_tables import by_state
+    from oee_tabular.testing.command import own_modules, own_object
 
     _progress.doing(f"reading the policy {spec}")
     if spec == "uniform":
@@ -43,6 +45,9 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
             raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
         return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
     suffix = Path(spec).suffix.lower()
+    if suffix not in (".npy", ".npz", ".csv") and is_own(spec):
+        with own_modules():
+            return check_policy(own_object(spec, name, "my_package.mine:policy"), task.mdp, name=f"{name} {spec!r}")
     if suffix not in (".npy", ".npz", ".csv"):
         raise ValueError(f"{name} must be {_FORMS}; got {spec!r}{_meant(spec)}")
     if suffix == ".csv":

@@ -171,7 +171,7 @@ def _save_minari(log: Any, name: str) -> None:
     if target.exists():
         raise ValueError(f"path must be a new folder; {str(target)!r} exists already")
     target.parent.mkdir(parents=True, exist_ok=True)
-    root = Path(tempfile.mkdtemp(dir=target.parent, prefix=".minari-"))
+    root = Path(tempfile.mkdtemp(dir=target.parent.absolute(), prefix=".minari-"))  # Minari joins a relative one twice
     before = os.environ.get("MINARI_DATASETS_PATH")
     try:
         os.environ["MINARI_DATASETS_PATH"] = str(root)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -58,7 +59,7 @@ def _asked(labels: list[str], column_names: Mapping[str, Any]) -> dict[str, list
         shown = f"{', '.join(labels):.300}" or "none"
         raise ValueError(
             f"frame must have the columns {', '.join(REQUIRED)}; it has {shown}{_meant(missing, labels)} "
-            f"(say which it is: {missing[0]}='its name')"
+            f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
     used = {label for group in asked.values() for label in group}
     _warn_resembling(
@@ -71,7 +72,8 @@ def _eager(frame: Any) -> Any:
     import narwhals as nw
 
     if not is_frame(frame):
-        raise ValueError(f"frame must be a data frame (pandas, polars, arrow); got {type(frame).__name__}")
+        hint = " (a file: Transitions.load)" if isinstance(frame, str | os.PathLike) else ""
+        raise ValueError(f"frame must be a data frame (pandas, polars, arrow); got {type(frame).__name__}{hint}")
     try:
         table = nw.from_native(frame)
         return table.collect() if isinstance(table, nw.LazyFrame) else table
@@ -137,7 +139,7 @@ def episode_columns(episodes: Any) -> dict[str, Any]:
     rows: list[tuple[Any, ...]] = []
     cut = 0
     for k, episode in enumerate(given):
-        steps = _checks.collection(episode, f"episodes[{k}]", "a list of steps")
+        steps = _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}")
         moves, lost = _moves_of(steps, f"episodes[{k}]")
         rows += [(*move, k) for move in moves]
         cut += lost
@@ -158,9 +160,17 @@ def episode_columns(episodes: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
+    """The items of a list or tuple; a mapping has no order that tells a step's parts."""
+    if isinstance(value, Mapping):
+        keys = ", ".join(map(str, value))
+        raise ValueError(f"{name} must be {rule}; it is a mapping of {keys:.200} (give its values, in the order above)")
+    return _checks.collection(value, name, rule)
+
+
 def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]], int]:
     """(state, action, reward, next_state, terminated) of each move, and 1 where the last is not known to its end."""
-    parts = [_checks.collection(step, f"{name}[{t}]", f"a step, {STEP}") for t, step in enumerate(steps)]
+    parts = [_parts(step, f"{name}[{t}]", f"a step, {STEP}") for t, step in enumerate(steps)]
     if not parts:
         return [], 0
     short = len(parts[-1]) in (1, 2) and len(parts) > 1
@@ -168,6 +178,13 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
     for t, part in enumerate(body):
         if len(part) not in (3, 4, 5, 6):
             raise ValueError(f"{name}[{t}] must be a step, {STEP}; it has {len(part)} parts")
+        if isinstance(part[2], str | tuple | list | Mapping):
+            raise ValueError(f"{name}[{t}] must be a step, {STEP}; its reward is {part[2]!r:.80}")
+    if last is not None and len(last) == 2 and last[1] not in (0, 1):
+        hint = f" (of a state that is a tuple: ({last!r:.80},))" * isinstance(body[0][0], tuple)
+        raise ValueError(
+            f"{name}[{len(body)}] must be (state,) or (state, terminated), the end; it is {last!r:.80}{hint}"
+        )
     moves: list[tuple[Any, ...]] = []
     for t, part in enumerate(body):
         following = [body[t + 1][0]] if t + 1 < len(body) else [] if last is None else [last[0]]

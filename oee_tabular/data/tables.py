@@ -92,7 +92,8 @@ def require_columns(name: str, required: Sequence[str], labels: Iterable[str]) -
     if set(required) <= set(found):
         return
     shown = f"{', '.join(found):.300}" or "none"
-    raise ValueError(f"{name!r} must have the columns {', '.join(required)}; it has {shown}{meant(required, found)}")
+    hint = meant(required, found) or " (rename the columns that hold them)" * (len(found) >= len(required))
+    raise ValueError(f"{name!r} must have the columns {', '.join(required)}; it has {shown}{hint}")
 
 
 def meant(required: Sequence[str], found: Sequence[str]) -> str:

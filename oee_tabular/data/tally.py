@@ -15,6 +15,8 @@ from oee_tabular.data.parts import Part
 from oee_tabular.data.readers import READERS, Limits
 from oee_tabular.data.sampling import Episodes
 
+_NAMES = " (names take a log that is read whole: Transitions.load, --log; its numbers: .numbered(simulator).save)"
+
 REASONS = 5  # kinds of bad rows that are told with an example
 
 
@@ -146,7 +148,7 @@ class Tally:
                 mask |= at
                 if fresh.any():
                     k = int(np.argmax(fresh))
-                    said = found or f"it is {column[k]}"
+                    said = found or f"it is {column[k]}{_NAMES * bool(at.all() and isinstance(column[k], str))}"
                     first.append((k, f"{name} {rule}", f"{name}[{batch.row[k]}] {rule}; {said}"))
             columns[name] = values
             if mask.any():

@@ -193,9 +193,9 @@ def moves_dropped(dropped: Array, kept: float) -> tuple[Finding, ...]:
     if not number:
         return ()
     text = (
-        f"{number:g} of the log's {number + kept:g} moves, of {pairs} pairs of a state and an action, are impossible in the "
-        "simulator and left out of every model. Likelihood intervals have such moves lead anywhere; other standard errors "
-        "and intervals know nothing of them."
+        f"{number:g} of the log's {number + kept:g} moves, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "
+        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood intervals have "
+        "such moves lead anywhere; other standard errors and intervals know nothing of them."
     )
     return (Finding("impossible", 1.0, text),)
 

@@ -31,6 +31,8 @@ from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
 
+_ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
+
 
 @dataclass(frozen=True)
 class RewardConflict:
@@ -137,7 +139,7 @@ class Problem:
 
     def _check(self) -> None:
         _checks.instance(self.simulator, FiniteMDP, "simulator")
-        _checks.one_of(self.impossible, "impossible", ("refuse", "drop"))
+        _checks.one_of(self.impossible, "impossible", ("refuse", "drop"), _ALLOW)
         drop = self.impossible == "drop"
         if sparse.issparse(self.log):
             moves = checked_counts(self.log, self.simulator)

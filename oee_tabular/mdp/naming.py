@@ -234,6 +234,12 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
         raise ValueError(f"{name} must be names as JSON; it has {stored.tolist()[0]!r:.80}") from None
 
 
+def _meant(given: Any, names: tuple[Name, ...]) -> bool:
+    """Whether a tuple is meant as a name, and not as a distribution over the states: it is one, or like one."""
+    like = len(given) != len(names) and any(isinstance(name, tuple) and len(name) == len(given) for name in names)
+    return given in numbers_of(names) or like or any(isinstance(part, str) for part in given)
+
+
 def start_law(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
     """A first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
     if isinstance(initial, Mapping):
@@ -243,7 +249,7 @@ def start_law(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> An
             law[k] += _checks.number_in(probability, f"initial[{state!r}]", 0.0, 1.0)
         return law
     given = plain(initial)
-    a_name = isinstance(given, str) or (isinstance(initial, tuple) and names is not None and given in numbers_of(names))
+    a_name = isinstance(given, str) or (isinstance(initial, tuple) and names is not None and _meant(given, names))
     if a_name or (isinstance(given, int) and not isinstance(given, bool)):
         law = np.zeros(n_states)
         law[number_of(given, names, n_states, "initial", "the MDP's")] = 1.0

@@ -39,9 +39,11 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         neither an action nor a distribution.
     """
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
+        hint = f"the same in every state: lambda state: {policy!r:.40}; a file: numpy.load"
+        if policy in ("uniform", "optimal"):
+            hint = f"oee.{policy}_policy(simulator)"
         raise ValueError(
-            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} (the "
-            f"same in every state: lambda state: {policy!r:.40}; a file: numpy.load)"
+            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} ({hint})"
         )
     if is_labelled(policy):
         policy = labelled_policy(policy, mdp, name)

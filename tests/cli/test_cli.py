@@ -125,7 +125,7 @@ def test_info(capsys, tmp_path):
         (["evaluate", "--policy", "mix:x"], "--policy must be like mix:0.5; got 'mix:x'"),
         (
             ["evaluate", "--policy", "best"],
-            "must be uniform, optimal, expert, mix:WEIGHT, or a .npy, .npz or .csv file",
+            "must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file",
         ),
         (["evaluate", "--policy", "a=uniform", "--policy", "a=optimal"], "'a' is given twice"),
         (["evaluate", "--policy", "nowhere.npy"], "no such file: nowhere.npy"),

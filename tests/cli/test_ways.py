@@ -49,6 +49,12 @@ if "OwnCorridor-v0" not in gymnasium.registry:
     gymnasium.register("OwnCorridor-v0", entry_point=Corridor)
 number = 3
 
+def north_then_east(place):
+    return "n" if place != "r0c0" else {"e": 0.5, "n": 0.5}
+
+def unsure(place):
+    return {"n": 0.5}
+
 def broken():
     raise KeyError("gone")
 '''
@@ -104,7 +110,10 @@ def test_a_function_s_mdp_and_one_that_is_sampled(capsys, folder):
 @pytest.mark.parametrize(
     ("spec", "text"),
     [
-        ("own_worlds:nothing", r"'own_worlds' has no object 'nothing' \(it has Corridor, broken, named\)"),
+        (
+            "own_worlds:nothing",
+            r"'own_worlds' has no object 'nothing' \(it has Corridor, broken, named, north_then_east, unsure\)",
+        ),
         ("own_worlds:number", r"must be a FiniteMDP or a Gymnasium environment, or a class or .*; found int"),
         ("own_worlds:broken", r"'own_worlds:broken' cannot be made; it raises KeyError: 'gone'"),
         ("own_worlds:named,slop=1", r"cannot be made; it raises TypeError: .*'slop'"),
@@ -170,6 +179,20 @@ def test_words_that_are_no_policy(capsys, folder):
     for word, hint in (("optimum", r" \(did you mean 'optimal'\?\)"), ("pi.txt", "")):
         said = run(capsys, "policy", "sim.npz", word, "--output", "made.npy", code=2)
         assert re.search(rf"or a \.npy, \.npz or \.csv file; got '{word}'{hint}$", said.strip())
+
+
+def test_a_policy_that_is_a_function_of_one_s_own(capsys, folder):
+    run(capsys, "policy", "sim.npz", "own_worlds:north_then_east", "--output", "made.npy")
+    expected = np.zeros((9, 4))
+    expected[:, 0], expected[0] = 1.0, [0.5, 0.5, 0.0, 0.0]
+    assert_allclose(np.load("made.npy"), expected)
+    for name, told in (
+        ("unsure", r"'own_worlds:unsure'\('r0c0'\) must sum to 1 .*; it sums to 0\.5"),
+        ("north", r"'own_worlds' has no object 'north' \(it has Corridor"),
+    ):
+        said = run(capsys, "policy", "sim.npz", f"own_worlds:{name}", "--output", "other.npy", code=2)
+        assert re.search(told, said)
+        assert said.count("\n") == 1
 
 
 def test_another_start(capsys, folder):

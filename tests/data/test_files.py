@@ -40,6 +40,15 @@ def test_every_format_gives_back_every_bit(tmp_path, name, kind):
         assert_array_equal(getattr(loaded, column), values, err_msg=column)
 
 
+def test_a_minari_folder_of_a_relative_name(tmp_path, monkeypatch):
+    pytest.importorskip("minari")
+    monkeypatch.chdir(tmp_path)
+    log = logs()["episodes"]
+    log.save("recorded")
+    assert [path.name for path in tmp_path.iterdir()] == ["recorded"]
+    assert_array_equal(Transitions.load("recorded").state, log.state)
+
+
 def test_minari_by_id(tmp_path, monkeypatch):
     pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

@@ -286,7 +286,7 @@ BARE = pd.DataFrame({"state": [0, 0], "action": [0, 0], "next_state": [0, 0]})
     ("table", "columns", "text"),
     [
         (pd.DataFrame({"s": [0], "a": [0], "t": [0]}), {}, r"frame must have .*state; it has s, a, t \(say"),
-        (BARE.rename(columns={"state": "State"}), {}, r"frame must have .*; write state for 'State' \(say .*: state="),
+        (BARE.rename(columns={"state": "State"}), {}, r"frame must have .*; write state for 'State' \(say .*, state="),
         (pd.DataFrame(), {}, r"frame must have the columns .*; it has none"),
         (BARE.rename(columns={"state": "from"}), {"state": "form"}, r"state must be .*, from, .* \(did you mean 'from'\?\)$"),
         (frame(), {"stat": "state"}, r"column_names must be of state, .*; got 'stat' \(did you mean state\?\)$"),
@@ -372,13 +372,27 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
         ([[(0, 0, 1.0)]], r"episodes must have at least one move"),
         ([[]], r"episodes must have at least one move"),
         (3, r"episodes must be a list of episodes, each a list of steps; got int$"),
-        ([3], r"episodes\[0\] must be a list of steps; got int$"),
+        ([3], r"episodes\[0\] must be a list of steps, each \(state, action, reward\), .*; got int$"),
+        (
+            [[{"observation": 0, "action": 0, "reward": 1.0}, {"observation": 1}]],
+            r"episodes\[0\]\[0\] must be a step, .*; it is a mapping of observation, action, reward \(give its values, in the",
+        ),
+        (
+            [{"observations": [0], "actions": [1]}],
+            r"episodes\[0\] must be a list of steps, .* mapping of observations, actions",
+        ),
+        ([[("a", "go", "b", 1.0)]], r"episodes\[0\]\[0\] must be a step, .*; its reward is 'b'$"),
+        (
+            [[(("a", 1), "go", 1.0), ("b", 2)]],
+            r"episodes\[0\]\[1\] must be \(state,\) or \(state, terminated\), .*; it is \('b', 2\) "
+            r"\(of a state that is a tuple: \(\('b', 2\),\)\)$",
+        ),
         ([["hall", "go"]], r"episodes\[0\]\[0\] must be a step, \(state, action, reward\), .*; got str$"),
         ([[(0, 0), (1, 0, 1.0), (2,)]], r"episodes\[0\]\[0\] must be a step, .*; it has 2 parts$"),
         ([[(0, 0, 1.0, 1, False, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 7 parts$"),
         ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of row 1"),
-        ([[(0, 0, "x"), (1,)]], r"reward must be an array of numbers"),
-        ([[(0, 0, 1.0), (1, "yes")]], r"terminated\[0\] must be a boolean"),
+        ([[(0, 0, "x"), (1,)]], r"episodes\[0\]\[0\] must be a step, .*; its reward is 'x'$"),
+        ([[(0, 0, 1.0), (1, "yes")]], r"episodes\[0\]\[1\] must be \(state,\) or .*; it is \(1, 'yes'\)$"),
     ],
 )
 def test_bad_episodes(episodes, text):

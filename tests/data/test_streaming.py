@@ -281,6 +281,14 @@ def bad_file(tmp_path, ending, name, row, value):
     return path
 
 
+def test_names_have_another_way(tmp_path):
+    (tmp_path / "names.csv").write_text("state,action,next_state\nhall,0,dock\n")
+    with pytest.raises(
+        ValueError, match=r"state\[0\] must be an integer; it is hall \(names take a log that is read whole"
+    ):
+        Transitions.open(tmp_path / "names.csv")
+
+
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 @pytest.mark.parametrize("case", [*VALUES, *(f"word: {word}" for word in WORDS)])
 def test_bad_rows_are_named_and_refused_or_counted(tmp_path, ending, case):

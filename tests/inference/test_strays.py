@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import sparse
 
 import oee_tabular as oee
+from oee_tabular.estimators.findings import moves_dropped
 from oee_tabular.inference import compare_policies
 from oee_tabular.inference.ambiguity import evidence_of, gather
 from oee_tabular.inference.likelihood import profile_end
@@ -115,11 +116,15 @@ def test_a_problem_drops_what_it_says():
         "out of every model. Likelihood intervals have such moves lead anywhere; other standard errors and intervals know "
         "nothing of them."
     ]
+    one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
+    assert one.startswith(
+        "1 of the log's 10 moves, of 1 pair of a state and an action, is impossible in the simulator and left"
+    )
     report = oee.evaluate(problem, {"p": policy, "q": policy[:, ::-1]}, seed=0)
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
             assert row["lower"] < row["value"] < row["upper"]
-    with pytest.raises(ValueError, match=r"^impossible must be one of 'refuse', 'drop'; got 'allow'$"):
+    with pytest.raises(ValueError, match=r"^impossible must be one of 'refuse', 'drop'; got 'allow' \(to allow "):
         oee.Problem(simulator, log, impossible="allow")
     with pytest.raises(ValueError, match=r"none is left where impossible is 'drop'$"):
         oee.Problem(simulator, oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]), impossible="drop")
