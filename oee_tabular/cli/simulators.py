@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 SIMULATOR_HELP = (
     "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
     "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
-    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10, or a Gymnasium id with physics, Pendulum-v1:g=9"
+    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10, or a Gymnasium id with physics, Pendulum-v1:g=9 "
+    "(module:EnvId-v0,key=value of your own)"
 )
 _SAMPLED = (
     "has no table P, so that it can only be sampled: oee export {} --samples-per-pair 100 --output simulator.npz writes it "
@@ -99,6 +100,7 @@ def _task(make: Callable[[], Any], spec: str, discount: float, samples: int | No
     made = make()
     if isinstance(made, FiniteMDP):
         return NamedTask(spec, made, lambda: optimal_policy(made))
+    _refuse_vectors(made, spec)
     if not hasattr(made, "step") or not hasattr(made, "reset"):
         raise ValueError(
             f"simulator {spec!r} must be a FiniteMDP or a Gymnasium environment, or a class or function that makes one; found "
@@ -111,6 +113,23 @@ def _task(make: Callable[[], Any], spec: str, discount: float, samples: int | No
     else:
         mdp = FiniteMDP.from_gymnasium(made, discount)
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), make)
+
+
+def _refuse_vectors(made: Any, spec: str) -> None:
+    """An error with the way that takes it, where states are vectors."""
+    from oee_tabular.continuous.task import ContinuousTask
+
+    if isinstance(made, ContinuousTask):
+        raise ValueError(
+            f"simulator {spec!r} is a ContinuousTask, which Python takes: "
+            "tasks.evaluate_continuous(task, log, policies, horizon=...); a command takes a registered MODULE:EnvId-v0"
+        )
+    space = getattr(made, "observation_space", None)
+    if space is not None and not hasattr(space, "n") and getattr(space, "shape", None):
+        raise ValueError(
+            f"simulator {spec!r} has states that are vectors: register the environment (gymnasium.register) and name it by "
+            f"its id, {spec.partition(':')[0]}:EnvId-v0"
+        )
 
 
 def _state(text: str) -> int | str:

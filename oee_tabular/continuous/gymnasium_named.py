@@ -21,8 +21,9 @@ from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
 from oee_tabular.tasks.arguments import arguments
-from oee_tabular.testing.command import own_modules, own_object
+from oee_tabular.testing.command import own_module, own_modules, own_object
 
+OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit
 LOOKED = 1000  # steps by which usual ranges are found
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
@@ -95,7 +96,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: Any = N
     Parameters
     ----------
     spec : ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the environment, its constants (``gravity``,
-        ``LINK_MASS_2``), fields of a MuJoCo model (arrays whole)
+        ``LINK_MASS_2``), fields of a MuJoCo model (arrays whole); ``MODULE:ID`` imports what registers it
     state : "module:get,set", functions get(env) -> (d,) and set(env, state); None: found
     actions : of a Box, see ``actions.action_set``
 
@@ -143,7 +144,8 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
     >>> gymnasium_spec("Pendulum-v1,g=9.0")
     ('Pendulum-v1', {'g': 9.0})
     """
-    identifier, _, rest = (spec if ":" in spec else spec.replace(",", ":", 1)).partition(":")
+    named = _registered(spec)
+    identifier, _, rest = (named if re.match("[^,]*:", named) else named.replace(",", ":", 1)).partition(":")
     positional, keywords = arguments(rest)
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
@@ -154,7 +156,7 @@ def is_continuous_id(spec: str) -> bool:
     """Whether ``spec`` begins with the id of a Gymnasium environment whose observations are no numbers of states."""
     import gymnasium
 
-    identifier = re.split("[:,]", spec, maxsplit=1)[0]
+    identifier = re.split("[:,]", _registered(spec), maxsplit=1)[0]
     if identifier not in gymnasium.registry:
         return False
     try:
@@ -164,6 +166,16 @@ def is_continuous_id(spec: str) -> bool:
     space = env.observation_space
     env.close()
     return not hasattr(space, "n")
+
+
+def _registered(spec: str) -> str:
+    """``spec`` from its id on; the module that stands before it is imported, which registers the environment."""
+    own = OWN_ID.match(spec)
+    if own is None:
+        return spec
+    with own_modules():
+        own_module(own[1])
+    return spec[own.start(2) :]
 
 
 def _given(state: str) -> Way:

@@ -25,13 +25,14 @@ Pendulum-v1, which this package does not ship, as a finite MDP:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular.continuous.gymnasium_chance import Chance, draws_of
 from oee_tabular.continuous.gymnasium_steps import check_steps_of, repeats_at_once
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
@@ -72,9 +73,10 @@ class GymnasiumTask(ContinuousTask):
 
     Notes
     -----
-    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 by ``make_vector``. An
-    environment that draws random numbers takes them from the generator of ``step``; ``moves`` has no disturbance to give it,
-    and reseeds it with 0 each time.
+    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 by ``make_vector``.
+    The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_chance``), as
+    many as its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives
+    the environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
@@ -153,6 +155,7 @@ class GymnasiumTask(ContinuousTask):
             if make_vector is not None:
                 self._make_vector = make_vector
                 self._make_vector = make_vector if repeats_at_once(self, *record) else None
+            self.n_disturbances = draws_of(self, *record)
 
     @property
     def steps_at_once(self) -> bool:
@@ -169,10 +172,14 @@ class GymnasiumTask(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step from each state through the environment's own ``step``."""
+        if self.n_disturbances:
+            return self.one_by_one(states, actions, [Chance(xi) for xi in disturbance])
         return self.step(states, actions, np.random.default_rng(0))
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One step from each state; the environment's random numbers are ``rng``'s."""
+        if self.n_disturbances:
+            return super().step(states, actions, rng)
         if self._make_vector is not None and len(states) >= FEWEST_AT_ONCE:
             return self.at_once(states, actions, rng)
         return self.one_by_one(states, actions, rng)
@@ -201,13 +208,15 @@ class GymnasiumTask(ContinuousTask):
         assert self._make_vector is not None
         return self._make_vector(size).unwrapped
 
-    def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """Each state put into the environment by itself."""
+    def one_by_one(
+        self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]
+    ) -> Moves:
+        """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
         env = self._env
-        env.unwrapped.np_random = rng
         following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
         inner = env.unwrapped
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
+            env.unwrapped.np_random = rng if isinstance(rng, np.random.Generator) else rng[i]
             self._set(env, state)
             _, reward[i], over[i], _, _ = inner.step(self.command(int(action)))
             following[i] = self.read(env)
