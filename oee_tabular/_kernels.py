@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 import time
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +36,15 @@ class _TooLong(Exception):
 REFUSED = (_TooLong, ArithmeticError, ValueError)
 
 
+class _Run(threading.local):
+    """When a thread's run by Python ends, on that thread's own clock."""
+
+    ends = float("inf")
+
+
+_run = _Run()
+
+
 def njit(*, wraps: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """``numba.njit``, put off; ``wraps``: whether whole numbers of 64 bits overflow on purpose."""
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
@@ -51,8 +61,6 @@ class Kernel:
     compiled : by numba, on the first call with such types
     patience : seconds that Python may still take; 0 once the compiled function is there, or is found in numba's cache
     """
-
-    ends = float("inf")  # of a run by Python, on the thread's clock
 
     def __init__(self, function: Callable[..., Any], compiled: Any, silent: Sequence[str]) -> None:
         functools.update_wrapper(self, function)
@@ -84,7 +92,7 @@ class Kernel:
         assert self.patience is not None
         before = [(array, array.copy()) for array in arrays if array.flags.writeable]
         start = time.thread_time()
-        Kernel.ends = start + self.patience
+        _run.ends = start + self.patience
         try:
             with np.errstate(**self._errors):  # type: ignore[arg-type]
                 return _plain(self.interpreted(*arguments))
@@ -93,6 +101,7 @@ class Kernel:
                 array[...] = was
             raise
         finally:
+            _run.ends = float("inf")
             self.patience = max(self.patience - (time.thread_time() - start), 0.0)
 
     @property
@@ -109,7 +118,7 @@ class Kernel:
 
     def watched(self, *arguments: Any) -> Any:
         """As another kernel calls it."""
-        if time.thread_time() > Kernel.ends:
+        if time.thread_time() > _run.ends:
             raise _TooLong
         return self.interpreted(*arguments)
 

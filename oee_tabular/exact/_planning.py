@@ -75,7 +75,7 @@ def better(rows, rewards, discount, values, actions, relative):
     """For values of these actions: the first of a state's best actions up to rounding, and whether it is better by more."""
     indptr, indices, data = rows
     n_states, n_actions = rewards.shape
-    q, row, largest = np.empty((n_states, n_actions)), np.uint32(0), 1.0
+    q, row, largest = np.empty((n_states, n_actions)), np.uint32(0), 0.0
     for state in range(n_states):
         for action in range(n_actions):
             total = 0.0

@@ -138,3 +138,11 @@ def test_plans_of_rewards_near_the_largest_float_end():
     mdp = FiniteMDP(np.ones((1, 2, 1)), np.array([[1e308, 1.5e308]]), [1.0], 0.99)
     with pytest.warns(UserWarning, match="beyond the largest float"):
         assert oee.optimal_policy(mdp).sum() == 1.0
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e-12, 1e-3, 1e9])
+def test_the_unit_of_rewards_does_not_matter(unit):
+    rng = np.random.default_rng(0)
+    transitions, rewards = rng.dirichlet(np.ones(4), size=(4, 3)), rng.uniform(size=(4, 3))
+    best = oee.optimal_policy(oee.FiniteMDP(transitions, rewards, 0, 0.9))
+    assert_array_equal(oee.optimal_policy(oee.FiniteMDP(transitions, unit * rewards, 0, 0.9)), best)

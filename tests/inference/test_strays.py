@@ -13,6 +13,7 @@ from oee_tabular.inference import compare_policies
 from oee_tabular.inference.ambiguity import evidence_of, gather
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.robust import extreme_value, radii
+from oee_tabular.inference.strays import stray_swing
 
 S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 
@@ -81,6 +82,37 @@ def test_wherever_they_led_the_value_of_the_frequencies_is_inside(horizon):
         target = (1 - share) * rows + share * rng.dirichlet(np.full(S, 0.1), size=S * A)
         value = oee.policy_value(simulator.with_transitions(target.reshape(P.shape)), policy, horizon=horizon)
         assert found.lower < value < found.upper
+
+
+@pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
+@pytest.mark.parametrize("horizon", [None, 1, 2, 4])
+def test_swings_reach_to_every_place_or_mixture_of_places(form, horizon):
+    """Shares of two thirds: improving all places at once, over a horizon, stops before the extreme, or on the wrong side."""
+    for seed in range(12):
+        P, r, counts, policy = world(seed, form)
+        counts[list(STRAYS)] = np.where(counts[list(STRAYS)] == EACH, 30.0, counts[list(STRAYS)])
+        problem = oee.Problem(
+            oee.FiniteMDP(P, r, 0, 0.95), sparse.csr_array(counts), horizon=horizon, impossible="drop"
+        )
+        evidence = gather(problem, policy)
+        down, up = stray_swing(problem, evidence)
+        rows = evidence.with_rows(evidence.phat).transitions.toarray()
+        middle = oee.policy_value(oee.FiniteMDP(rows.reshape(P.shape), r, 0, 0.95), policy, horizon=horizon)
+        share = problem.dropped / (problem.dropped + evidence.n)
+        for sign, swing in ((-1.0, down), (1.0, up)):
+            paid = r if r.ndim == 2 else np.where(np.isnan(r), sign * np.nanmax(sign * r), r)
+            every = []
+            for places in itertools.product([*np.eye(S), np.full(S, 1 / S)], repeat=len(STRAYS)):
+                moved = rows.copy()
+                for x, to in zip(STRAYS, places, strict=True):
+                    moved[x] = (1 - share[x]) * rows[x] + share[x] * to
+                pay = paid if r.ndim == 2 else (moved.reshape(P.shape) * paid).sum(axis=2)
+                model = oee.FiniteMDP(moved.reshape(P.shape), pay, 0, 0.95)
+                every.append(sign * (oee.policy_value(model, policy, horizon=horizon) - middle))
+            assert max(every) <= swing + 1e-9
+            assert swing >= 0.0
+            if horizon in (None, 1):
+                assert_allclose(swing, max(every), rtol=1e-9, atol=1e-12)
 
 
 def test_differences_know_of_them_and_other_methods_refuse():

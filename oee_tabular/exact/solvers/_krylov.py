@@ -29,7 +29,7 @@ def expands(kernel):
             root += 1
         queue[tail], seen[root] = root, True
         tail += 1
-        for _ in range(np.log2(n) + 2):
+        for _ in range(int(np.log2(n)) + 2):
             level = tail
             while head < level:
                 state = queue[head]

@@ -19,7 +19,11 @@ def sweeps(kernel, mass, transpose, b, relative):
     n = len(b)
     carried = kernel.discount * mass
     over = carried / (1.0 - carried)
-    x, new = b + (over * b.mean() if transpose else 0.0), np.empty(n)
+    mean = 0.0  # term by term: numpy's own differs from the compiled one in the last bit
+    for i in range(n):
+        mean += b[i]
+    mean /= n
+    x, new = b + (over * mean if transpose else 0.0), np.empty(n)
     allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))  # rounding grows with a row
     for sweep in range(200):
         times(kernel, transpose, x, new)
