@@ -33,7 +33,9 @@ class Chance:
         """N(0, 1)."""
         n = 1 if size is None else int(np.prod(size))
         if self.used + n > len(self._xi):
-            raise IndexError(f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more")
+            raise IndexError(
+                f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more"
+            )
         found = self._xi[self.used : self.used + n]
         self.used += n
         return float(found[0]) if size is None else found.reshape(size).copy()
