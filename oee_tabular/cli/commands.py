@@ -62,7 +62,6 @@ from oee_tabular.continuous.command import (
     refuse_settings,
     settings_of,
 )
-from oee_tabular.tasks.arguments import named_specs
 
 __all__ = ["app"]
 
@@ -176,6 +175,7 @@ def compare(
 ) -> None:
     """Which policy is worth most in the target: differences with their intervals, P(best), or that the log cannot say."""
     from oee_tabular.report import contest
+    from oee_tabular.tasks.arguments import named_specs
 
     if is_continuous(simulator):
         raise ValueError(

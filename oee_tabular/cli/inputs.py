@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from oee_tabular.cli.policies import policies_of, policy_of
 from oee_tabular.cli.simulators import task_of
 from oee_tabular.estimators.names import names
-from oee_tabular.tasks.arguments import named_specs
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
@@ -157,6 +156,7 @@ def from_files(
     from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
     from oee_tabular.report.inputs import date_of
+    from oee_tabular.tasks.arguments import named_specs
 
     task, problem = given_problem(simulator, log, behavior, options)
     truth = None if target is None else task_of(target, task.mdp.discount, options["initial"]).mdp

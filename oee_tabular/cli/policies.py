@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.tasks.arguments import named_specs
-
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
     from oee_tabular.tasks import NamedTask
@@ -64,4 +62,6 @@ def _meant(spec: str) -> str:
 
 def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    from oee_tabular.tasks.arguments import named_specs
+
     return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}

@@ -15,7 +15,7 @@ from oee_tabular.data.parts import Part
 from oee_tabular.data.readers import READERS, Limits
 from oee_tabular.data.sampling import Episodes
 
-_NAMES = " (names take a log that is read whole: Transitions.load, --log; its numbers: .numbered(simulator).save)"
+_NAMES = "; names take a log that is read whole: Transitions.load or --log (its numbers: log.numbered(simulator).save)"
 
 REASONS = 5  # kinds of bad rows that are told with an example
 

@@ -100,6 +100,13 @@ class Comparison:
         return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
 
 
+def _shares_of_the_best(draws: Array) -> Array:
+    """(k,) how often each column is the largest of its row; those that are as large, but for rounding, share the row."""
+    largest = draws.max(axis=1, keepdims=True)
+    top = draws >= largest - 1e-12 * np.abs(largest)
+    return np.asarray(np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws))
+
+
 @one_thread
 def compare_policies(
     problem: Problem,
@@ -168,7 +175,7 @@ def compare_policies(
         )
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
-    best = np.bincount(draws.argmax(axis=1), minlength=len(names)) / len(draws)
+    best = _shares_of_the_best(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
     unseen = np.array([_unknown_time(problem, evidences[i]) for i in order])

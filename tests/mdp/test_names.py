@@ -220,10 +220,12 @@ def test_sentences_speak_names():
     problem = oee.Problem(mdp, log)
     assert "s=hall, a=go -> s'=('room', 1) pays -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
-    assert "What would help most: moves of action go in state hall (10 moves" in report.sureness.sentences[-1]
+    assert (
+        "What would help most: moves of action go in state ('room', 1) (3 moves so far" in report.sureness.sentences[-1]
+    )
     plan = oee.plan_data_collection(problem, ["go"] * 3, n=10)
     assert "most of it: s=('room', 1), a=go" in str(plan)
-    assert "next (s, a), one move each: (('room', 1), go), (" in str(plan)
+    assert "then, one move each (s, a): (('room', 1), go), (" in str(plan)
     assert "('room', 1)" in report.to_html()
     unseen = oee.evaluate(problem, {"run": ["stay"] * 3}, estimators=["oee"], seed=0)
     assert "s=hall, a=stay" in str(unseen.records()) + " ".join(unseen.warnings)
