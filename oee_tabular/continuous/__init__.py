@@ -25,7 +25,7 @@ _MODULES = {
     "residual_value": ("corrected_value",),
     "discretization": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
-    "evaluation": ("Settings", "evaluate_continuous"),
+    "evaluation": ("evaluate_continuous",),
     "gymnasium_named": ("gymnasium_simulator",),
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
@@ -42,6 +42,7 @@ _MODULES = {
     "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
     "residual": ("ResidualSimulator",),
+    "settings": ("Settings",),
     "simulator": ("ContinuousSimulator",),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }

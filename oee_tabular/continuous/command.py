@@ -99,10 +99,11 @@ def from_states(
 ) -> Report:
     """The report on a continuous simulator, a log of continuous states and policies."""
     from oee_tabular.continuous.actions import commands_of
-    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import is_continuous_id
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
+    from oee_tabular.continuous.settings import Settings
 
     plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None}
     for name, plain in plains.items():

@@ -36,6 +36,7 @@ from oee_tabular.continuous.on_cells import (
 from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
+from oee_tabular.continuous.settings import Settings
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
@@ -46,34 +47,6 @@ from oee_tabular.report.report import Report
 
 CALIBRATIONS = (*KINDS, "none")
 ON_GRID, LINEAR = "oee on the grid", "linear model of the log"
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a continuous log is evaluated; what is None is the simulator's own.
-
-    Attributes
-    ----------
-    grid : vertices along each feature; () for no cells
-    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out moves without support as well,
-        however many (otherwise more than a hundredth leave out the rows on the grid)
-    strict : an error, not a warning, for actions that are not in the task's set
-    calibration : "ratio" | "difference" | "none"
-    floor : defensive share, in [0, 1]
-    episodes : of Monte Carlo, for each policy in the continuous simulator
-
-    Examples
-    --------
-    >>> Settings(grid=(60, 60)).outside
-    'error'
-    """
-
-    grid: tuple[int, ...] | None = None
-    outside: str = "error"
-    strict: bool = False
-    calibration: str | None = None
-    floor: float | None = None
-    episodes: int | None = None
 
 
 @one_thread

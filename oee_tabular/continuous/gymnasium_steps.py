@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import copy
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.continuous.task import Moves
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 
 SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
 FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
@@ -23,10 +20,10 @@ DIFFER = (
 )
 
 
-def check_steps_of(task: GymnasiumTask, env: Any, steps: int) -> tuple[Array, IntArray]:
+def check_steps_of(task: Any, env: Any, steps: int) -> tuple[Array, IntArray]:
     """Step a record of random actions again from its states, in another order; what differs is an error.
 
-    A warning where at most a twentieth of the steps differ. Returns the record's (s, a).
+    ``task`` : GymnasiumTask. A warning where at most a twentieth of the steps differ. Returns the record's (s, a).
     """
     env.reset(seed=0)
     inner = env.unwrapped
@@ -60,7 +57,7 @@ def check_steps_of(task: GymnasiumTask, env: Any, steps: int) -> tuple[Array, In
     return before[:, :-1], np.asarray(numbers, dtype=np.int64)
 
 
-def repeats_at_once(task: GymnasiumTask, states: Array, numbers: IntArray) -> bool:
+def repeats_at_once(task: Any, states: Array, numbers: IntArray) -> bool:
     """Whether environments that step together do as one of them does."""
     one = task.one_by_one(states, numbers, np.random.default_rng(0))
     try:

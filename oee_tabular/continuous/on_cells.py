@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Possible, Supported
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.sentences import described, left_out
+from oee_tabular.continuous.settings import Settings
 from oee_tabular.continuous.simulator import ContinuousSimulator
 from oee_tabular.continuous.support import within_support
 from oee_tabular.continuous.task import StatePolicy
@@ -30,9 +31,6 @@ from oee_tabular.estimators import Estimator, OffEnvironment, Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio import transition_ratio, uncovered_share
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.evaluation import Settings
 
 LEFT_OUT = 0.01  # share of the log's moves without support that the rows on the cells may leave out
 LONGEST = 100_000  # moves of the simulator's own log, by which the second calibration is

@@ -1,6 +1,7 @@
 """What the simulator's own sampling adds to an interval, where it was made of samples (``FiniteMDP.from_env``, ``from_log``).
 
-To first order, at the maximum-likelihood model, D_sa the discounted time in (s, a), m samples of the simulator, n of the log:
+To first order, at the maximum-likelihood model, D_sa the discounted time in (s, a), m samples of the simulator, n of the
+log (with a horizon V has all its steps to go, whatever the step of a move):
 
     variance        Var_mu(V) / m_starts + sum_x,s' (D_x p_xs')^2 Var(mean reward of the move)
     what may lie beyond the sampled support, each way

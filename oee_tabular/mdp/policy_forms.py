@@ -3,30 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, PolicyLike
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.mdp.naming import Name, Names, is_name, names_of, number_of, numbers_of, plain
-from oee_tabular.mdp.policy_tables import is_labelled, labelled_policy
-
-
-class Sized(Protocol):
-    """Anything with numbers of states and actions, and the states that the environment itself knows."""
-
-    @property
-    def n_states(self) -> int:
-        """S."""
-
-    @property
-    def n_actions(self) -> int:
-        """A."""
-
-    @property
-    def terminal_state(self) -> IntArray:
-        """(S0,): its length is the number of the environment's own states."""
+from oee_tabular.mdp.policy_tables import Sized, is_labelled, labelled_policy
 
 
 def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:

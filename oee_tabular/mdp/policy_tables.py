@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from oee_tabular._checks import IntArray
 from oee_tabular.mdp.naming import names_of, numbers_of
 
-if TYPE_CHECKING:
-    from oee_tabular.mdp.policy_forms import Sized
-
 COLUMNS = "the columns state and action, with probability or without, or state and one for each action"
+
+
+class Sized(Protocol):
+    """Anything with numbers of states and actions, and the states that the environment itself knows."""
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """(S0,): its length is the number of the environment's own states."""
 
 
 def is_labelled(policy: Any) -> bool:

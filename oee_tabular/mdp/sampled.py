@@ -14,7 +14,7 @@ from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp.arrays import canonical_table, check_layout
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
-from oee_tabular.mdp.policy_forms import Sized
+from oee_tabular.mdp.policy_tables import Sized
 from oee_tabular.mdp.sampling import Sampling, sampling_of
 
 LEAST = 1e-300  # a smaller probability supports no ratio

@@ -13,7 +13,8 @@ from oee_tabular.report.report import Report
 from oee_tabular.report.results import Result
 
 if TYPE_CHECKING:
-    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.evaluation import evaluate_continuous
+    from oee_tabular.continuous.settings import Settings
 
 __all__ = [
     "Contest",

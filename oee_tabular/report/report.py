@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from oee_tabular import _files
+from oee_tabular.report import contents
 from oee_tabular.report.files import check_page
 from oee_tabular.report.results import Evaluation
 
@@ -33,6 +34,17 @@ class Report(Evaluation):
     >>> [(row["estimator"], round(row["value"], 2), round(row["error"], 2)) for row in report.records()]
     [('pdis', 9.72, -0.35)]
     """
+
+    @property
+    def answer(self) -> str:
+        """What the page says first: each policy's value in the target with the interval to quote, beside the simulator's.
+
+        >>> import oee_tabular as oee
+        >>> pair = oee.testing.case("ragged")
+        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
+        'In the target, the policy “new” is worth '
+        """
+        return " ".join(filter(None, contents.first_words(self, contents.answers(self))))
 
     def to_html(
         self,

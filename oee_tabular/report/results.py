@@ -97,19 +97,6 @@ class Evaluation:
         return f"the sum of the rewards{span}{paid}{factor}"
 
     @property
-    def answer(self) -> str:
-        """What the page says first: each policy's value in the target with the interval to quote, beside the simulator's.
-
-        >>> import oee_tabular as oee
-        >>> pair = oee.testing.case("ragged")
-        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
-        'In the target, the policy “new” is worth '
-        """
-        from oee_tabular.report import contents
-
-        return " ".join(filter(None, contents.first_words(self, contents.answers(self))))
-
-    @property
     def scale(self) -> float:
         """(1 - discount) if normalized, else 1."""
         return 1.0 - self.discount if self.normalized else 1.0

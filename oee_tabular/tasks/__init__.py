@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.closure import Closure
     from oee_tabular.continuous.discretization import Discretization
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
-    from oee_tabular.continuous.evaluation import Settings, evaluate_continuous
+    from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.history import HistoryTask
@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.reacher.expert import reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
+    from oee_tabular.continuous.settings import Settings
     from oee_tabular.continuous.simulator import ContinuousSimulator
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
