@@ -33,7 +33,9 @@ class Chance:
         """N(0, 1)."""
         n = 1 if size is None else int(np.prod(size))
         if self.used + n > len(self._xi):
-            raise IndexError(f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more")
+            raise IndexError(
+                f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more"
+            )
         found = self._xi[self.used : self.used + n]
         self.used += n
         return float(found[0]) if size is None else found.reshape(size).copy()
@@ -44,6 +46,7 @@ class Chance:
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
         """N(loc, scale^2)."""
+        loc, scale = _arrays(loc, scale)
         return loc + scale * self.standard_normal(self._shaped(size, loc, scale))
 
     def random(self, size: Any = None) -> Any:
@@ -53,6 +56,7 @@ class Chance:
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
         """Uniform on [low, high)."""
+        low, high = _arrays(low, high)
         return low + (high - low) * self.random(self._shaped(size, low, high))
 
     def integers(self, low: int, high: int | None = None, size: Any = None, *, endpoint: bool = False) -> Any:
@@ -60,6 +64,10 @@ class Chance:
         start, end = (0, low) if high is None else (low, high)
         found = start + np.floor((end + endpoint - start) * np.asarray(self.random(size))).astype(np.int64)
         return int(found) if size is None else found
+
+
+def _arrays(*values: Any) -> list[Any]:
+    return [np.asarray(value, dtype=np.float64) if np.ndim(value) else value for value in values]
 
 
 def draws_of(task: GymnasiumTask, states: Array, numbers: IntArray) -> int:

@@ -208,9 +208,7 @@ class GymnasiumTask(ContinuousTask):
         assert self._make_vector is not None
         return self._make_vector(size).unwrapped
 
-    def one_by_one(
-        self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]
-    ) -> Moves:
+    def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
         env = self._env
         following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
