@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular._checks import Array, IntArray
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 
 MOST = 64  # draws in a step
 
@@ -70,8 +67,8 @@ def _arrays(*values: Any) -> list[Any]:
     return [np.asarray(value, dtype=np.float64) if np.ndim(value) else value for value in values]
 
 
-def draws_of(task: GymnasiumTask, states: Array, numbers: IntArray) -> int:
-    """The most random numbers that one of these steps draws; 0 where there are none, or others than ``Chance`` has."""
+def draws_of(task: Any, states: Array, numbers: IntArray) -> int:
+    """The most random numbers that one of these steps of a ``GymnasiumTask`` draws; 0 where there are none, or others than ``Chance`` has."""
     most, xi = 0, np.random.default_rng(0).standard_normal((len(states), MOST))
     for i in range(len(states)):
         chance = Chance(xi[i])
