@@ -68,7 +68,7 @@ def _arrays(*values: Any) -> list[Any]:
 
 
 def draws_of(task: Any, states: Array, numbers: IntArray) -> int:
-    """The most random numbers that one of these steps of a ``GymnasiumTask`` draws; 0 where there are none, or others than ``Chance`` has."""
+    """The most random numbers that one of these steps of a GymnasiumTask draws; 0: none, or others than ``Chance`` has."""
     most, xi = 0, np.random.default_rng(0).standard_normal((len(states), MOST))
     for i in range(len(states)):
         chance = Chance(xi[i])
