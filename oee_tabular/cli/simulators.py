@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 SIMULATOR_HELP = (
     "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
     "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
-    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10, or a Gymnasium id, Pendulum-v1:g=9 "
-    "(module:EnvId-v0,key=value of your own)"
+    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10, or a Gymnasium id with physics, "
+    "Pendulum-v1:g=9 or module:EnvId-v0:key=value"
 )
 _SAMPLED = (
     "has no table P, so that it can only be sampled: oee export {} --samples-per-pair 100 --output simulator.npz writes it "

@@ -132,7 +132,7 @@ def _not_markov(hidden: list[Any]) -> str:
     told = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
     return (
         f"the state is not all that the next one depends on: the action and the residual before explain {told} of what the "
-        "correction leaves over (hidden state, such as a delay); tasks.HistoryTask puts the last action into the state"
+        "correction leaves over (hidden state: a delay, sensor noise); tasks.HistoryTask puts the last action into the state"
     )
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular._checks import Array, IntArray
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 
 MOST = 64  # draws in a step
 
@@ -46,6 +43,7 @@ class Chance:
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
         """N(loc, scale^2)."""
+        loc, scale = _arrays(loc, scale)
         return loc + scale * self.standard_normal(self._shaped(size, loc, scale))
 
     def random(self, size: Any = None) -> Any:
@@ -55,6 +53,7 @@ class Chance:
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
         """Uniform on [low, high)."""
+        low, high = _arrays(low, high)
         return low + (high - low) * self.random(self._shaped(size, low, high))
 
     def integers(self, low: int, high: int | None = None, size: Any = None, *, endpoint: bool = False) -> Any:
@@ -64,8 +63,12 @@ class Chance:
         return int(found) if size is None else found
 
 
-def draws_of(task: GymnasiumTask, states: Array, numbers: IntArray) -> int:
-    """The most random numbers that one of these steps draws; 0 where there are none, or others than ``Chance`` has."""
+def _arrays(*values: Any) -> list[Any]:
+    return [np.asarray(value, dtype=np.float64) if np.ndim(value) else value for value in values]
+
+
+def draws_of(task: Any, states: Array, numbers: IntArray) -> int:
+    """The most random numbers that one of these steps of a GymnasiumTask draws; 0: none, or others than ``Chance`` has."""
     most, xi = 0, np.random.default_rng(0).standard_normal((len(states), MOST))
     for i in range(len(states)):
         chance = Chance(xi[i])

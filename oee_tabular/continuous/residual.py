@@ -39,6 +39,8 @@ STOPS = 5  # rows that end at exactly the extreme of a coordinate: a stop
 SURE = 3.0  # standard errors of what g explains: the target differs
 HIDDEN = 0.05  # share of what is left over that history tells: the state is not all that decides
 TRIFLE = 0.01  # the same share of the whole residual: a smooth rest of g is no hidden state
+SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
+ALIKE = 0.05  # share by which two scatters that are the same may differ
 SAME = 1e-9  # of a displacement's deviation: rounding
 
 
@@ -72,7 +74,8 @@ class Coordinate:
     @property
     def differs(self) -> bool:
         """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
-        return self.surely > SURE or self.scatter == "log"
+        alike = abs(self.left_over - self.simulator_scatter) <= ALIKE * self.simulator_scatter
+        return self.surely > SURE or (self.scatter == "log" and not alike)
 
     @property
     def hidden(self) -> bool:
@@ -106,7 +109,7 @@ class ResidualSimulator(ContinuousTask):
     Notes
     -----
     g is kept within the residuals that were logged, and its arguments within theirs. Rows that no smooth g fits (contacts,
-    stops) are left to e. e is zero where nothing is left over; the simulator's own scatter where that is as large as the log's;
+    stops) are left to e. e is 0 where nothing is left over; the simulator's own where that is of its size and mean;
     otherwise a whole row's e is drawn from the log's rows of the same action: from all, or from 8 near by where the residuals
     of neighbours tell of each other. A coordinate that ended at one extreme five times in the log has a stop there. The reward
     is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where ``terminated``
@@ -233,15 +236,17 @@ class ResidualSimulator(ContinuousTask):
 
     def _after(self, log: ContinuousTransitions, actions: IntArray, own: Moves, rng: np.random.Generator) -> None:
         some = np.sort(rng.permutation(len(log))[:5000])
-        scattered = self.task.step(log.state[some], actions[some], rng).next_state
+        scattered = self.task.step(log.state[some], actions[some], rng)
         spread = np.zeros(self.residuals.shape[1])
-        spread[: self.n_state] = np.sqrt((self._shortest(scattered - own.next_state[some]) ** 2).mean(axis=0))
+        away = self._shortest(scattered.next_state - own.next_state[some])
+        spread[: self.n_state] = np.sqrt((away**2).mean(axis=0))
         displaced = self._shortest(log.next_state - log.state).std(axis=0)
+        can_own = np.full(len(spread), self.task.n_disturbances > 0)
+        apart = np.abs(away.mean(axis=0) - self.left_over[:, : self.n_state].mean(axis=0))
+        can_own[: self.n_state] &= apart <= SKEWED * spread[: self.n_state] * np.sqrt(2.0 / len(some))
         size = np.ones(len(spread))
         size[: self.n_state] = displaced + np.finfo(float).eps * np.abs(log.next_state).max(axis=0) / SAME
-        self._scatter = Scatter(
-            self.task, log.state, actions, self.left_over, spread, SAME * size, self.task.n_disturbances > 0, rng
-        )
+        self._scatter = Scatter(self.task, log.state, actions, self.left_over, spread, SAME * size, can_own, rng)
         self.n_disturbances = self.task.n_disturbances + int(self._scatter.drawn.any())
         every = np.concatenate([log.next_state, own.next_state])
         self._stops = np.full((2, self.n_state), [[-np.inf], [np.inf]])
@@ -254,6 +259,10 @@ class ResidualSimulator(ContinuousTask):
         self._paid = np.concatenate([paid, own.reward])
         self._places = self.task.smooth(every)
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
+        if self._learns_reward:  # is drawn from the log all the same
+            spread[-1] = _rms(
+                np.where(scattered.terminated == own.terminated[some], scattered.reward - own.reward[some], 0.0)
+            )
         names = (*self.state_names, "reward")
         told = told_by_history(self.left_over, actions, self.n_actions, *consecutive(log), self.group)
         self.coordinates = tuple(

@@ -7,7 +7,7 @@ import copy
 import numpy as np
 from scipy.spatial import cKDTree
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.continuous.task import ContinuousTask
 
 NEAR = 8  # rows near by, from which one is drawn
@@ -33,7 +33,7 @@ class Scatter:
         left_over: Array,
         spread: Array,
         rounding: Array,
-        can_own: bool,
+        can_own: BoolArray,
         rng: np.random.Generator,
     ) -> None:
         size = np.sqrt((left_over**2).mean(axis=0))

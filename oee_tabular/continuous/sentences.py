@@ -12,7 +12,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous.residual import TRIFLE, ResidualSimulator
 from oee_tabular.continuous.simulator import ContinuousSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
@@ -49,7 +49,20 @@ def difference(corrected: ResidualSimulator) -> str:
     if hidden:
         names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
         said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."
-    return said
+    return said + odd_row(corrected)
+
+
+def odd_row(corrected: ResidualSimulator) -> str:
+    """The row that alone makes most of what is left over in a coordinate, an error of the log perhaps; "" where none does."""
+    for k, c in enumerate(corrected.coordinates):
+        squares = corrected.left_over[:, k] ** 2
+        row, total = int(squares.argmax()), float(squares.sum())
+        if squares[row] > 0.5 * total and c.left_over**2 > TRIFLE * c.residual_scatter**2:
+            return (
+                f" Row {row} of the log alone makes {squares[row] / total:.0%} of what is left over in {c.name}, by "
+                f"{corrected.left_over[row, k]:.3g}: leave it out if it is an error, every value rests on it otherwise."
+            )
+    return ""
 
 
 def described(simulator: ContinuousSimulator, model: Discretization, floor: float, support: Mapping[str, float]) -> str:

@@ -18,7 +18,6 @@ from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
-from oee_tabular.testing.command import own_modules, own_object
 
 SLOW_EPISODES, SLOW_PATHS = 2000, 200  # of tasks that step one state at a time
 DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15, 4: 9}  # along each feature, by how many there are
@@ -107,6 +106,8 @@ class ContinuousSimulator:
             return _mixed(self.expert, _weight(spec, name))
         if ":" not in spec or spec.startswith("mix:"):
             raise ValueError(f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {spec!r}")
+        from oee_tabular.testing.command import own_modules, own_object
+
         with own_modules():
             return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
 

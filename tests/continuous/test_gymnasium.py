@@ -11,9 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.continuous.actions import action_set, as_probabilities
+from oee_tabular.continuous.gymnasium_chance import Chance
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, gymnasium_spec, is_continuous_id
 from oee_tabular.report import Settings, evaluate_continuous
-from oee_tabular.tasks import GymnasiumTask, monte_carlo_value, record
+from oee_tabular.tasks import GymnasiumTask, ResidualSimulator, monte_carlo_value, record
 
 CLASSIC = {
     "CartPole-v1:gravity=12,length=0.65": (4, {"gravity": 12, "length": 0.65, "polemass_length": 0.065}),
@@ -226,6 +227,69 @@ def test_noise_of_the_environment_s_own_is_no_error():
     assert np.std(task.step(np.zeros((200, 1)), np.zeros(200, dtype=int), rng).next_state) > 0.5
 
 
+class Tank(gymnasium.Env):
+    """A level and an inflow that scatters by the environment's own random numbers, or jumps up now and then."""
+
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (2,), np.float64), gymnasium.spaces.Discrete(3)
+
+    def __init__(self, leak=0.1, jumps=False):
+        self.leak, self.jumps = leak, jumps
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = self.np_random.uniform([1.0, -0.1], [2.0, 0.1])
+        return self.state, {}
+
+    def step(self, action):
+        level, rate = self.state
+        chance = 0.5 * (self.np_random.random() < 0.1) if self.jumps else self.np_random.normal(0.0, 0.02)
+        rate = 0.8 * rate + 0.2 * (action - 1) + chance
+        level = level + 0.3 * rate - self.leak * np.sqrt(max(level, 0.0)) + 0.1
+        self.state = np.array([level, rate])
+        return self.state, -abs(level - 1.5), False, False, {}
+
+
+def tank(**physics):
+    def put(env, state):
+        env.unwrapped.state = np.array(state)
+
+    return GymnasiumTask(
+        lambda: Tank(**physics), state_names=("level", "rate"), actions=[0, 1, 2], low=[0.0, -1.0], high=[4.0, 1.0],
+        get_state=lambda env: env.unwrapped.state, set_state=put,
+    )  # fmt: skip
+
+
+def filling(states):
+    return 0.8 * np.eye(3)[np.where(states[:, 0] < 1.5, 2, 0)] + 0.2 / 3
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_the_environment_s_own_chance_is_no_change(jumps):
+    """Random numbers of a step are its disturbance: the same environment does not differ, another is corrected."""
+    same, other = tank(jumps=jumps), tank(leak=0.14, jumps=jumps)
+    assert same.n_disturbances == 1
+    found = ResidualSimulator(same, same.record(filling, n_transitions=1500, max_steps=50, seed=0), seed=0)
+    assert not any(c.differs for c in found.coordinates)
+    assert [c.scatter for c in found.coordinates][:2] == ["simulator", "simulator"]
+    found = ResidualSimulator(same, other.record(filling, n_transitions=1500, max_steps=50, seed=0), seed=0)
+    truth, before, after = (monte_carlo_value(t, filling, 300, 50, seed=1).value for t in (other, same, found))
+    assert abs(after - truth) < 0.4 * abs(before - truth)
+
+
+def test_chance_gives_quantiles():
+    xi = np.random.default_rng(0).standard_normal(20_000)
+    drawn = [
+        Chance(xi).uniform(1.0, 3.0, 20_000),
+        Chance(xi).integers(2, 5, 20_000),
+        Chance(xi).normal(1.0, 2.0, 20_000),
+    ]
+    assert [draw.mean() for draw in drawn] == pytest.approx([2.0, 3.0, 1.0], abs=0.05)
+    assert (drawn[0].min() >= 1.0, drawn[0].max() < 3.0, np.unique(drawn[1]).tolist()) == (True, True, [2, 3, 4])
+    assert Chance(xi).uniform([0.0, 1.0], [1.0, 2.0]).shape == (2,)
+    with pytest.raises(IndexError, match="at most 1 random numbers"):
+        Chance(xi[:1]).normal(size=2)
+
+
 # ---------------------------------------------------------------- actions and policies
 
 
@@ -301,6 +365,53 @@ def test_a_state_by_two_functions(capsys, mine):
         code=2,
     )
     assert "get_state and set_state must have all that decides the next step" in said
+
+
+OWN = """
+import gymnasium
+import numpy as np
+
+class Drift(gymnasium.Env):
+    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
+
+    def __init__(self, wind=0.0):
+        self.wind = wind
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = self.np_random.uniform(-1.0, 1.0, 1)
+        return self.state, {}
+
+    def step(self, action):
+        self.state = 0.9 * self.state + 0.2 * action - 0.1 + self.wind
+        return self.state, -abs(float(self.state[0])), False, False, {}
+
+def right(states):
+    return np.full(len(states), 1)
+
+gymnasium.register("OwnDrift-v0", entry_point=Drift, max_episode_steps=30)
+"""
+
+
+def test_an_environment_that_one_s_own_module_registers(capsys, mine, monkeypatch):
+    (mine / "drifting.py").write_text(OWN)
+    run(capsys, "sample", "drifting:OwnDrift-v0:wind=0.1", "--transitions", 600, "--output", "log.csv")
+    words = ["--log", "log.csv", "--policy", "drifting:right", "--grid", "none", "--simulations", 50, "--horizon", 20]
+    said = [
+        json.loads(
+            run(capsys, "evaluate", "--simulator", spec, *words, "--json", "--target", "drifting:OwnDrift-v0:wind=0.1")
+        )
+        for spec in ("drifting:OwnDrift-v0:wind=0.0", "drifting:OwnDrift-v0,wind=0.0")
+    ]
+    rows = {row["estimator"]: row["value"] for row in said[0]["results"]}
+    assert rows["oee (residual)"] == pytest.approx(rows["target (continuous)"], rel=0.02)
+    assert abs(rows["simulator (continuous)"] - rows["target (continuous)"]) > 1.0
+    assert said[0]["results"] == said[1]["results"]
+    error = run(capsys, "evaluate", "--simulator", "drifting:Drift", "--log", "log.csv", code=2)
+    assert "has states that are vectors: register the environment (gymnasium.register)" in error
+    assert "module 'nowhere' cannot be found" in run(capsys, "evaluate", "--simulator", "nowhere:A-v0", *words, code=2)
+    gymnasium.registry.pop("OwnDrift-v0")
+    monkeypatch.delitem(__import__("sys").modules, "drifting")
 
 
 BAD = {

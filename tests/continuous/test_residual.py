@@ -12,6 +12,7 @@ from oee_tabular._checks import freeze
 from oee_tabular.continuous.changes import classic
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.regression import FOLDS, Functions, Grams, Rows, groups_of
+from oee_tabular.continuous.sentences import odd_row
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
     CartPole,
@@ -499,3 +500,15 @@ def test_bad_input():
         HistoryTask(Line()).log(log)
     with pytest.raises(ValueError, match="policy"):
         HistoryTask(Line()).policy(np.ones((3, 2)))
+
+
+def test_a_row_on_which_every_value_rests_is_named():
+    columns = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=800, max_steps=100, seed=0).columns()
+    log = ContinuousTransitions(**columns)
+    assert odd_row(ResidualSimulator(CartPole(10.0), log, seed=0)) == ""
+    following = columns["next_state"].copy()
+    following[-1, 3] += 50.0
+    said = odd_row(
+        ResidualSimulator(CartPole(10.0), ContinuousTransitions(**(columns | {"next_state": following})), seed=0)
+    )
+    assert said.startswith(" Row 799 of the log alone makes 100% of what is left over in theta_dot, by 50")
