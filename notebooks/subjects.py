@@ -59,8 +59,11 @@ SUBJECTS = {
         ),
         "Continuous tasks as finite ones": (
             "ContinuousTask", "GymnasiumTask", "GridInterpolation", "VisitedCells", "Discretization", "Closure",
-            "ResidualSimulator", "HistoryTask", "defensive_mixture", "resimulate", "visited_states", "record", "Moves",
-            "MonteCarlo", "monte_carlo_value", "StatePolicy",
+            "defensive_mixture", "resimulate", "visited_states", "record", "Moves", "MonteCarlo", "monte_carlo_value",
+            "StatePolicy", "ContinuousSimulator", "gymnasium_simulator", "evaluate_continuous", "Settings",
+        ),
+        "Continuous tasks corrected by a log": (
+            "ResidualSimulator", "corrected_value", "HistoryTask", "LinearModel",
         ),
         "CartPole": ("CartPole", "cartpole_policy"),
         "Reacher": ("Reacher", "LinearReacher", "reacher_policy", "reacher_log"),
@@ -101,7 +104,7 @@ SUBJECTS = {
         "Grids and states": (
             "plot_grid", "plot_occupancy", "plot_coverage", "plot_ratio", "plot_states", "detect_grid",
         ),
-        "Files and style": ("figure_png", "figure_svg", "COLORS", "LINES", "MARKERS"),
+        "Files and style": ("label_ends", "figure_png", "figure_svg", "COLORS", "LINES", "MARKERS"),
     },
     "paper": {"Equation by equation": (
         "J", "d", "d_moves", "risk", "beta", "zeta", "zeta_of", "J_of_products", "algorithm_1", "theorem_1", "lemma",

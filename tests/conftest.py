@@ -2,6 +2,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
 
+import pytest
 from hypothesis import Phase, settings
 
 collect_ignore = ["benchmarks"]  # run by hand, from their own folder; they import each other and peers
@@ -12,3 +13,9 @@ settings.register_profile(  # no shrinking: a mutant is dead with its first fail
     "mutation", deadline=None, max_examples=15, derandomize=True, database=None, phases=[Phase.explicit, Phase.generate]
 )
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+@pytest.fixture(autouse=True)
+def _hurried(monkeypatch):
+    """A loaded machine is not told what takes it long: tests compare what is said."""
+    monkeypatch.setattr("oee_tabular._progress.SECONDS", 600.0)

@@ -63,6 +63,8 @@ LEFT_OUT = [
     "ModelStack",
     "ReweightedModel",
     "Comparison",
+    "Contest",
+    "corrected_value",
     "EstimationCounterexample",
     "Outlook",
     "RowChanges",

@@ -118,7 +118,7 @@ def own_values(known):
         "Reacher": {"target": (0.1, 0.1)},
         "value_error_sides": {"target": paid[0], "model": paid[1]},
         "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
-        "Transitions": {"episode": None},
+        "Transitions": {"episode": None, "action": known["action"], "next_state": known["next_state"]},
         "KinovaArm": {"goal": 0},
         "kinova_policy": {"delta": 0.0},
     }

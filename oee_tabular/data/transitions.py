@@ -284,7 +284,7 @@ class Transitions(Log):
 def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
     """A log in the simulator's numbers: Transitions, a path, a data frame, or episodes; ValueError for anything else."""
     if isinstance(value, str | os.PathLike):
-        return Transitions.load(value).numbered(simulator, name)
+        return _loaded(value, name).numbered(simulator, name)
     if isinstance(value, list | tuple):
         return Transitions.from_episodes(value, simulator=simulator)
     if not isinstance(value, Transitions) and is_frame(value):
@@ -294,3 +294,11 @@ def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
         hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(value, "ndim", 0) == 2)
         raise ValueError(f"{name} must be Transitions; got {type(value).__name__}{hint}")
     return value.numbered(simulator, name)
+
+
+def _loaded(path: str | os.PathLike[str], name: str) -> Transitions:
+    """The log in a file; a ValueError names the argument that the path was."""
+    try:
+        return Transitions.load(path)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error

@@ -99,17 +99,17 @@ def test_ends_are_stationary():
 
 
 def test_sweeps_give_up_where_a_chain_mixes_slowly():
-    """A cycle of 50 states at discount .999: sweeps would take tens of thousands; one that mixes takes a few."""
-    simulator = oee.FiniteMDP(np.roll(np.eye(50), 1, axis=1)[:, None], np.arange(50.0), np.eye(50)[0], 0.999)
-    taken = Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    """A cycle of 200 states at discount .999: sweeps would take tens of thousands; one that mixes takes a few."""
+    simulator = oee.FiniteMDP(np.roll(np.eye(200), 1, axis=1)[:, None], np.arange(200.0), np.eye(200)[0], 0.999)
+    taken = Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((200, 1))))
     point = taken.valued(taken.chain.phat.copy(), None)
     assert not taken._mixes[0]
-    assert_allclose(point.values, oee.state_values(simulator, np.ones((50, 1))), rtol=1e-12)
-    mixing = oee.FiniteMDP(np.full((50, 1, 50), 0.02), np.arange(50.0), np.eye(50)[0], 0.999)
-    taken = Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((50, 1))))
+    assert_allclose(point.values, oee.state_values(simulator, np.ones((200, 1))), rtol=1e-12)
+    mixing = oee.FiniteMDP(np.full((200, 1, 200), 0.005), np.arange(200.0), np.eye(200)[0], 0.999)
+    taken = Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((200, 1))))
     point = taken.valued(mixing.transitions.data, None)
     assert taken._mixes[0]
-    assert_allclose(point.values, oee.state_values(mixing, np.ones((50, 1))), rtol=1e-9)
+    assert_allclose(point.values, oee.state_values(mixing, np.ones((200, 1))), rtol=1e-9)
 
 
 @pytest.mark.parametrize("u", [0.0, 1e-8, 0.5, 30.0])

@@ -11,8 +11,9 @@ ASIDE = (
     "_threads.py",
     os.path.join("data", "columns.py"),
     os.path.join("data", "transitions.py"),
+    os.path.join("data", "moves.py"),
     "_sparse.py",
-)  # the last three: of Transitions.counts
+)  # the last four: of Transitions.counts
 
 
 def passed_through(call):

@@ -23,7 +23,8 @@ def test_moves_outside_the_support_in_words():
         "there. No action leads from 0 to 5 in the simulator, so that action noise does not help. If the target can do this, "
         "give it some probability, P[0, 0] *= 0.99; P[0, 0, 5] += 0.01; if it is a fault of the log, leave those rows out; "
         "else a mixture of simulator parameters, or states that tell such moves apart. Or: simulator.with_support_of(log, "
-        "epsilon) gives every such move some"
+        'epsilon) (--impossible allow=0.01) gives every such move some; Problem(..., impossible="drop") '
+        "(--impossible drop) leaves them out and has them lead anywhere"
     )
     with pytest.raises(ValueError, match=r"^target must stay where"):
         refuse_unsupported(sparse.csr_array(counts), simulator, what="target")
