@@ -42,6 +42,10 @@ napoleon_use_ivar = True
 napoleon_attr_annotations = False
 
 
+# the theme tells the console which colours it took; a page that has nothing to say is silent
+SILENT = 'console.log = (log => (...words) => String(words[0]).startsWith("[PST]") || log(...words))(console.log);'
+
+
 def plain_docstrings(app, what, name, obj, options, lines):
     """Before napoleon reads them."""
     lines[:] = docstrings.plain(lines)
@@ -113,3 +117,4 @@ def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
     app.connect("autodoc-process-docstring", plain_docstrings, priority=100)
+    app.add_js_file(None, body=SILENT)

@@ -60,7 +60,7 @@ SUBJECTS = {
         "Continuous tasks as finite ones": (
             "ContinuousTask", "GymnasiumTask", "GridInterpolation", "VisitedCells", "Discretization", "Closure",
             "defensive_mixture", "resimulate", "visited_states", "record", "Moves", "MonteCarlo", "monte_carlo_value",
-            "StatePolicy", "ContinuousSimulator", "gymnasium_simulator", "evaluate_continuous", "Settings",
+            "StatePolicy", "ContinuousSimulator", "gymnasium_simulator",
         ),
         "Continuous tasks corrected by a log": (
             "ResidualSimulator", "corrected_value", "HistoryTask", "LinearModel",
@@ -113,11 +113,14 @@ SUBJECTS = {
 }  # fmt: skip
 
 
+ELSEWHERE = {"tasks": {"evaluate_continuous", "Settings"}}  # names that another module's page has: report's
+
+
 def public(module):
     """The public names of a module: its ``__all__``, or those of the package that come from it."""
     loaded = importlib.import_module(f"oee_tabular.{module}")
     names = getattr(loaded, "__all__", None)
     if names is not None:
-        return set(names)
+        return set(names) - ELSEWHERE.get(module, set())
     top = {name: getattr(getattr(oee_tabular, name), "__module__", "") for name in oee_tabular.__all__}
     return {name for name, origin in top.items() if origin.startswith(f"oee_tabular.{module}")}
