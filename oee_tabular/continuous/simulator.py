@@ -137,8 +137,7 @@ class ContinuousSimulator:
 
         ``reach`` of the floor, on a grid; see ``GridInterpolation``.
         """
-        if grid is not None and self.no_grid:
-            raise ValueError(f"grid must be left out for {self.no_grid}")
+        self._take(grid)
         if not self.has_cells(grid):
             raise ValueError(f"cells must be given: {self.no_cells(grid)}")
         cells = self.cells if grid is None else grid
@@ -146,8 +145,13 @@ class ContinuousSimulator:
             return cells(self.task, at=at, floor=floor, discount=discount)
         return GridInterpolation(cells, floor=floor, reach=reach).build(self.task, at=at, discount=discount)
 
+    def _take(self, grid: tuple[int, ...] | None) -> None:
+        if grid is not None and self.no_grid:
+            raise ValueError(f"grid must be left out for {self.no_grid}")
+
     def reach(self, grid: tuple[int, ...] | None, log: ContinuousTransitions) -> int:
         """The reach that the log asks of a floor on the grid."""
+        self._take(grid)
         cells = self.cells if grid is None else grid
         return reach_of(self.task, GridInterpolation(cells).grid(self.task), log) if isinstance(cells, tuple) else USUAL
 
