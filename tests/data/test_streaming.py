@@ -275,9 +275,11 @@ def bad_file(tmp_path, ending, name, row, value):
     if ending == ".csv":
         frame.to_csv(path, index=False)
     else:
-        column = pd.array(frame[name].tolist(), dtype="Float64" if value is None or isinstance(value, float) else None)
-        big = isinstance(value, int) and value >= 2**63
-        frame.assign(**{name: np.array(frame[name], dtype=np.uint64) if big else column}).to_parquet(path, index=False)
+        column: object = np.array(frame[name], dtype=np.uint64) if isinstance(value, int) and value >= 2**63 else None
+        if column is None:
+            kind = "Float64" if value is None or isinstance(value, float) else None
+            column = pd.array(frame[name].tolist(), dtype=kind)
+        frame.assign(**{name: column}).to_parquet(path, index=False)
     return path
 
 
