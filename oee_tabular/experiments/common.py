@@ -19,7 +19,6 @@ from oee_tabular.experiments.panels import Errors
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, true_ratio
 from oee_tabular.simulate import sample_episodes
-from oee_tabular.simulate.logs import episodes_holding
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 SIMULATED_SLIP, REAL_SLIP = 0.3, 0.1
@@ -66,7 +65,9 @@ def episodes_for(target: FiniteMDP, behavior: Array, n: int, generator: np.rando
     """Whole episodes of at most 1000 steps that hold at least n moves: a pilot of 20 says how many are needed."""
     pilot = sample_episodes(target, behavior, 20, LONGEST, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
-    return episodes_holding(target, behavior, n, LONGEST, seed=generator, first=needed)
+    while len(pool := sample_episodes(target, behavior, needed, LONGEST, seed=generator)) < n:
+        needed *= 2  # not episodes_holding's rule: the saved tables are of these draws
+    return pool
 
 
 def drawn(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
