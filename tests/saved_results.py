@@ -1,5 +1,9 @@
-"""The results saved in notebooks/results, and whether today's code makes them."""
+"""The results saved in notebooks/results, and whether today's code makes them.
 
+``python tests/saved_results.py [ID ...]`` draws the figures of the saved tables again, without sampling anything.
+"""
+
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -20,3 +24,22 @@ def assert_saved(name, cell, table):
     rows = rows.dropna(axis=1, how="all").reset_index(drop=True)
     made = table.dropna(axis=1, how="all").reset_index(drop=True)
     pd.testing.assert_frame_equal(made, rows, rtol=1e-5, atol=1e-9, check_dtype=False)
+
+
+def redraw(names):
+    """The figures of the saved tables, with the lines of their pages that say what they show; all of them without names."""
+    from oee_tabular import _files
+    from oee_tabular.experiments import output
+    from oee_tabular.experiments.catalogue import EXPERIMENTS
+
+    for experiment in EXPERIMENTS.choose(names, everything=not names):
+        folder, table = RESULTS / experiment.id, saved(experiment.id)
+        first = output.heading(experiment, table)
+        rest = (folder / "summary.md").read_text().split("\n")[len(first) :]
+        made = output.figures(experiment, table, output.summary_of(experiment, table))
+        _files.write_all(folder, {"summary.md": "\n".join([*first, *rest]).encode(), **made})
+    output.index(RESULTS, EXPERIMENTS)
+
+
+if __name__ == "__main__":
+    redraw(sys.argv[1:])

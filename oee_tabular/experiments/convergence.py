@@ -12,6 +12,7 @@ from oee_tabular.estimators import ModelBased, OffEnvironment, Problem, Simulato
 from oee_tabular.exact import policy_value
 from oee_tabular.experiments import common as grid
 from oee_tabular.experiments.common import DELTAS, HALF_DECADES, HORIZON
+from oee_tabular.experiments.findings import course, listed, span
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -65,9 +66,19 @@ def quarter_slope(ax: Axes, rows: pd.DataFrame) -> None:
     ax.plot(n, line, color="grey", lw=1, ls=(0, (1, 4)), label="slope -0.25", zorder=0)
 
 
+def rate_finding(table: pd.DataFrame) -> str:
+    """The slope of each curve from its first n to its last, the mean over the panels; its error where there is one n."""
+    first, last = table.n.min(), table.n.max()
+    by = table.pivot_table("error", ["ratio", "data", "delta"], "n", aggfunc=grid.rmse)
+    if first == last:
+        return f"{span(table)} the RMSE is {listed(by[last].groupby('ratio').mean())}"
+    slopes = np.log(by[last] / by[first]).groupby("ratio").mean() / np.log(last / first)
+    return f"{span(table)} errors go as {listed(slopes, 'n^{:.2f}'.format)}"
+
+
 RATE = Experiment(
     id="rate",
-    title="The rate is n^-1/2, not the paper's bound n^-1/4",
+    title="The rate of the error, beside the paper's bound n^-1/4",
     axes={"data": ("uniform", "pi_0.5"), "n": (*HALF_DECADES, 1_000_000)},
     smoke={"data": ("uniform",), "n": (1000, 10_000)},
     repetitions=60,
@@ -83,6 +94,7 @@ RATE = Experiment(
         beneath=quarter_slope,
         columns=3,
     ),
+    finding=rate_finding,
 )
 
 # ---- misspecified ------------------------------------------------------------------------------------------------------
@@ -122,6 +134,13 @@ def misspecified_cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
+def misspecified_finding(table: pd.DataFrame) -> str:
+    """How the default, one tilt and maximum likelihood go with n."""
+    names = ("default", *list(CHOICES)[1:], "maximum likelihood")
+    each = [f"of {name} {course(table[table.estimator == name], how=grid.rmse)}" for name in names]
+    return f"{span(table)} the RMSE " + "; ".join(each)
+
+
 MISSPECIFIED = Experiment(
     id="misspecified",
     title="A target that one tilt cannot express",
@@ -132,4 +151,5 @@ MISSPECIFIED = Experiment(
     keys=("n", "delta", "estimator"),
     measures=("squared_error", "error", "moved"),
     draw=grid.rmse_panels("estimator", "delta"),
+    finding=misspecified_finding,
 )

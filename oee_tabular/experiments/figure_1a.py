@@ -24,6 +24,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.experiments import paper
 from oee_tabular.experiments.common import HALF_DECADES, LONGEST, behavior_of, drawn, grids, zeta_error
+from oee_tabular.experiments.findings import course, span
 from oee_tabular.experiments.panels import Beside, Errors
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
@@ -84,6 +85,12 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     ]
 
 
+def finding(table: pd.DataFrame) -> str:
+    """How far the errors of the default and of the quotient fall."""
+    default, quotient = (course(table[table.estimator == name]) for name in (DEFAULT, QUOTIENT))
+    return f"{span(table)} the default's error of zeta {default}; that of the paper's quotient {quotient}"
+
+
 FIGURE_1A = Experiment(
     id="fig1a",
     title="Figure 1a: error of the ratio of transition probabilities against sample size",
@@ -102,6 +109,7 @@ FIGURE_1A = Experiment(
         bands=True,
         columns=3,
     ),
+    finding=finding,
     paper=lambda summary: [
         published(grid, n) if data == "uniform" else np.nan
         for data, grid, n in zip(summary["data"], summary["grid"], summary["n"], strict=True)
@@ -229,6 +237,17 @@ EXCESS = Errors(
     lowest=False,
 )
 
+
+def networks_finding(table: pd.DataFrame) -> str:
+    """How far the errors of the trained networks and of the default fall, and the largest part of the networks'."""
+    trained, default = (table[table.fit == NAMES[name]] for name in ("trained", "default"))
+    parts = trained[trained.n == trained.n.max()][list(PARTS)].mean()
+    return (
+        f"{span(table)} networks' error {course(trained)}, the default's {course(default)}; "
+        f"most excess: {parts.idxmax()}"
+    )
+
+
 NETWORKS = Experiment(
     id="networks",
     title="Figure 1a with our own networks, and what their error is made of",
@@ -240,6 +259,7 @@ NETWORKS = Experiment(
     keys=("simulator", "n", "fit"),
     measures=("error", "excess", *PARTS),
     draw=Beside([FIT_ERRORS, EXCESS], by=("simulator",), columns=2),
+    finding=networks_finding,
     paper=lambda summary: [published(10, n) for n in summary["n"]],
     requires=("jax", "equinox", "optax"),
     extra="neural",

@@ -9,6 +9,7 @@ import numpy as np
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import occupancy, policy_is_moments, policy_value, weighted_return_moments
 from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, drawn, episodes_for, estimators_of, grids
+from oee_tabular.experiments.findings import number, reach, span
 from oee_tabular.experiments.panels import Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
@@ -45,6 +46,20 @@ def horizon_cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
+def horizon_finding(table: pd.DataFrame) -> str:
+    """By how much a product's spread grows, and the largest error of the exact value."""
+    sizes = table.groupby(["quantity", "delta", "horizon"])["size"].mean()
+    growth = (
+        sizes["oracle sd, per decision"]
+        .groupby("delta")
+        .agg(lambda by_horizon: by_horizon.iloc[-1] / by_horizon.iloc[0])
+    )
+    return (
+        f"{span(table.rename(columns={'horizon': 'T'}), 'T')} the sd of a per-decision product grows {reach(growth)} times; "
+        f"exact OEE's error is at most {number(sizes['OEE exact, |error|'].max())}"
+    )
+
+
 HORIZON_EXPERIMENT = Experiment(
     id="horizon",
     title="Products of ratios explode with the horizon; exact evaluation does not",
@@ -62,6 +77,7 @@ HORIZON_EXPERIMENT = Experiment(
         xlabel="horizon T (rewards)",
         ylabel="size, times (1 - discount)",
     ),
+    finding=horizon_finding,
 )
 
 
@@ -105,6 +121,16 @@ def mark_evaluated(ax: Axes, rows: pd.DataFrame) -> None:
     ax.axvline(rows.delta.iloc[0], color="grey", lw=0.8, ls=":")
 
 
+def behaviour_finding(table: pd.DataFrame) -> str:
+    """PDIS where the log's policy is nearest to the evaluated one and where it is farthest; OEE at its worst."""
+    means = table.groupby(["estimator", "delta", "distance"]).error.mean()
+    near, far = (means["PDIS"].groupby("delta").nth(k).mean() for k in (0, -1))
+    return (
+        f"PDIS errs by {number(near)} from logs of the policy nearest to the evaluated one, by {number(far)} of the "
+        f"farthest; exact OEE by at most {number(means['OEE, exact'].max())}"
+    )
+
+
 DATA_POLICY = Experiment(
     id="data_policy",
     title="Importance sampling is good only near the policy that made the data",
@@ -127,4 +153,5 @@ DATA_POLICY = Experiment(
         axes={"ylim": (1e-3, 1e3)},
         size=(5.6, 4.2),
     ),
+    finding=behaviour_finding,
 )

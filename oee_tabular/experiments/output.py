@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
+from oee_tabular.experiments.findings import entitle
 from oee_tabular.experiments.registry import Experiment
 from oee_tabular.experiments.store import Store
 
@@ -47,7 +48,7 @@ def write(experiment: Experiment, store: Store) -> list[Path]:
     contents = {
         "table.csv": _files.csv_bytes(table),
         "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
-        "summary.md": markdown(experiment, store, summary).encode(),
+        "summary.md": markdown(experiment, store, table, summary).encode(),
         **figures(experiment, table, summary),
     }
     _files.write_all(store.folder, contents)
@@ -60,6 +61,7 @@ def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) 
     def draw(figure: Figure) -> None:
         experiment.draw(table, summary, figure)
         share_legend(figure)
+        entitle(figure, experiment.finding(table))
 
     return {f"figure.{kind}": content for kind, content in drawn(draw, salt=experiment.id).items()}
 
@@ -99,7 +101,12 @@ def share_legend(figure: Figure) -> None:
     figure.legend(list(every.values()), list(every), loc="outside lower center", ncols=columns, fontsize="small")
 
 
-def markdown(experiment: Experiment, store: Store, summary: pd.DataFrame) -> str:
+def heading(experiment: Experiment, table: pd.DataFrame) -> list[str]:
+    """The first lines of the page: its title, and the figure with what it shows."""
+    return [f"# {experiment.title}", "", f"![{experiment.finding(table) or experiment.title}](figure.png)"]
+
+
+def markdown(experiment: Experiment, store: Store, table: pd.DataFrame, summary: pd.DataFrame) -> str:
     """The summary as a page."""
     settings = store.settings
     command = f"oee reproduce {experiment.id}"
@@ -113,9 +120,7 @@ def markdown(experiment: Experiment, store: Store, summary: pd.DataFrame) -> str
     axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
     return "\n".join(
         [
-            f"# {experiment.title}",
-            "",
-            f"![{experiment.title}](figure.png)",
+            *heading(experiment, table),
             "",
             experiment.caption,
             "",

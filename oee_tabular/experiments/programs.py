@@ -21,6 +21,7 @@ from oee_tabular.experiments.common import (
     grids,
     zeta_error,
 )
+from oee_tabular.experiments.findings import listed, number, reach, span
 from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import uniform_policy
@@ -74,6 +75,12 @@ def renyi_panel(x: str, title: str, xlabel: str) -> Panels:
     return Panels("error", "estimator", x, (), title, xlabel, MEAN_ERROR, spread, log=True, axes=axes)
 
 
+def renyi_finding(table: pd.DataFrame) -> str:
+    """The largest error of each estimator, the smallest first."""
+    worst = table.groupby(["estimator", "slip"]).error.mean().groupby("estimator").max().sort_values()
+    return f"Real slip {reach(table.slip)}: errors at most {listed(worst)}"
+
+
 RENYI = Experiment(
     id="renyi",
     title="Error against the distance between simulator and target",
@@ -88,6 +95,7 @@ RENYI = Experiment(
             renyi_panel("d_inf", "against D_inf, the largest log ratio", "D_inf (nats)"),
         ]
     ),
+    finding=renyi_finding,
 )
 
 # ---- normalisation -----------------------------------------------------------------------------------------------------
@@ -131,6 +139,12 @@ def median_errors(y: str, title: str, ylabel: str) -> Errors:
     return Errors(y, "normalisation", how=np.median, title=title, ylabel=ylabel)
 
 
+def normalisation_finding(table: pd.DataFrame) -> str:
+    """The largest median error of each program."""
+    worst = table.groupby(["normalisation", "n"]).error.median().groupby("normalisation").max().sort_values()
+    return f"{span(table)}, largest median error by what is normalised: {listed(worst)}"
+
+
 NORMALISATION = Experiment(
     id="normalisation",
     title="What the constraint sum beta q = 1 does: none, global, by rows",
@@ -145,6 +159,7 @@ NORMALISATION = Experiment(
             median_errors("row_sum_error", "largest |sum of zeta P - 1| of a row", "median over seeds (no unit)"),
         ]
     ),
+    finding=normalisation_finding,
 )
 
 # ---- lambda_n ----------------------------------------------------------------------------------------------------------
@@ -205,6 +220,16 @@ def from_no_penalty(ax: Axes, rows: pd.DataFrame) -> None:
     ax.set_xscale("symlog", linthresh=0.01)
 
 
+def lambda_finding(table: pd.DataFrame) -> str:
+    """The best penalty at each n."""
+    means = table.groupby(["n", "penalty", "moves"]).zeta_error.mean()
+    best = means.loc[means.groupby("n").idxmin()].reset_index()
+    return "Least error of zeta: " + "; ".join(
+        f"{number(error)} at n = {n} ({penalty}, worth {moves:g} moves)"
+        for n, penalty, moves, error in best.itertuples(index=False, name=None)
+    )
+
+
 LAMBDA = Experiment(
     id="lambda_n",
     title="lambda_n and I(g): the paper's ridge and its alternatives, swept",
@@ -223,4 +248,5 @@ LAMBDA = Experiment(
         log=True,
         beneath=from_no_penalty,
     ),
+    finding=lambda_finding,
 )

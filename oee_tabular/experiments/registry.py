@@ -68,6 +68,7 @@ class Experiment:
     keys : columns that tell the points of the summary apart; measures : columns averaged over the repetitions, the first
         being what the experiment is about
     draw : (table, summary, figure) -> None
+    finding : table -> what its rows show, in their own numbers, a line: the figure's title; "": none
     caption : what the figure shows, what its bands are, in which units; "": the docstring of ``run``
     paper : summary -> the paper's number for each of its rows (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous"
@@ -82,6 +83,7 @@ class Experiment:
     keys: tuple[str, ...]
     measures: tuple[str, ...]
     draw: Callable[[pd.DataFrame, pd.DataFrame, Figure], None]
+    finding: Callable[[pd.DataFrame], str] = lambda table: ""
     caption: str = ""
     repetitions: int = 10
     smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)

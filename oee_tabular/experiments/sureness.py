@@ -10,6 +10,7 @@ import numpy as np
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
 from oee_tabular.experiments.common import SMALL_SCALE, small_grids
+from oee_tabular.experiments.findings import number, percent
 from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.inference import interval
@@ -87,6 +88,18 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
     first.legend(fontsize="small", loc="lower left")
 
 
+def coverage_finding(table: pd.DataFrame) -> str:
+    """The smallest coverage of each kind over the cases, and how wide the robust ones are."""
+    cases = table.pivot_table(["covered", "width"], ["environment", "n"], "method")
+    least = cases.covered.min()
+    wider = (cases.width["robust"] / cases.width["likelihood without box"]).max()
+    return (
+        f"Least coverage of {table.repetition.nunique()} logs: likelihood {percent(least['likelihood'])}, delta "
+        f"{percent(least['delta'])}, bootstrap {percent(least[['bootstrap basic', 'bootstrap percentile']].min())}, robust "
+        f"{percent(least['robust'])}, at most {number(wider)} times as wide as likelihood"
+    )
+
+
 COVERAGE = Experiment(
     id="coverage",
     title="Intervals: how often they hold, and how wide they are",
@@ -97,6 +110,7 @@ COVERAGE = Experiment(
     keys=("environment", "n", "method"),
     measures=("covered", "width"),
     draw=draw_coverage,
+    finding=coverage_finding,
     group="sureness",
 )
 
@@ -148,5 +162,6 @@ COVERAGE_LAKE = Experiment(
     keys=("n", "method"),
     measures=("covered", "width"),
     draw=draw_lake,
+    finding=lambda table: f"{table.covered.mean():.1%} of {len(table)} intervals hold the true value (nominal 95%)",
     group="sureness",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,10 +12,14 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import optimal_policy, policy_value
 from oee_tabular.experiments.common import estimators_of
+from oee_tabular.experiments.findings import number
 from oee_tabular.experiments.panels import Beside, Errors, Panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import named_task, record_episodes
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SAMPLES = (1000, 3162, 10_000, 31_623)
 CURVES = {  # and their names in ``oee evaluate``
@@ -128,6 +132,16 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
+def finding(table: pd.DataFrame) -> str:
+    """Errors and ranking of OEE and of the simulator at the last n, means over the cases."""
+    last = table[table.n == table.n.max()].groupby("estimator")[["error", "kendall_tau"]].mean()
+    (error, tau), (simulated, its_tau) = last.loc[["OEE, exact", "simulator"]].to_numpy()
+    return (
+        f"At n = {table.n.max()} exact OEE errs by {number(error)} and orders the policies with tau {tau:.2g}; "
+        f"the simulator by {number(simulated)}, tau {its_tau:.2g}"
+    )
+
+
 ERRORS = Errors("error", "estimator", title="{case}: error", ylabel="mean |error| (discounted sum of rewards)")
 RANKING = Panels(
     "kendall_tau",
@@ -148,6 +162,7 @@ def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> 
         keys=("case", "n", "policy", "estimator"),
         measures=("error", "kendall_tau", "regret"),
         draw=Beside([ERRORS, RANKING], by=("case",), columns=2, size=(5.4, 3.9)),
+        finding=finding,
         group="gymnasium",
         caption=caption
         + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "

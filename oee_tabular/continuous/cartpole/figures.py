@@ -10,6 +10,7 @@ import numpy as np
 
 from oee_tabular.continuous.cartpole.truth import DELTAS, SIMULATED
 from oee_tabular.experiments import paper
+from oee_tabular.experiments.findings import listed, number
 from oee_tabular.experiments.panels import panels
 from oee_tabular.plots import label_ends
 
@@ -83,6 +84,15 @@ def _findings(mean: pd.Series[float], gravities: Iterable[float], n: int) -> lis
         rows[2].append(f"importance sampling {weights:.1g} at best, OEE {by['OEE, calibrated']:.1g}")
         rows[3].append("mean over delta, for every n")
     return [title for row in rows for title in row]
+
+
+def fig2_finding(table: pd.DataFrame) -> str:
+    """Errors on the gravities that are not the simulator's, at the largest n."""
+    n = table.n.max()
+    own = table[(table.target == "compiled") & (table.n == n) & (table.gravity != SIMULATED)]
+    names = ["OEE, calibrated", "linear model", "IS, per decision", "IS, self-normalised", "simulator"]
+    means = own[own.estimator.isin(names)].groupby("estimator").error.mean().sort_values()
+    return f"Mean error at n = {n} under other gravities: {listed(means)}" if len(means) else ""
 
 
 def _legend(figure: Figure, axes: Iterable[Axes], *, ncols: int) -> None:
@@ -171,6 +181,18 @@ def resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> No
         label_ends(ax)
 
 
+def resolution_finding(table: pd.DataFrame) -> str:
+    """The best states of two dimensions and of four, at the largest n."""
+    n = table.n.max()
+    last = table[(table.n == n) & table.estimator.isin(["OEE", "OEE, calibrated"])]
+    kind = last.states.str.startswith("whole").map({False: "two dimensions", True: "the whole state"})
+    best = (
+        last.groupby([kind, last.states.rename("own"), "estimator"]).error.mean().groupby(level=0).min().sort_values()
+    )
+    level = number(table[table.estimator == "simulator"].error.mean())
+    return f"Least error at n = {n}: {listed(best)}; the simulator's {level}"
+
+
 def _cost(ax: Axes, table: pd.DataFrame) -> None:
     from oee_tabular.plots.style import COLORS
 
@@ -239,6 +261,23 @@ def data(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         ax.sharey(axes[0])
     for ax in axes[len(gravities) - 1 :: len(gravities)]:
         label_ends(ax)
+
+
+def data_finding(table: pd.DataFrame) -> str:
+    """Errors by the policy that recorded the log."""
+    means = table[table.estimator == "OEE, calibrated"].groupby("behavior").error.mean().sort_values()
+    level = number(table[table.estimator == "simulator"].error.mean())
+    return f"OEE's calibrated error, by delta of the recording policy: {listed(means)}; the simulator's {level}"
+
+
+def choice_finding(table: pd.DataFrame) -> str:
+    """The best grid and strength at each n."""
+    means = table[table.estimator == "OEE, calibrated"].groupby(["n", "vertices", "strength"]).error.mean()
+    best = means.loc[means.groupby("n").idxmin()].reset_index()
+    return "Least error: " + "; ".join(
+        f"{number(error)} at n = {n} ({k} x {k}, strength {strength:g})"
+        for n, k, strength, error in best.itertuples(index=False, name=None)
+    )
 
 
 def choice(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:

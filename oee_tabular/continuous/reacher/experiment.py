@@ -16,6 +16,7 @@ from oee_tabular.continuous.reacher.expert import reacher_policy
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.exact import policy_value
 from oee_tabular.experiments import paper
+from oee_tabular.experiments.findings import reach
 from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP
@@ -180,6 +181,14 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         label_ends(plot_curves(true["x"].to_numpy(), lines, ax, bands=ends, truth=true["mean"].to_numpy(), **label))
 
 
+def finding(table: pd.DataFrame) -> str:
+    """Errors over the lengths, at the largest n."""
+    n = table.n.max()
+    means = table[table.n == n].groupby(["series", "length"]).error.mean()
+    parts = [f"{name} {reach(means[name])}" for name in (WEIGHTED, UNKNOWN, MODEL, SIMULATOR)]
+    return f"Mean error of the value at n = {n}: " + "; ".join(parts)
+
+
 FIGURE_3 = Experiment(
     id="fig3",
     title="Figure 3: the value of Reacher's policies on longer and on shorter arms",
@@ -190,6 +199,7 @@ FIGURE_3 = Experiment(
     keys=("length", "n", "series"),
     measures=("error", "uncovered"),
     draw=draw,
+    finding=finding,
     paper=published,
     group="continuous",
     caption=(

@@ -1,0 +1,74 @@
+"""What a table shows, in its own numbers: the words of the figures' titles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+LARGEST = 12.0  # points
+WIDTH = 0.53  # of a letter, in its own height
+
+
+def entitle(figure: Figure, text: str) -> None:
+    """The title of a whole figure: one line, in letters small enough for its width."""
+    if text:
+        title = figure.suptitle(text, fontsize=min(LARGEST, 72.0 * figure.get_figwidth() / (WIDTH * len(text))))
+        title.set_parse_math(False)
+
+
+def number(x: float) -> str:
+    """Two digits, as people write them.
+
+    >>> number(0.00412), number(31.4), number(612.0), number(3.2e7)
+    ('0.0041', '31', '612', '3.2e+07')
+    """
+    return f"{x:.0f}" if 10.0 <= abs(x) < 1e5 else f"{x:.2g}"
+
+
+def percent(share: float) -> str:
+    """A share, in per cent.
+
+    >>> percent(0.9761), percent(0.0041)
+    ('98%', '0.41%')
+    """
+    return f"{number(100.0 * share)}%"
+
+
+def reach(values: Iterable[float], write: Callable[[float], str] = number) -> str:
+    """From the smallest to the largest.
+
+    >>> reach([0.5, 0.1, 0.3]), reach([0.5])
+    ('0.1 to 0.5', '0.5')
+    """
+    ends = np.array(list(values), dtype=float)
+    return " to ".join(dict.fromkeys([write(ends.min()), write(ends.max())]))
+
+
+def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> str:
+    """Each value with its name, in their order: "0.01 (default), 0.2 (simulator)"."""
+    return ", ".join(f"{write(x)} ({name})" for name, x in values.items())
+
+
+def span(table: pd.DataFrame, x: str = "n") -> str:
+    """Where the curves of a table go: "From n = 1000 to 10000", "At n = 1000"."""
+    first, last = table[x].min(), table[x].max()
+    return f"At {x} = {first}" if first == last else f"From {x} = {first} to {last}"
+
+
+def course(rows: pd.DataFrame, y: str = "error", x: str = "n", how: Callable[[Any], float] = np.mean) -> str:
+    """How a curve goes from its first point to its last: "falls 13 times to 0.0018"; "is 0.02", if it has only one."""
+    ends = rows.groupby(x)[y].apply(how)
+    first, last = float(ends.iloc[0]), float(ends.iloc[-1])
+    if len(ends) == 1:
+        return f"is {number(last)}"
+    if first > 1.1 * last > 0.0:
+        return f"falls {number(first / last)} times to {number(last)}"
+    if last > 1.1 * first > 0.0:
+        return f"rises {number(last / first)} times to {number(last)}"
+    return f"goes from {number(first)} to {number(last)}"
