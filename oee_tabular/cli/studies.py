@@ -11,12 +11,6 @@ from oee_tabular.cli.answers import answer
 from oee_tabular.cli.inputs import ESTIMATORS_HELP
 from oee_tabular.cli.options import INPUT, OUTPUT, VALUE, Dask, Jobs, Seed, json_option, option
 
-SHORT = {
-    "reproduce": "The paper's figures, and more.",
-    "bench": "Measure estimators where the truth is exact.",
-    "check": "Check an estimator of yours against the laws.",
-}
-
 
 def reproduce(
     experiments: Annotated[

@@ -1,0 +1,174 @@
+"""The commands of files: record a log, count it, write a policy or a simulator, say what a file holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from oee_tabular.cli.answers import answer
+from oee_tabular.cli.inputs import (
+    recorded,
+    write_array,
+)
+from oee_tabular.cli.options import (
+    CONTINUOUS,
+    INPUT,
+    OUTPUT,
+    Dask,
+    Discount,
+    Initial,
+    Jobs,
+    Noise,
+    Overwrite,
+    Seed,
+    Simulator,
+    json_option,
+    option,
+)
+from oee_tabular.cli.policies import POLICY_HELP, policy_of
+from oee_tabular.cli.simulators import task_of
+from oee_tabular.continuous.command import (
+    ACTIONS_HELP,
+    STATE_HELP,
+    is_continuous,
+    recorded_states,
+    refuse_settings,
+)
+
+
+def sample(
+    environment: Simulator,
+    output: Annotated[Path, option(OUTPUT, "The log: .npz, .csv, .parquet, or a new Minari folder.", metavar="FILE")],
+    policy: Annotated[str, option(INPUT, f"{POLICY_HELP}.", metavar="SPEC")] = "uniform",
+    transitions: Annotated[int | None, option(INPUT, "How many transitions to record.", metavar="N")] = None,
+    episodes: Annotated[int | None, option(INPUT, "How many episodes to record.", metavar="N")] = None,
+    horizon: Annotated[
+        int | None,
+        option(INPUT, "Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.", metavar="T"),
+    ] = None,
+    discount: Discount = None,
+    initial: Initial = None,
+    state: Annotated[str | None, option(CONTINUOUS, STATE_HELP, metavar="MODULE:GET,SET")] = None,
+    actions: Annotated[str | None, option(CONTINUOUS, ACTIONS_HELP, metavar="LEVELS")] = None,
+    overwrite: Overwrite = False,
+    seed: Seed = 0,
+    json: Annotated[bool, json_option("sample")] = False,
+) -> None:
+    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
+    if (transitions is None) == (episodes is None):
+        raise ValueError("one of --transitions and --episodes must be given")
+    from oee_tabular import _files
+
+    _files.new_file(output, "--output", overwrite=overwrite)
+    if is_continuous(environment):
+        states = recorded_states(environment, policy, transitions, episodes, horizon, seed, state, actions)
+        states.save(output)
+        size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
+    else:
+        refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
+        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed)
+        log.save(output)
+        size, number, text = len(log), log.n_episodes, f"{output}: {log.describe()}"
+    answer("sample", text, {"file": str(output), "transitions": size, "episodes": number}, json)
+
+
+def policy(
+    simulator: Simulator,
+    spec: Annotated[str, typer.Argument(help=f"{POLICY_HELP}.", metavar="SPEC")],
+    output: Annotated[Path, option(OUTPUT, "The policy: .npy, an (S, A) array.", metavar="FILE")],
+    discount: Discount = None,
+    json: Annotated[bool, json_option("policy")] = False,
+) -> None:
+    """Write a policy of a simulator to a file."""
+    pi = policy_of(spec, task_of(simulator, discount), "policy")
+    there = output.exists()
+    write_array(output, pi)
+    text = f"{output}{' (replaced)' * there}: policy of {pi.shape[0]} states and {pi.shape[1]} actions"
+    answer("policy", text, {"file": str(output), "states": pi.shape[0], "actions": pi.shape[1]}, json)
+
+
+def export(
+    simulator: Simulator,
+    output: Annotated[Path, option(OUTPUT, "The FiniteMDP: .npz.", metavar="FILE")],
+    discount: Discount = None,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    samples_per_pair: Annotated[
+        int | None,
+        option(
+            INPUT,
+            "Step an environment until each (s, a) that it met has so many samples; its frequencies.",
+            metavar="N",
+        ),
+    ] = None,
+    json: Annotated[bool, json_option("export")] = False,
+) -> None:
+    """Write a simulator to an .npz file; of a continuous task its finite MDP, with the cells and what they were made from."""
+    task = task_of(simulator, discount, initial, samples_per_pair)
+    mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
+    own = task.discretization is not None and not action_noise and initial is None
+    saved = task.discretization if own else mdp
+    there = output.exists()
+    saved.save(output)
+    facts = {
+        "states": mdp.n_states,
+        "actions": mdp.n_actions,
+        "transitions": mdp.transitions.nnz,
+        "discount": mdp.discount,
+    }
+    answer("export", f"{output}{' (replaced)' * there}: {saved!r}", {"file": str(output)} | facts, json)
+
+
+def counts(
+    log: Annotated[
+        list[str],
+        typer.Argument(
+            help="Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.", metavar="FILE..."
+        ),
+    ],
+    output: Annotated[Path, option(OUTPUT, "The counts: .npz, for --log of evaluate and plan.", metavar="FILE")],
+    simulator: Annotated[
+        str | None,
+        option(INPUT, "Whose states and actions there are; others are bad rows. As in evaluate.", metavar="SIM"),
+    ] = None,
+    bad_rows: Annotated[
+        str,
+        option(INPUT, "Rows that are none of a log: refuse the first, or drop and count them.", metavar="refuse|drop"),
+    ] = "refuse",
+    kept_moves: Annotated[
+        int, option(INPUT, "Moves of whole episodes to keep for importance sampling, drawn uniformly.", metavar="N")
+    ] = 200_000,
+    jobs: Jobs = 1,
+    dask: Dask = None,
+    overwrite: Overwrite = False,
+    json: Annotated[bool, json_option("counts")] = False,
+) -> None:
+    """Count the moves of a log of any size. A count that was stopped goes on where it was."""
+    import sys
+
+    from oee_tabular import _files
+    from oee_tabular.data import Transitions
+
+    _files.new_file(output, "--output", overwrite=overwrite)
+    mdp = None if simulator is None else task_of(simulator, None).mdp
+    limits = {} if mdp is None else {"n_states": mdp.n_states, "n_actions": mdp.n_actions}
+    found = Transitions.open(
+        log, **limits, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
+        progress=sys.stderr.isatty(),
+    )  # fmt: skip
+    reasons = found.recording.reasons
+    text = "\n".join([f"{output}: {found.describe()}", *(f"dropped: {reason}" for reason in reasons)])
+    answer("counts", text, {"file": str(output), "moves": found.summary()["transitions"], "dropped": reasons}, json)
+
+
+def info(
+    file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.", metavar="FILE")],
+    json: Annotated[bool, json_option("info")] = False,
+) -> None:
+    """Say what a file holds."""
+    from oee_tabular.cli.described import described
+
+    kind, text = described(file)
+    answer("info", text, {"file": file, "kind": kind, "text": text.split("\n")}, json)

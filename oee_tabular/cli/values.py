@@ -1,0 +1,231 @@
+"""The commands of values: of policies, which of them is best, what to record next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from oee_tabular.cli.answers import answer
+from oee_tabular.cli.inputs import (
+    ESTIMATORS_HELP,
+    FEATURES_HELP,
+    TIE_HELP,
+    embedded,
+    from_files,
+    given_problem,
+    write_array,
+)
+from oee_tabular.cli.options import (
+    CONTINUOUS,
+    INPUT,
+    LOG_HELP,
+    OUTPUT,
+    VALUE,
+    Confidence,
+    Discount,
+    Horizon,
+    Impossible,
+    Initial,
+    Log,
+    Noise,
+    Overwrite,
+    Policies,
+    Quick,
+    Rewards,
+    Seed,
+    SimulatorOption,
+    json_option,
+    option,
+)
+from oee_tabular.cli.policies import POLICY_HELP, policies_of
+from oee_tabular.cli.simulators import SIMULATOR_HELP
+from oee_tabular.continuous.command import (
+    ACTIONS_HELP,
+    CALIBRATION_HELP,
+    EPISODES_HELP,
+    FLOOR_HELP,
+    GRID_HELP,
+    OUTSIDE_HELP,
+    STATE_HELP,
+    STRICT_HELP,
+    from_states,
+    is_continuous,
+    refuse_settings,
+    settings_of,
+)
+
+
+def evaluate(
+    simulator: Annotated[str | None, option(INPUT, f"{SIMULATOR_HELP}.", metavar="SIM")] = None,
+    log: Annotated[Path | None, option(INPUT, LOG_HELP, metavar="FILE")] = None,
+    policy: Policies = None,
+    behavior: Annotated[
+        str | None, option(INPUT, "Policy that recorded the log, as for --policy.", metavar="SPEC")
+    ] = None,
+    target: Annotated[
+        str | None, option(INPUT, "The true target, as for --simulator, to show errors.", metavar="SIM")
+    ] = None,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    features: Annotated[Path | None, option(INPUT, FEATURES_HELP, metavar="FILE")] = None,
+    tie: Annotated[Path | None, option(INPUT, TIE_HELP, metavar="FILE")] = None,
+    horizon: Horizon = None,
+    discount: Discount = None,
+    normalized: Annotated[
+        bool | None, option(VALUE, "Multiply values by (1 - discount).", "--normalized/--raw", show_default=False)
+    ] = None,
+    estimators: Annotated[str | None, option(VALUE, f"Comma-separated: {ESTIMATORS_HELP}.", metavar="NAME,...")] = None,
+    rewards: Rewards = "simulator",
+    confidence: Confidence = 0.95,
+    guaranteed: Annotated[
+        bool, option(VALUE, "Give the intervals that hold at any sample size as well.", "--guaranteed")
+    ] = False,
+    quick: Quick = False,
+    seed: Seed = 0,
+    output: Annotated[
+        Path | None, option(OUTPUT, "Folder for report.json, table.csv and values.png.", metavar="FOLDER")
+    ] = None,
+    page: Annotated[
+        Path | None,
+        option(OUTPUT, "One self-contained page, for people who did not run it.", "--report", metavar="FILE.html"),
+    ] = None,
+    title: Annotated[str | None, option(OUTPUT, "Of the page that --report writes.", metavar="TEXT")] = None,
+    json: Annotated[bool, json_option("evaluate")] = False,
+    grid: Annotated[str | None, option(CONTINUOUS, GRID_HELP, metavar="NxM")] = None,
+    outside: Annotated[str | None, option(CONTINUOUS, OUTSIDE_HELP, metavar="WORD")] = None,
+    strict: Annotated[bool, option(CONTINUOUS, STRICT_HELP, "--strict")] = False,
+    calibration: Annotated[str | None, option(CONTINUOUS, CALIBRATION_HELP, metavar="WORD")] = None,
+    floor: Annotated[float | None, option(CONTINUOUS, FLOOR_HELP, metavar="SHARE")] = None,
+    simulations: Annotated[int | None, option(CONTINUOUS, EPISODES_HELP, metavar="N")] = None,
+    state: Annotated[str | None, option(CONTINUOUS, STATE_HELP, metavar="MODULE:GET,SET")] = None,
+    actions: Annotated[str | None, option(CONTINUOUS, ACTIONS_HELP, metavar="LEVELS")] = None,
+) -> None:
+    """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
+    from oee_tabular.report import check_output, check_page
+
+    if output is not None:
+        check_output(output)
+    if page is not None:
+        check_page(page)
+    elif title is not None:
+        raise ValueError("--title needs --report FILE.html, whose title it is")
+    options: dict[str, Any] = {
+        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "features": features,
+        "tie": tie, "initial": initial, "impossible": impossible,
+    }  # fmt: skip
+    chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
+    settings = settings_of(grid, outside, strict, calibration, floor, simulations)
+    continuous = is_continuous(simulator)
+    if not continuous:
+        refuse_settings(settings | {name: value for name, value in (("state", state), ("actions", actions)) if value})
+    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
+    if simulator is None and log is None:
+        report = embedded(policy, behavior, target, options, normalized, common)
+    elif simulator is None or log is None:
+        given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
+        raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
+    elif continuous:
+        report = from_states(
+            simulator, log, policy, behavior, target, options, bool(normalized), common, settings, state, actions
+        )
+    else:
+        report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
+    answer("evaluate", str(report), report.to_dict() if json else {}, json)
+    before = {
+        *(() if output is None or not output.exists() else output.iterdir()),
+        *([page] if page and page.exists() else ()),
+    }
+    written = [] if output is None else report.save(output)
+    if page is not None:
+        report.to_html(page, title=title)
+        written.append(page)
+    if written and not json:
+        typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
+
+
+def compare(
+    simulator: SimulatorOption,
+    log: Log,
+    policy: Annotated[
+        list[str], option(INPUT, f"NAME=SPEC or SPEC, two or more; SPEC: {POLICY_HELP}.", metavar="NAME=SPEC")
+    ],
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    horizon: Horizon = None,
+    discount: Discount = None,
+    rewards: Rewards = "simulator",
+    confidence: Confidence = 0.95,
+    quick: Quick = False,
+    json: Annotated[bool, json_option("compare")] = False,
+) -> None:
+    """Which policy is worth most in the target: differences with their intervals, P(best), or that the log cannot say."""
+    from oee_tabular.report import contest
+    from oee_tabular.tasks.arguments import named_specs
+
+    if is_continuous(simulator):
+        raise ValueError(
+            f"--simulator must have numbered states to compare policies; {simulator!r} is continuous: oee evaluate"
+        )
+    if len(named_specs(policy)) < 2:
+        raise ValueError(
+            f"--policy must be given twice or more, for there is nothing to compare; there is {policy[0]!r}"
+        )
+    options = {
+        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "initial": initial,
+        "impossible": impossible,
+    }  # fmt: skip
+    task, problem = given_problem(simulator, log, None, options)
+    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick)
+    warnings = [str(finding) for finding in problem.findings]
+    text = "\n".join([str(found), *(["", "Read before use:"] if warnings else []), *(f"  {text}" for text in warnings)])
+    answer("compare", text, found.to_dict() | {"warnings": warnings}, json)
+
+
+def plan(
+    simulator: SimulatorOption,
+    log: Log,
+    transitions: Annotated[int, option(INPUT, "How many more transitions to record.", metavar="N")],
+    policy: Policies = None,
+    initial: Initial = None,
+    action_noise: Noise = 0.0,
+    impossible: Impossible = "refuse",
+    free: Annotated[bool, option(INPUT, "Any (s, a) can be set up and recorded, not only episodes.", "--free")] = False,
+    horizon: Horizon = None,
+    discount: Discount = None,
+    confidence: Confidence = 0.95,
+    output: Annotated[
+        Path | None,
+        option(
+            OUTPUT,
+            "The behaviour policy to record with (--free: each (s, a)'s share): .npy.",
+            metavar="FILE",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Annotated[bool, json_option("plan")] = False,
+) -> None:
+    """What to record next: a behaviour policy, and the width of each value's interval before and after."""
+    from oee_tabular import _files, _progress
+    from oee_tabular.design import plan_data_collection
+
+    if output is not None:
+        _files.new_file(output, "--output", overwrite=overwrite)
+    options = {
+        "horizon": horizon, "discount": discount, "rewards": "simulator", "action_noise": action_noise, "initial": initial,
+        "impossible": impossible,
+    }  # fmt: skip
+    task, problem = given_problem(simulator, log, None, options)
+    policies = policies_of(policy, task)
+    _progress.doing(f"plan for {transitions} transitions")
+    sampling: Any = "free" if free else "behavior"
+    found = plan_data_collection(problem, policies, n=transitions, sampling=sampling, confidence=confidence)
+    if output is not None:
+        write_array(output, found.distribution if free else found.behavior_policy)
+    text = str(found)
+    if output is not None:
+        text += f"\n{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}"
+    answer("plan", text, found.to_dict() | {"file": None if output is None else str(output)}, json)
