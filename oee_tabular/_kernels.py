@@ -23,7 +23,7 @@ import numpy as np
 from numba.core import config, event
 from numba.extending import typeof_impl
 
-from oee_tabular import _waiting
+from oee_tabular import _progress
 
 SMALL = 20_000  # numbers in the arrays of a call: one pass of Python over them takes some milliseconds
 PATIENCE = 1.5e-4  # seconds of Python's for a byte of its code, which takes three times that to compile
@@ -187,7 +187,7 @@ class _Listener(event.Listener):
     def on_end(self, _: Any) -> None:
         self.depth -= 1
         if self.depth == 0:
-            _waiting.waited(time.perf_counter() - self.start)
+            _progress.waited(time.perf_counter() - self.start)
 
 
 event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]

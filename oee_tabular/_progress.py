@@ -1,14 +1,30 @@
-"""What is being done, for people who wait: a line on stderr once the work has taken two seconds, at most one every two."""
+"""What is being done, for people who wait: a line on stderr once the work has taken two seconds, at most one every two.
+
+Who waits for the compiler gets one sentence from ``waited``; the command sets ``tell``.
+"""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 SECONDS = 2.0
+LONG = 2.0  # seconds of compiling
+
+tell: Callable[[str], object] | None = None
+_compiling = 0.0  # seconds
+
+
+def waited(seconds: float) -> None:
+    """One sentence, once compiling has taken long."""
+    global _compiling, tell
+    _compiling += seconds
+    if tell is not None and _compiling > LONG:
+        tell("compiling (once)")
+        tell = None
 
 
 class _Steps:

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import _kernels, _waiting
+from oee_tabular import _kernels, _progress
 from oee_tabular._kernels import Kernel, njit
 from oee_tabular.exact.solvers._value_iteration import sweeps
 from oee_tabular.exact.system import policy_system
@@ -132,8 +132,8 @@ def test_a_kernel_may_last_as_long_as_its_code_and_that_of_what_it_calls():
 
 def test_who_waits_is_told_once(monkeypatch):
     told = []
-    monkeypatch.setattr(_waiting, "_taken", 0.0)
-    monkeypatch.setattr(_waiting, "tell", told.append)
+    monkeypatch.setattr(_progress, "_compiling", 0.0)
+    monkeypatch.setattr(_progress, "tell", told.append)
     for seconds in (1.5, 0.4, 0.2, 5.0):
-        _waiting.waited(seconds)
+        _progress.waited(seconds)
     assert told == ["compiling (once)"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from oee_tabular import _progress, _waiting
+from oee_tabular import _progress
 from oee_tabular.cli import commands
 
 
@@ -19,7 +19,7 @@ def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error of the user's is one line on stderr and exit code 2."""
     warnings.showwarning = _tell
-    _waiting.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
+    _progress.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
     try:
         with _progress.told():
             commands.app(arguments, standalone_mode=True)
