@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy
 
 FOLDS = 4
 MOST_PAIRS = 100  # pairs of actions that have a mean each
 FEWEST = 200  # pairs of consecutive moves by which anything is said
 
 
-class HistoryTask(ContinuousTask):
+class HistoryTask(DerivedTask):
     """A task whose state has the last action in it: A more coordinates, 1 at its number, all 0 where an episode begins.
 
     Parameters
@@ -44,11 +44,9 @@ class HistoryTask(ContinuousTask):
     """
 
     def __init__(self, task: ContinuousTask) -> None:
-        self.task = _checks.instance(task, ContinuousTask, "task")
+        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name} with its last action")
         last = tuple(f"last_action_{a}" for a in range(task.n_actions))
-        self.name = f"{task.name} with its last action"
         self.state_names, self.feature_names = task.state_names + last, task.feature_names + last
-        self.actions, self.n_disturbances, self.terminates = task.actions, task.n_disturbances, task.terminates
         self.feature_low = freeze(np.concatenate([task.feature_low, np.zeros(len(last))]))
         self.feature_high = freeze(np.concatenate([task.feature_high, np.ones(len(last))]))
         self.periodic = tuple(task.periodic) + (False,) * len(last)
@@ -72,13 +70,14 @@ class HistoryTask(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """The task's, and the action taken."""
-        return self._with(actions, self.task.moves(self._own(states), actions, disturbance))
+        return self._with(actions, self.task.moves(self.own(states), actions, disturbance))
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """The task's, and the action taken."""
-        return self._with(actions, self.task.step(self._own(states), actions, rng))
+        return self._with(actions, self.task.step(self.own(states), actions, rng))
 
-    def _own(self, states: Array) -> Array:
+    def own(self, states: Array) -> Array:
+        """Without the last action."""
         return np.ascontiguousarray(states[:, : self.task.n_state])
 
     def _with(self, actions: IntArray, moved: Moves) -> Moves:
@@ -87,37 +86,25 @@ class HistoryTask(ContinuousTask):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """The task's, without a last action."""
-        return np.column_stack([self.task.initial_states(n, rng), np.zeros((n, self.n_actions))])
+        return np.column_stack([super().initial_states(n, rng), np.zeros((n, self.n_actions))])
 
     def initial_points(self) -> tuple[Array, Array]:
         """The task's, without a last action."""
-        points, weights = self.task.initial_points()
+        points, weights = super().initial_points()
         return np.column_stack([points, np.zeros((len(points), self.n_actions))]), weights
-
-    def terminated(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.terminated(self._own(states))
-
-    def end_shows(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.end_shows(self._own(states))
 
     def features(self, states: Array) -> Array:
         """The task's, and the last action."""
-        return np.column_stack([self.task.features(self._own(states)), states[:, self.task.n_state :]])
+        return np.column_stack([super().features(states), states[:, self.task.n_state :]])
 
     def smooth(self, states: Array) -> Array:
         """The task's, and the last action."""
-        return np.column_stack([self.task.smooth(self._own(states)), states[:, self.task.n_state :]])
+        return np.column_stack([super().smooth(states), states[:, self.task.n_state :]])
 
     def embed(self, features: Array) -> Array:
         """The task's, and the last action."""
         k = len(self.task.feature_names)
-        return np.column_stack([self.task.embed(features[:, :k]), features[:, k:]])
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """The task's."""
-        return self.task.reward_between(self._own(states), actions, self._own(next_states))
+        return np.column_stack([super().embed(features[:, :k]), features[:, k:]])
 
     def parameters(self) -> dict[str, Any]:
         """The task's."""

@@ -19,12 +19,12 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
 
 GROUPS = 40  # of whole episodes, for resampling
 
 
-class LinearModel(ContinuousTask):
+class LinearModel(DerivedTask):
     """The task with steps linear in its smooth coordinates, fitted to a log.
 
     Parameters
@@ -57,19 +57,9 @@ class LinearModel(ContinuousTask):
     """
 
     def __init__(self, task: ContinuousTask, log: ContinuousTransitions) -> None:
-        self.task = _checks.instance(task, ContinuousTask, "task")
+        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"linear model of a log of {task.name}")
         require_log_of(task, log)
-        for name in (
-            "state_names",
-            "actions",
-            "feature_names",
-            "feature_low",
-            "feature_high",
-            "periodic",
-            "terminates",
-        ):
-            setattr(self, name, getattr(task, name))
-        self.name, self.n_disturbances = f"linear model of a log of {task.name}", 1
+        self.n_disturbances = 1
         self._actions = log.action_numbers(task.actions)
         turns = np.array(task.periodic, dtype=np.bool_)
         whole = len(turns) == task.n_state and turns.any()
@@ -137,26 +127,6 @@ class LinearModel(ContinuousTask):
         if paid is None:
             paid = self.task.moves(states, actions, np.zeros((len(states), self.task.n_disturbances))).reward
         return Moves(following, paid, over)
-
-    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """The task's."""
-        return self.task.initial_states(n, rng)
-
-    def terminated(self, states: Array) -> Any:
-        """The task's."""
-        return self.task.terminated(states)
-
-    def features(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.features(states)
-
-    def smooth(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.smooth(states)
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """The task's."""
-        return self.task.reward_between(states, actions, next_states)
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and how many moves the model is fitted to."""

@@ -30,7 +30,7 @@ from oee_tabular.continuous.history import consecutive, told_by_history
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
-from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
@@ -86,7 +86,7 @@ class Coordinate:
         return self.told_by_history > HIDDEN and told > TRIFLE
 
 
-class ResidualSimulator(ContinuousTask):
+class ResidualSimulator(DerivedTask):
     """The task, its step corrected by the residuals s' - f(s, a) of a log.
 
     Parameters
@@ -133,19 +133,8 @@ class ResidualSimulator(ContinuousTask):
 
     @one_thread
     def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> None:
-        self.task = _checks.instance(task, ContinuousTask, "task")
+        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name}, corrected by a log")
         require_log_of(task, log)
-        for name in (
-            "state_names",
-            "actions",
-            "feature_names",
-            "feature_low",
-            "feature_high",
-            "periodic",
-            "terminates",
-        ):
-            setattr(self, name, getattr(task, name))
-        self.name = f"{task.name}, corrected by a log"
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
         actions = log.action_numbers(task.actions)
         own = task.moves(log.state, actions, np.zeros((len(log), task.n_disturbances)))
@@ -341,38 +330,6 @@ class ResidualSimulator(ContinuousTask):
             if len(rows) and len(among):
                 paid[rows] = self._paid[self._nearest(following[rows], among)]
         return np.asarray(paid)
-
-    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """The task's."""
-        return self.task.initial_states(n, rng)
-
-    def initial_points(self) -> tuple[Array, Array]:
-        """The task's."""
-        return self.task.initial_points()
-
-    def terminated(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.terminated(states)
-
-    def end_shows(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.end_shows(states)
-
-    def features(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.features(states)
-
-    def smooth(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.smooth(states)
-
-    def embed(self, features: Array) -> Array:
-        """The task's."""
-        return self.task.embed(features)
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """The task's."""
-        return self.task.reward_between(states, actions, next_states)
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and what the correction is made of."""

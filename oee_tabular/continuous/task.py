@@ -161,6 +161,56 @@ class ContinuousTask(ABC):
         return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
 
 
+class DerivedTask(ContinuousTask):
+    """A task made of another: all that a subclass does not say is the other's, of ``own`` of a state."""
+
+    def __init__(self, task: ContinuousTask, name: str) -> None:
+        self.task, self.name = task, name
+        self.state_names, self.actions, self.n_disturbances = task.state_names, task.actions, task.n_disturbances
+        self.feature_names, self.feature_low, self.feature_high = (
+            task.feature_names,
+            task.feature_low,
+            task.feature_high,
+        )
+        self.periodic, self.terminates = task.periodic, task.terminates
+
+    def own(self, states: Array) -> Array:
+        """The other task's states (n, d) in these; default: these."""
+        return states
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """The task's."""
+        return self.task.initial_states(n, rng)
+
+    def initial_points(self) -> tuple[Array, Array]:
+        """The task's."""
+        return self.task.initial_points()
+
+    def terminated(self, states: Array) -> BoolArray:
+        """The task's."""
+        return self.task.terminated(self.own(states))
+
+    def end_shows(self, states: Array) -> BoolArray:
+        """The task's."""
+        return self.task.end_shows(self.own(states))
+
+    def features(self, states: Array) -> Array:
+        """The task's."""
+        return self.task.features(self.own(states))
+
+    def smooth(self, states: Array) -> Array:
+        """The task's."""
+        return self.task.smooth(self.own(states))
+
+    def embed(self, features: Array) -> Array:
+        """The task's."""
+        return self.task.embed(features)
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+        """The task's."""
+        return self.task.reward_between(self.own(states), actions, self.own(next_states))
+
+
 def check_states(task: ContinuousTask, states: Any, name: str = "states") -> Array:
     """``states`` as (n, d) finite numbers of the task's d; ValueError with the place and the value found."""
     array = _checks.float_array(states, name)
