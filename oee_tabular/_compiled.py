@@ -35,7 +35,7 @@ def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
     alone = numba.njit(cache=True)(_another(function))
 
     @functools.wraps(function)
-    def run(*arguments: Any) -> Any:
+    def run(*arguments: object) -> Any:
         if forked():
             return alone(*arguments)
         with _turn():

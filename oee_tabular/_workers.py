@@ -26,7 +26,7 @@ def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
 
 
 def each(
-    function: Callable[..., Any], calls: Iterable[tuple[Any, ...]], number: int, *, jobs: int, dask: str | None
+    function: Callable[..., Any], calls: Iterable[tuple[object, ...]], number: int, *, jobs: int, dask: str | None
 ) -> Iterator[Any]:
     """``function(*call)`` of each of the ``number`` calls, in their order; an error is raised in its place."""
     if dask is None and (jobs == 1 or number < 2):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import sparse
 
@@ -23,7 +21,7 @@ def paper_grid(simulated: float, real: float, about: str) -> Family:
     return pair(gridworld(10, simulated), gridworld(10, real), about, policy=policy, recorded="uniform", length=1000)
 
 
-def floor(slip: Any = SIMULATED) -> FiniteMDP:
+def floor(slip: object = SIMULATED) -> FiniteMDP:
     """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each (s, a)."""
     always, never = gridworld(SIDE, 1.0).transitions, gridworld(SIDE, 0.0).transitions
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (CELLS, 4)).copy()
@@ -35,12 +33,12 @@ def floor(slip: Any = SIMULATED) -> FiniteMDP:
     return FiniteMDP(transitions, distance, spread(CELLS, range(CELLS - 1)), 0.98)
 
 
-def floors(slip: Any, about: str, *, recorded: Recorded = "half") -> Family:
+def floors(slip: object, about: str, *, recorded: Recorded = "half") -> Family:
     """A floor that slips otherwise than simulated."""
     return pair(floor(), floor(slip), about, recorded=recorded)
 
 
-def where(mask: Any, slip: float) -> Array:
+def where(mask: object, slip: float) -> Array:
     """(S, A): ``slip`` in the cells of the mask (8, 8), as simulated elsewhere."""
     return np.repeat(np.where(np.asarray(mask).reshape(-1), slip, SIMULATED), 4).reshape(CELLS, 4)
 

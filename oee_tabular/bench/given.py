@@ -37,7 +37,7 @@ def chosen_estimators(given: object) -> dict[str, Any]:
     """Name -> spec or estimator, each tried once, of what ``run`` takes; ValueError for one that is unknown or is none."""
     if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
         given = [given]
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
         if not isinstance(item, str) and not callable(item):
             raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {item!r}")
@@ -55,7 +55,7 @@ def chosen_estimators(given: object) -> dict[str, Any]:
     return found
 
 
-def _name_of(item: object, taken: Mapping[str, Any]) -> str:
+def _name_of(item: object, taken: Mapping[str, object]) -> str:
     name = str(getattr(item, "__name__", type(item).__name__))
     while name in taken:
         name += "'"
@@ -168,7 +168,7 @@ def _called(given: object, seed: int) -> Mapping[str, Family]:
     return found
 
 
-def modules_of(given: Mapping[str, Any]) -> list[str]:
+def modules_of(given: Mapping[str, object]) -> list[str]:
     """The modules that hold a user's own objects: their files are part of what the results depend on."""
     found = []
     for item in given.values():

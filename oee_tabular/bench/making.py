@@ -22,7 +22,7 @@ RECORDED_BY: dict[str, float] = {"uniform": 0.0, "half": 0.5, "policy": 0.9}  # 
 
 def pair(
     simulator: FiniteMDP,
-    target: FiniteMDP | Any,
+    target: FiniteMDP | object,
     about: str,
     *,
     optimal: float = 0.9,
@@ -50,13 +50,13 @@ def pair(
 def shifted(
     moves: Callable[..., Moves],
     shape: tuple[int, int],
-    pay: Any,
+    pay: object,
     discount: float,
     believed: tuple[float, ...],
     real: tuple[float, ...],
     about: str,
     *,
-    start: Any = None,
+    start: object = None,
     **options: Any,
 ) -> Family:
     """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
@@ -72,11 +72,11 @@ def shifted(
 def model(
     moves: Callable[..., Moves],
     shape: tuple[int, int],
-    pay: Any,
+    pay: object,
     discount: float,
     how: tuple[float, ...],
     *,
-    start: Any,
+    start: object,
 ) -> FiniteMDP:
     """The MDP of moves with the parameters ``how``.
 

@@ -41,7 +41,9 @@ class Plan:
     source: Source
 
 
-def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0) -> Plan:
+def plan(
+    estimators: object, *, families: object = None, sizes: object = SIZES, seeds: int = SEEDS, seed: int = 0
+) -> Plan:
     """Check the arguments of ``run`` and make every family once."""
     count, first = _checks.positive_integer(seeds, "seeds"), checked_seed(seed)
     chosen = chosen_estimators(estimators)
@@ -63,10 +65,10 @@ def plan(estimators: Any, *, families: Any = None, sizes: Any = SIZES, seeds: in
 
 
 def run(
-    estimators: Any = ("oee", "model-based"),
+    estimators: object = ("oee", "model-based"),
     *,
-    families: Any = None,
-    sizes: Any = SIZES,
+    families: object = None,
+    sizes: object = SIZES,
     seeds: int = SEEDS,
     seed: int = 0,
     jobs: int = 1,

@@ -110,7 +110,7 @@ def _over_bound(squares: Array, bound: Array) -> float:
     return float(np.sqrt(squares.mean() / bound.mean()))
 
 
-def _interval(lower: Array, upper: Array, truth: Array, likelihood: Array, counted: Any) -> dict[str, Any]:
+def _interval(lower: Array, upper: Array, truth: Array, likelihood: Array, counted: object) -> dict[str, Any]:
     """Logs whose interval is counted, how many hold the truth, and the median width over maximum likelihood's 1.96 se."""
     here = counted & np.isfinite(lower) & np.isfinite(upper)
     holds = here & (lower <= truth) & (truth <= upper)
@@ -156,7 +156,7 @@ def coverage(cells: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def geometric_mean(values: Any) -> float:
+def geometric_mean(values: object) -> float:
     """exp(mean log), of those that are numbers; nan without any."""
     known = np.asarray(values, dtype=np.float64)
     known = known[~np.isnan(known)]

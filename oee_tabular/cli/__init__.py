@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import warnings
-from typing import Any
 
 import typer
 
@@ -12,7 +11,7 @@ from oee_tabular import _progress
 from oee_tabular.cli import commands
 
 
-def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
+def _tell(message: Warning | str, *_: object, **__: object) -> None:
     typer.echo(f"oee: warning: {message}", err=True)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
 
 import typer
 
@@ -55,7 +54,7 @@ def shape_help(command: str) -> str:
     return f"Print JSON instead, with {', '.join(SHAPES[command])}."
 
 
-def answer(command: str, text: str, record: Mapping[str, Any], as_json: bool) -> None:
+def answer(command: str, text: str, record: Mapping[str, object], as_json: bool) -> None:
     """Print one or the other."""
     if not as_json:
         typer.echo(text)

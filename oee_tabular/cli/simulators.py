@@ -115,7 +115,7 @@ def _task(make: Callable[[], Any], spec: str, discount: float, samples: int | No
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), make)
 
 
-def _refuse_vectors(made: Any, spec: str) -> None:
+def _refuse_vectors(made: object, spec: str) -> None:
     """An error with the way that takes it, where states are vectors."""
     from oee_tabular.continuous.task import ContinuousTask
 

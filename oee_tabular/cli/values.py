@@ -112,7 +112,7 @@ def evaluate(
         check_page(page)
     elif title is not None:
         raise ValueError("--title needs --report FILE.html, whose title it is")
-    options: dict[str, Any] = {
+    options: dict[str, object] = {
         "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "features": features,
         "tie": tie, "initial": initial, "impossible": impossible,
     }  # fmt: skip

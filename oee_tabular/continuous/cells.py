@@ -127,7 +127,7 @@ class VisitedCells:
     def build(
         self,
         task: ContinuousTask,
-        visited: Any,
+        visited: object,
         *,
         discount: float = 0.99,
         rewards: str = "expected",
@@ -177,7 +177,7 @@ class VisitedCells:
         if rewards == "transition":
             if self.floor > 0.0:
                 raise ValueError(f"floor must be 0 with rewards 'transition': its moves have none; it is {self.floor}")
-            table: Any = sparse.csr_array((total.data / counts.data, counts.indices, counts.indptr), shape=shape)
+            table: object = sparse.csr_array((total.data / counts.data, counts.indices, counts.indptr), shape=shape)
         else:
             table = (np.bincount(rows, paid, shape[0]) / n).reshape(n_states, n_actions)
         mdp = FiniteMDP(matrix, table, begins(task, found), discount)

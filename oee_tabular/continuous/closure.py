@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -51,7 +50,7 @@ def measure(
     horizon: int,
     n_episodes: int,
     discount: float | None,
-    seed: Any,
+    seed: object,
 ) -> Closure:
     """The closure error of ``policy`` (default: uniform); see ``Discretization.closure``."""
 

@@ -179,7 +179,7 @@ def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[s
         raise ValueError(
             f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
         )
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for label, source in named_specs(specs or ["expert"]).items():
         is_file = Path(source).suffix.lower() in (".npy", ".npz")
         if is_file:

@@ -70,7 +70,7 @@ class Discretization(Places):
         settings = ", ".join(f"{name}={value}" for name, value in self.task.parameters().items())
         return f"Discretization({self.task.name}({settings}): {self.cells.extent()}; {self.mdp})"
 
-    def encode(self, states: Any, *, seed: Any = None, outside: str = "error") -> IntArray:
+    def encode(self, states: object, *, seed: Any = None, outside: str = "error") -> IntArray:
         """(n,) the number of each state.
 
         Parameters
@@ -146,7 +146,7 @@ class Discretization(Places):
         horizon: int = 100,
         n_episodes: int = 2000,
         discount: float | None = None,
-        seed: Any = 0,
+        seed: object = 0,
     ) -> Closure:
         """The error that discretising makes in the value of ``policy`` (default: uniform), measured by Monte Carlo."""
         return measure(self, self.mdp, policy, horizon=horizon, n_episodes=n_episodes, discount=discount, seed=seed)

@@ -25,7 +25,7 @@ Found = TypeVar("Found", bound=Places)
 
 def save(found: Places, mdp: FiniteMDP, metadata: dict[str, Any], path: str | os.PathLike[str]) -> None:
     """One npz of plain arrays, whole or not at all."""
-    arrays: dict[str, Any] = {
+    arrays: dict[str, object] = {
         "metadata": np.array(json.dumps(metadata | {"version": version("oee-tabular")})),
         "points": found.points,
         "point_cell": found.point_cell,

@@ -53,7 +53,7 @@ def monte_carlo_value(
     horizon: int,
     *,
     discount: float = 0.99,
-    seed: Any = None,
+    seed: object = None,
     normalized: bool = False,
 ) -> MonteCarlo:
     """J = E[sum_{t<T} gamma^t r_t] of the continuous task by Monte Carlo: the truth that discretised values are held to.
@@ -192,7 +192,7 @@ def _episodes(
     """n episodes, sorted by episode and then by time."""
     alive = np.arange(n)
     states = task.initial_states(n, rng)
-    rows: list[tuple[Any, ...]] = []
+    rows: list[tuple[object, ...]] = []
     for t in range(steps):
         probabilities = check_probabilities(policy, states, task.n_actions)
         actions = _choose(probabilities, rng)

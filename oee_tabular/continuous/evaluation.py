@@ -192,7 +192,7 @@ class _Learned:
     with_history: ResidualSimulator | None
 
     @classmethod
-    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: Any) -> _Learned:
+    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: object) -> _Learned:
         corrected, with_history = ResidualSimulator(simulator.task, log, seed=seed), None
         if any(coordinate.hidden for coordinate in corrected.coordinates):
             whole = HistoryTask(simulator.task)

@@ -41,12 +41,12 @@ class Chance:
         shape = np.broadcast_shapes(*(np.shape(bound) for bound in bounds))
         return size if size is not None or shape == () else shape
 
-    def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
+    def normal(self, loc: object = 0.0, scale: object = 1.0, size: object = None) -> Any:
         """N(loc, scale^2)."""
         loc, scale = _arrays(loc, scale)
         return loc + scale * self.standard_normal(self._shaped(size, loc, scale))
 
-    def random(self, size: Any = None) -> Any:
+    def random(self, size: object = None) -> Any:
         """Uniform on [0, 1)."""
         found = np.minimum(ndtr(self.standard_normal(size)), np.nextafter(1.0, 0.0))
         return float(found) if size is None else found
@@ -56,7 +56,7 @@ class Chance:
         low, high = _arrays(low, high)
         return low + (high - low) * self.random(self._shaped(size, low, high))
 
-    def integers(self, low: int, high: int | None = None, size: Any = None, *, endpoint: bool = False) -> Any:
+    def integers(self, low: int, high: int | None = None, size: object = None, *, endpoint: bool = False) -> Any:
         """Whole numbers from low to below high; from 0 to below low where there is no high."""
         start, end = (0, low) if high is None else (low, high)
         found = start + np.floor((end + endpoint - start) * np.asarray(self.random(size))).astype(np.int64)

@@ -73,7 +73,7 @@ def _arrived(env: Any, states: Array) -> BoolArray:
     return np.asarray((states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity))
 
 
-def _raised(env: Any, states: Array) -> BoolArray:
+def _raised(env: object, states: Array) -> BoolArray:
     return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0)
 
 
@@ -90,7 +90,7 @@ CLASSIC: Mapping[str, Way] = {  # by the name of the class, or of one that it is
 }  # fmt: skip
 
 
-def gymnasium_simulator(spec: str, *, state: str | None = None, actions: Any = None) -> ContinuousSimulator:
+def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object = None) -> ContinuousSimulator:
     """The Gymnasium environment that ``spec`` names, as a continuous simulator.
 
     Parameters

@@ -16,7 +16,7 @@ from oee_tabular import _checks
 from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
 
-def maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[], Any]:
+def maker(identifier: str, physics: Mapping[str, object]) -> Callable[[], Any]:
     """() -> environment ``identifier`` with this physics; a ValueError for what it does not have."""
     plain, constants, fields = _sorted_out(identifier, physics)
 
@@ -30,7 +30,7 @@ def maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[], Any]:
     return make
 
 
-def vector_maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[int], Any] | None:
+def vector_maker(identifier: str, physics: Mapping[str, object]) -> Callable[[int], Any] | None:
     """n -> n environments that step at once, where Gymnasium has such; None where not."""
     import gymnasium
 
@@ -43,7 +43,9 @@ def vector_maker(identifier: str, physics: Mapping[str, Any]) -> Callable[[int],
     return lambda n: _made_with(identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
 
 
-def _sorted_out(identifier: str, physics: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+def _sorted_out(
+    identifier: str, physics: Mapping[str, object]
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Constructor arguments, constants and fields of the model."""
     import gymnasium
 
@@ -68,7 +70,7 @@ def _sorted_out(identifier: str, physics: Mapping[str, Any]) -> tuple[dict[str, 
     return plain, constants, fields
 
 
-def _check_constant(inner: Any, key: str, value: Any, identifier: str, takes: list[str]) -> None:
+def _check_constant(inner: object, key: str, value: object, identifier: str, takes: list[str]) -> None:
     own = getattr(inner, key, None)
     if isinstance(own, int | float | np.number) and not isinstance(own, bool):
         _checks.number_in(value, key, -np.inf, np.inf)
@@ -80,20 +82,20 @@ def _check_constant(inner: Any, key: str, value: Any, identifier: str, takes: li
     )
 
 
-def _is_number(inner: Any, name: str) -> bool:
+def _is_number(inner: object, name: str) -> bool:
     if name.startswith("_") or isinstance(inspect.getattr_static(inner, name, None), property):
         return False
     value = getattr(inner, name, None)
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _entry(point: Any) -> Any:
+def _entry(point: object) -> Any:
     from gymnasium.envs.registration import load_env_creator
 
     return point if callable(point) else load_env_creator(str(point))
 
 
-def _made_with(identifier: str, point: str, constants: Mapping[str, Any], arguments: Mapping[str, Any]) -> Any:
+def _made_with(identifier: str, point: str, constants: Mapping[str, object], arguments: Mapping[str, object]) -> Any:
     """The environment's class with constants that its own ``__init__`` cannot set otherwise."""
     import gymnasium
 
@@ -106,7 +108,7 @@ def _made_with(identifier: str, point: str, constants: Mapping[str, Any], argume
             )
         return owner(**(spec.kwargs | dict(arguments)))
 
-    def held(self: Any, name: str, value: Any) -> None:
+    def held(self: object, name: str, value: object) -> None:
         object.__setattr__(self, name, constants.get(name, value))
 
     changed = type(owner.__name__, (owner,), {**constants, "__setattr__": held, "__module__": owner.__module__})
@@ -118,7 +120,7 @@ def _made_with(identifier: str, point: str, constants: Mapping[str, Any], argume
     return env
 
 
-def _holder(model: Any, key: str) -> Any:
+def _holder(model: object, key: str) -> Any:
     """What of a MuJoCo model holds the field ``key``: the model or its options."""
     if model is None:
         return None

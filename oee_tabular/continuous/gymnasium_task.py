@@ -101,9 +101,9 @@ class GymnasiumTask(ContinuousTask):
         state_names: tuple[str, ...],
         get_state: Callable[[Any], Any],
         set_state: Callable[[Any, Array], None],
-        actions: Any,
-        low: Any,
-        high: Any,
+        actions: object,
+        low: object,
+        high: object,
         periodic: tuple[bool, ...] | None = None,
         terminates: bool = True,
         over: Callable[[Array], Any] | None = None,
@@ -162,7 +162,7 @@ class GymnasiumTask(ContinuousTask):
         """Whether many states are stepped at once."""
         return self._make_vector is not None
 
-    def read(self, env: Any) -> Array:
+    def read(self, env: object) -> Array:
         """(d,) the state of an environment."""
         return np.array(self._get(env), dtype=np.float64)
 
@@ -259,7 +259,7 @@ class GymnasiumTask(ContinuousTask):
         env = self._make()
         env.reset(seed=int(rng.integers(2**31)))
         inner = env.unwrapped
-        columns: list[list[Any]] = [[] for _ in range(8)]
+        columns: list[list[object]] = [[] for _ in range(8)]
         episode, t = 0, 0
         inner.reset()
         for row in range(rows):

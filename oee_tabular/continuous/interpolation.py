@@ -160,7 +160,7 @@ class GridInterpolation:
             matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
             paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
         points = task.embed(grid.vertices())
-        table: Any = paid
+        table: object = paid
         if rewards == "transition":
             table = _transition_rewards(task, points, canonical(matrix, drop_zeros=True), paid)
         mdp = FiniteMDP(matrix, table, begins(task, grid), discount)

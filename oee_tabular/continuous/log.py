@@ -57,7 +57,7 @@ class ContinuousTransitions(Log):
     next_state: Array
 
     @staticmethod
-    def _moves(state: Any, action: Any, next_state: Any) -> dict[str, NDArray[Any] | None]:
+    def _moves(state: object, action: object, next_state: object) -> dict[str, NDArray[Any] | None]:
         states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
         if following.shape[1] != states.shape[1]:
             raise ValueError(
@@ -89,7 +89,7 @@ class ContinuousTransitions(Log):
         """The number d of coordinates of a state."""
         return int(self.state.shape[1])
 
-    def action_numbers(self, actions: Any, *, strict: bool = False) -> IntArray:
+    def action_numbers(self, actions: object, *, strict: bool = False) -> IntArray:
         """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
 
         Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
@@ -132,7 +132,7 @@ class ContinuousTransitions(Log):
         return np.asarray(nearest, dtype=np.int64)
 
 
-def _vectors(value: Any, name: str) -> Array:
+def _vectors(value: object, name: str) -> Array:
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
         raise ValueError(f"{name} must have shape (n, d); it has shape {array.shape}")
@@ -149,7 +149,7 @@ def _half_apart(table: Array) -> float:
     return 0.5 * float(np.hypot.reduce(widest)) * (1.0 + 1e-9) if widest else np.inf
 
 
-def _actions(value: Any) -> NDArray[Any]:
+def _actions(value: object) -> NDArray[Any]:
     array = _checks.as_array(value, "action")
     if array.ndim == 2:
         return _vectors(array, "action")

@@ -89,7 +89,7 @@ class VectorFormat(Format):
                 f"{observations.shape} of {observations.dtype} and {actions.shape} of {actions.dtype}"
             )
 
-    def save_data_set(self, log: Any, name: str) -> None:
+    def save_data_set(self, log: object, name: str) -> None:
         """Refused."""
         raise self.refuse(name)
 

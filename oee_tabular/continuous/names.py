@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 from oee_tabular.continuous.cartpole import cartpole
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, is_continuous_id
@@ -30,7 +29,7 @@ def is_continuous(spec: str) -> bool:
     return spec.partition(":")[0] in CONTINUOUS or is_continuous_id(spec)
 
 
-def continuous_simulator(spec: str, *, state: str | None = None, actions: Any = None) -> ContinuousSimulator:
+def continuous_simulator(spec: str, *, state: str | None = None, actions: object = None) -> ContinuousSimulator:
     """The continuous simulator that ``spec`` names, ``NAME`` or ``NAME:key=value,...``.
 
     Parameters

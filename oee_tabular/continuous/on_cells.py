@@ -121,7 +121,7 @@ def on_cells(
     settings: Settings,
     horizon: int,
     discount: float,
-    seed: Any,
+    seed: object,
 ) -> OnCells:
     """The simulator and the log (whose actions are numbers) on the cells.
 
@@ -163,7 +163,7 @@ def on_cells(
         "largest_zeta": largest,
         "d_inf": float(np.log(largest)),
     }
-    facts: dict[str, Any] = {
+    facts: dict[str, object] = {
         "simulator": described(simulator, model, floor, support),
         "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
         "grid": model.cells.extent(),

@@ -132,7 +132,7 @@ class ResidualSimulator(DerivedTask):
     """
 
     @one_thread
-    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> None:
+    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: object = None) -> None:
         super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name}, corrected by a log")
         require_log_of(task, log)
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))

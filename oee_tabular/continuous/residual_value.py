@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from oee_tabular import _checks
@@ -22,7 +20,7 @@ def corrected_value(
     discount: float = 0.99,
     refits: int = 20,
     paths: int = 1000,
-    seed: Any = None,
+    seed: object = None,
 ) -> Estimate:
     """J = E[sum_{t<T} gamma^t r_t] in the corrected simulator by Monte Carlo, its standard error and 95% interval.
 

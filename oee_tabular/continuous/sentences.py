@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.estimators import MonteCarloValue
 
 
-def left_out(counts: Any, kept: Any, share: float, model: Discretization) -> str:
+def left_out(counts: object, kept: object, share: float, model: Discretization) -> str:
     """How many moves have no support, and where most of them begin."""
     lost = row_sums(counts) - row_sums(kept)
     state = int(lost.argmax()) // model.task.n_actions

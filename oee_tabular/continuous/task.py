@@ -211,7 +211,7 @@ class DerivedTask(ContinuousTask):
         return self.task.reward_between(self.own(states), actions, self.own(next_states))
 
 
-def check_states(task: ContinuousTask, states: Any, name: str = "states") -> Array:
+def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
     """``states`` as (n, d) finite numbers of the task's d; ValueError with the place and the value found."""
     array = _checks.float_array(states, name)
     if array.ndim != 2 or array.shape[1] != task.n_state:

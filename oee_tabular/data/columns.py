@@ -110,7 +110,7 @@ class Log:
         """The columns that the log has, in the order of the file formats."""
         return {name: getattr(self, name) for name in files.COLUMNS if getattr(self, name) is not None}
 
-    def select(self, rows: Any) -> Self:
+    def select(self, rows: object) -> Self:
         """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
         try:
             asked = np.asarray(rows)

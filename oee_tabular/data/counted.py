@@ -116,7 +116,7 @@ class TransitionCounts:
             object.__setattr__(self, name, freeze(column))
 
     @classmethod
-    def of(cls, matrix: Any, n_actions: int) -> Self:
+    def of(cls, matrix: object, n_actions: int) -> Self:
         """Counts that are given as a matrix, sparse of shape (S*A, S), row s*A + a."""
         csr = canonical(checked(matrix, "counts"), drop_zeros=True)
         if csr.nnz == 0:

@@ -72,7 +72,7 @@ class Format:
                 f"{observations.dtype} and {actions.shape} of {actions.dtype}"
             )
 
-    def save_data_set(self, log: Any, name: str) -> None:
+    def save_data_set(self, log: object, name: str) -> None:
         """Write a Minari data set."""
         _save_minari(log, name)
 

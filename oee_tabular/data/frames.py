@@ -32,7 +32,7 @@ def is_frame(value: object) -> bool:
     )
 
 
-def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]:
+def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str, Any]:
     """The columns of a log, by the constructor's names, of a data frame; ``column_names``: what it calls them.
 
     Raises ValueError for what is no frame, for columns that it has not, and for rows without a value.
@@ -50,7 +50,7 @@ def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]
     return columns
 
 
-def _asked(labels: list[str], column_names: Mapping[str, Any]) -> dict[str, list[str]]:
+def _asked(labels: list[str], column_names: Mapping[str, object]) -> dict[str, list[str]]:
     """Which of the frame's labels make each column."""
     taken = {field: _labels(field, given, labels) for field, given in column_names.items() if given is not None}
     asked = {field: taken.get(field, [field]) for field in COLUMNS if field in taken or field in labels}
@@ -133,10 +133,10 @@ def _warn_resembling(rest: list[str], free: list[str]) -> None:
         _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
 
 
-def episode_columns(episodes: Any) -> dict[str, Any]:
+def episode_columns(episodes: object) -> dict[str, Any]:
     """The columns of a log, of a list of episodes, each a list of steps; ``Transitions.from_episodes`` has the forms."""
     given = _checks.collection(episodes, "episodes", "a list of episodes, each a list of steps")
-    rows: list[tuple[Any, ...]] = []
+    rows: list[tuple[object, ...]] = []
     cut = 0
     for k, episode in enumerate(given):
         steps = _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}")
@@ -168,7 +168,7 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     return _checks.collection(value, name, rule)
 
 
-def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]], int]:
+def _moves_of(steps: tuple[object, ...], name: str) -> tuple[list[tuple[Any, ...]], int]:
     """(state, action, reward, next_state, terminated) of each move, and 1 where the last is not known to its end."""
     parts = [_parts(step, f"{name}[{t}]", f"a step, {STEP}") for t, step in enumerate(steps)]
     if not parts:
@@ -185,7 +185,7 @@ def _moves_of(steps: tuple[Any, ...], name: str) -> tuple[list[tuple[Any, ...]],
         raise ValueError(
             f"{name}[{len(body)}] must be (state,) or (state, terminated), the end; it is {last!r:.80}{hint}"
         )
-    moves: list[tuple[Any, ...]] = []
+    moves: list[tuple[object, ...]] = []
     for t, part in enumerate(body):
         following = [body[t + 1][0]] if t + 1 < len(body) else [] if last is None else [last[0]]
         led = list(part[3:4]) or following

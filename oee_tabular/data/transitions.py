@@ -84,8 +84,8 @@ class Transitions(Log):
         timestep: ArrayLike | None = None,
         behavior_probability: ArrayLike | None = None,
         truncated: ArrayLike | None = None,
-        state_names: Any = None,
-        action_names: Any = None,
+        state_names: object = None,
+        action_names: object = None,
     ) -> None:
         if action is None or next_state is None:
             lacking = "action" if action is None else "next_state"
@@ -130,7 +130,7 @@ class Transitions(Log):
         return found
 
     @classmethod
-    def from_frame(cls, frame: Any, *, simulator: FiniteMDP | None = None, **column_names: Any) -> Self:
+    def from_frame(cls, frame: object, *, simulator: FiniteMDP | None = None, **column_names: object) -> Self:
         """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is not looked at.
 
         Parameters
@@ -160,7 +160,7 @@ class Transitions(Log):
         return log if simulator is None else log.numbered(simulator, "frame")
 
     @classmethod
-    def from_episodes(cls, episodes: Any, *, simulator: FiniteMDP | None = None) -> Self:
+    def from_episodes(cls, episodes: object, *, simulator: FiniteMDP | None = None) -> Self:
         """A log from episodes as lists of (state, action, reward) steps; states and actions are numbers or names.
 
         Parameters

@@ -47,7 +47,7 @@ _CONIC_ROWS = 4000  # "auto" asks it up to here
 @one_thread
 def plan_data_collection(
     problem: Problem | FiniteMDP,
-    policies: Any,
+    policies: object,
     *,
     n: int,
     sampling: Literal["free", "behavior"] = "free",

@@ -121,7 +121,7 @@ def _on_reference(simulator: FiniteMDP, model: Model, reference: sparse.csr_arra
     data, _ = align(model.transitions, reference)
     rewards = None
     if simulator.transition_rewards is not None:
-        noisy: Any = simulator.with_action_noise(ACTION_NOISE).transition_rewards
+        noisy: object = simulator.with_action_noise(ACTION_NOISE).transition_rewards
         own, defined = align(simulator.transition_rewards, reference)
         other, known = align(noisy, reference)
         expected = simulator.rewards.reshape(-1)[row_of_entry(reference)]

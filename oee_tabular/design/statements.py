@@ -8,8 +8,6 @@ with b + q in units of the allocation that would be best if rows could be chosen
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import sparse
 
@@ -38,7 +36,7 @@ def conic_design(costs: Array, base: Array, mdp: FiniteMDP | None) -> tuple[Arra
     )
     q = into_used @ (cp.multiply(unit, z) - base[used]) + into_rest @ u
     inefficiency = (costs[:, used] / unit) @ cp.inv_pos(z) <= top
-    constraints: list[Any] = [inefficiency, z >= base[used] / unit]
+    constraints: list[object] = [inefficiency, z >= base[used] / unit]
     if mdp is None:
         constraints.append(cp.sum(q) == 1.0)
     else:

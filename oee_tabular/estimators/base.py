@@ -194,7 +194,7 @@ def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]
     """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
 
     @functools.wraps(call)
-    def answer(self: Any, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    def answer(self: object, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         try:
             return call(self, problem, policy, seed=seed)
         except DivergentKernelError as divergence:

@@ -14,7 +14,6 @@ estimate differs from J_d by where in its cell a log's state lies.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -71,7 +70,7 @@ def calibrate(
         factor, slope = 1.0, 1.0
         value, words = estimate.value + truth - below, f"plus {truth:g} - {below:g}"
     own = estimate.standard_error
-    found: dict[str, Any] = {
+    found: dict[str, object] = {
         "calibrated_value": value,
         "calibrated_standard_error": None if own is None else float(np.hypot(factor * own, slope * error)),
         "calibration": f"{kind}: {words} (simulator: continuous / discretised)"

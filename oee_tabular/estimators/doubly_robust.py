@@ -117,7 +117,7 @@ class DoublyRobust(ExactLimit):
         model = problem.model
         base = evaluate_policy(model, policy, horizon=problem.horizon)
         where: Model = model
-        diagnostics: dict[str, Any] = {"standard_error_of": "log", "simulator_value": base.value}
+        diagnostics: dict[str, object] = {"standard_error_of": "log", "simulator_value": base.value}
         unsolved: tuple[findings.Finding, ...] = ()
         if self.weights == "occupancy":
             zeta = OffEnvironment(ratio=self.ratio).fit(problem, policy, generator)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class EpisodeTerms:
 
 
 def episode_estimate(
-    found: EpisodeTerms, zeta: TransitionRatio, value: float, error: float | None, **more: Any
+    found: EpisodeTerms, zeta: TransitionRatio, value: float, error: float | None, **more: object
 ) -> Estimate:
     """An estimate from the log's episodes with a model zeta * P; ``more`` joins the diagnostics."""
     n, effective = len(found.values), effective_sample_size(found.last)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy import sparse
@@ -64,7 +64,7 @@ class ModelBased(ExactLimit):
         totals = row_sums(problem.counts)
         model = self.model(problem)
         found = evaluate_policy(model, pi, horizon=problem.horizon)
-        diagnostics: dict[str, Any] = {"error_bound": found.error_bound, "method": found.method}
+        diagnostics: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
         told = findings.linear_algebra(found.error_bound, found.value)
         if model.discount == 1.0 and problem.horizon is None:  # the time has no shares
             return Estimate(found.value, diagnostics=diagnostics, findings=told)
@@ -128,7 +128,7 @@ class ModelBased(ExactLimit):
             stay = unseen // base.n_actions
             rest = sparse.csr_array((np.ones(len(unseen)), (unseen, stay)), shape=counts.shape)
         matrix = sparse.csr_array(frequency + rest)
-        rewards: Any = base.rewards
+        rewards: object = base.rewards
         if base.transition_rewards is not None:
             matrix.sort_indices()
             data, defined = align(base.transition_rewards, matrix)

@@ -33,11 +33,11 @@ class Named:
         return made
 
 
-def _named(kind: str, meaning: str, /, **options: Any) -> Named:
+def _named(kind: str, meaning: str, /, **options: object) -> Named:
     return Named(kind, options, meaning)
 
 
-def _of_target(kind: str, meaning: str, /, **options: Any) -> Named:
+def _of_target(kind: str, meaning: str, /, **options: object) -> Named:
     return Named(kind, options, meaning, needs_target=True)
 
 

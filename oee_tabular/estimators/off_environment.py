@@ -195,7 +195,7 @@ def of_ratio(ratio: RatioOption) -> frozenset[str]:
 
 def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     model = reweight(problem.model, zeta)
-    diagnostics: dict[str, Any] = {
+    diagnostics: dict[str, object] = {
         "gap": zeta.gap,
         "row_sum_error": zeta.row_sum_error,
         "largest_weight": float(zeta.values.data.max()),

@@ -119,16 +119,16 @@ class Problem:
     def __init__(
         self,
         simulator: FiniteMDP,
-        log: Any,
+        log: object,
         horizon: int | None = None,
         behavior_policy: PolicyLike | None = None,
-        simulator_data: Any = None,
+        simulator_data: object = None,
         rewards: Literal["simulator", "log"] = "simulator",
         episodes: Transitions | None = None,
-        counts: Any = None,
+        counts: object = None,
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
-        _counts: Any = None,  # dataclasses.replace passes fields on
+        _counts: object = None,  # dataclasses.replace passes fields on
     ) -> None:
         given = {"simulator": simulator, "log": log, "horizon": horizon, "behavior_policy": behavior_policy,
                  "simulator_data": simulator_data, "rewards": rewards, "episodes": episodes,

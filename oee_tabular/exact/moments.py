@@ -14,7 +14,7 @@ Cochran, Sampling Techniques, 1977. [3] N. Jiang and L. Li, Doubly robust off-po
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = 
 
 def weighted_return_moments(
     simulator: FiniteMDP,
-    zeta: Any,
+    zeta: object,
     policy: PolicyLike,
     *,
     kind: Kind = "per_decision",
@@ -154,10 +154,10 @@ def policy_is_moments(
 
 def doubly_robust_moments(
     simulator: FiniteMDP,
-    zeta: Any,
+    zeta: object,
     policy: PolicyLike,
     *,
-    baseline: Any = None,
+    baseline: object = None,
     horizon: int,
     action_baseline: bool = False,
     sources: bool = False,

@@ -54,7 +54,7 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
     return rows
 
 
-def readable(array: Any) -> Any:
+def readable(array: object) -> Any:
     """A contiguous view that cannot be written through."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
@@ -96,7 +96,7 @@ class System:
         """
         from oee_tabular.exact.solvers._elimination import components
 
-        found: tuple[Any, Any] = components(self.kernel, min(100, (len(self.kernel.indptr) - 1) // 10))
+        found: tuple[object, object] = components(self.kernel, min(100, (len(self.kernel.indptr) - 1) // 10))
         return found
 
     def forward(self) -> System:

@@ -89,7 +89,7 @@ class Walk(NamedTuple):
         return values
 
 
-def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: Any = None, policy: Array | None = None) -> Walk:
+def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Array | None = None) -> Walk:
     """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on moves and by policy / behavior on actions.
 
     The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
@@ -126,7 +126,7 @@ def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
     return w
 
 
-def weight_moments(simulator: FiniteMDP, zeta: Any, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
+def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
     """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
     In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
@@ -166,7 +166,7 @@ def radius_of(matrix: sparse.csr_array) -> float:
 
 
 @one_thread
-def weight_growth(simulator: FiniteMDP, zeta: Any, policy: PolicyLike) -> float:
+def weight_growth(simulator: FiniteMDP, zeta: object, policy: PolicyLike) -> float:
     """log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
 
     Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the moves that recur. Of a reducible chain the

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from oee_tabular import _moved  # noqa: F401  experiments that moved to the wing keep their names
 from oee_tabular.experiments.common import Embedded, embedded_default
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["Embedded", "embedded_default", "published", "table"]
 
 
-def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: Any) -> pd.DataFrame:
+def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
     """Some cells of an experiment, computed here and now: the rows that ``oee reproduce`` gives for them.
 
     Parameters

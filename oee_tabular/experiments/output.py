@@ -71,7 +71,7 @@ def drawn(draw: Callable[[Figure], None], *, salt: str, kinds: tuple[str, ...] =
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    metadata: dict[str, Any] = {"svg": {"Date": None}, "png": {"Software": None}}
+    metadata: dict[str, object] = {"svg": {"Date": None}, "png": {"Software": None}}
     found = {}
     with mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none"}):
         figure = Figure(layout="constrained")

@@ -78,7 +78,7 @@ class Panels:
         self._plot(where, drawn, {name: band for name, band in bands.items() if name in drawn}, ax)
         ax.set(**self.axes)
 
-    def title_of(self, values: Mapping[str, Any]) -> str:
+    def title_of(self, values: Mapping[str, object]) -> str:
         """The title of a group."""
         named = ", ".join(f"{name} = {{{name}:g}}" for name in values)
         return (named if self.title is None else self.title).format(**values)

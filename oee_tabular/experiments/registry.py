@@ -108,7 +108,7 @@ class Experiment:
             count = min(repetitions, count) if smoke else repetitions
         return Settings(self.id, axes, count, seed)
 
-    def table(self, *, repetitions: int = 1, seed: int = 0, **axes: Any) -> pd.DataFrame:
+    def table(self, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
         """The rows of a few cells, computed here and now: axes by name, a value or several; the others in full."""
         import pandas as pd
 

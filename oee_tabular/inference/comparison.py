@@ -7,7 +7,7 @@ deep off-policy evaluation, ICLR 2021 (regret@k, rank correlation).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -110,7 +110,7 @@ def _shares_of_the_best(draws: Array) -> Array:
 @one_thread
 def compare_policies(
     problem: Problem,
-    policies: Any,
+    policies: object,
     *,
     method: Literal["delta", "bootstrap"] = "delta",
     confidence: float = 0.95,
@@ -203,7 +203,7 @@ def _unknown_time(problem: Problem, evidence: Evidence) -> float:
     return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
 
 
-def several_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
+def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     """Name -> (S, A) of at least two; a ValueError where there are fewer."""
     named = check_policies(policies, mdp)
     if len(named) < 2:

@@ -202,7 +202,7 @@ def interval(
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
         return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
-    certified: dict[str, Any] = {
+    certified: dict[str, object] = {
         "radius": kind,
         "sweeps": max(low_end.sweeps, high_end.sweeps),
         "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),

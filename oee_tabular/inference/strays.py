@@ -15,7 +15,7 @@ define pays the most (the least) that it pays for any.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -186,7 +186,7 @@ def _led(problem: Problem, policy: Array, rows: IntArray, to: IntArray, sign: fl
     kept = model.transitions.copy()
     kept.data = kept.data * (1.0 - share)[row_of_entry(kept)]
     transitions = canonical(kept + canonical_table(rows, to, share[rows], shape), drop_zeros=True)
-    rewards: Any = model.rewards
+    rewards: object = model.rewards
     if model.transition_rewards is not None:
         own, defined = align(model.transition_rewards, transitions)
         data = np.where(defined, own, _extreme_pay(model, sign))

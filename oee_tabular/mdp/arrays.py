@@ -102,7 +102,7 @@ def stored_shape(stored: Any) -> tuple[int, int]:
     return n_states * n_actions, n_states
 
 
-def canonical_table(rows: Any, columns: Any, data: Array, shape: tuple[int, int]) -> sparse.csr_array:
+def canonical_table(rows: object, columns: object, data: Array, shape: tuple[int, int]) -> sparse.csr_array:
     """A CSR with exactly these entries, explicit zeros included."""
     return canonical(sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False)
 

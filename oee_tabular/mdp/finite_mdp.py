@@ -115,15 +115,15 @@ class FiniteMDP(Made):
 
     def __init__(
         self,
-        transitions: Any,
-        rewards: Any,
-        initial: Any,
+        transitions: object,
+        rewards: object,
+        initial: object,
         discount: float,
         *,
-        terminal_state: Any = None,
+        terminal_state: object = None,
         layout: ArrayLike | None = None,
-        state_names: Any = None,
-        action_names: Any = None,
+        state_names: object = None,
+        action_names: object = None,
         sampling: Sampling | None = None,
     ) -> None:
         matrix, n_states, n_actions = transition_rows(transitions)
@@ -204,7 +204,7 @@ class FiniteMDP(Made):
         leaves[rows[~stays] // self.n_actions] = True
         return ~leaves
 
-    def with_transitions(self, new: Any) -> Self:
+    def with_transitions(self, new: object) -> Self:
         """The same MDP under other dynamics (eq. 3.4); r(s, a, s') is averaged again.
 
         Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
@@ -218,7 +218,7 @@ class FiniteMDP(Made):
                 f"new transitions must be for {self.n_states} states and {self.n_actions} actions; "
                 f"they are for {n_states} and {n_actions}"
             )
-        rewards: Any = self.rewards
+        rewards: object = self.rewards
         if self.transition_rewards is not None:
             _, defined = align(self.transition_rewards, matrix)
             if not defined.all():
@@ -230,7 +230,7 @@ class FiniteMDP(Made):
             rewards = self.transition_rewards
         return self._changed(transitions=matrix, rewards=rewards, sampling=None)
 
-    def with_rewards(self, rewards: Any) -> Self:
+    def with_rewards(self, rewards: object) -> Self:
         """The same dynamics with other rewards, in any of the constructor's forms."""
         return self._changed(rewards=rewards, sampling=self.sampling and self.sampling.without_rewards())
 
@@ -238,7 +238,7 @@ class FiniteMDP(Made):
         """The same MDP with another discount."""
         return self._changed(discount=discount)
 
-    def with_initial(self, initial: Any) -> Self:
+    def with_initial(self, initial: object) -> Self:
         """The same MDP begun elsewhere: in a state, by number or name, or by a law in any of the constructor's forms."""
         return self._changed(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
 
@@ -246,7 +246,7 @@ class FiniteMDP(Made):
         """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
         return self._changed(layout=layout)
 
-    def with_names(self, state_names: Any = None, action_names: Any = None) -> Self:
+    def with_names(self, state_names: object = None, action_names: object = None) -> Self:
         """The same MDP with these names of its states and of its actions; None: with none."""
         return self._changed(state_names=state_names, action_names=action_names)
 
@@ -264,7 +264,7 @@ class FiniteMDP(Made):
         )
         mixing = sparse.csr_array((1.0 - eps) * sparse.eye_array(self.n_states * self.n_actions) + eps * noise)
         matrix = canonical(mixing @ self.transitions, drop_zeros=True)
-        rewards: Any = (mixing @ self.rewards.reshape(-1)).reshape(self.rewards.shape)
+        rewards: object = (mixing @ self.rewards.reshape(-1)).reshape(self.rewards.shape)
         if self._reward_data is not None:
             flow = self.transitions.copy()
             flow.data = self.transitions.data * self._reward_data
@@ -279,7 +279,7 @@ class FiniteMDP(Made):
 
     def arrays(self) -> dict[str, Any]:
         """What a file holds."""
-        arrays: dict[str, Any] = {
+        arrays: dict[str, object] = {
             "shape": np.array([self.n_states, self.n_actions]),
             "transitions_data": self.transitions.data,
             "transitions_indices": self.transitions.indices,
@@ -324,7 +324,7 @@ class FiniteMDP(Made):
                 **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
             )
 
-    def with_support_of(self, log: Any, epsilon: float) -> Self:
+    def with_support_of(self, log: object, epsilon: float) -> Self:
         """The same MDP in which the moves of ``log`` are possible: where some were not, P' = (1 - eps) P + eps U.
 
         U is uniform over those of the log's moves from (s, a) that P gives probability 0; other rows stay as they are. A
@@ -360,7 +360,7 @@ class FiniteMDP(Made):
         same += ("sampling",)
         return {"rewards": rewards} | {name: getattr(self, name) for name in same}
 
-    def _changed(self, **changes: Any) -> Self:
+    def _changed(self, **changes: object) -> Self:
         """The same MDP with other arguments of the constructor."""
         return type(self)(**self._arguments() | changes)
 

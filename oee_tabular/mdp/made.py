@@ -12,10 +12,10 @@ class Made:
 
     if TYPE_CHECKING:
 
-        def __init__(self, *args: Any, **arguments: Any) -> None: ...
+        def __init__(self, *args: object, **arguments: object) -> None: ...
 
     @classmethod
-    def from_gymnasium(cls, env: Any, discount: float = 0.99) -> Self:
+    def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
         """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
 
         State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
@@ -38,16 +38,16 @@ class Made:
     @classmethod
     def from_log(
         cls,
-        log: Any,
-        rewards: Any = None,
+        log: object,
+        rewards: object = None,
         *,
         discount: float = 0.99,
-        initial: Any = None,
+        initial: object = None,
         n_states: int | None = None,
         n_actions: int | None = None,
-        state_names: Any = None,
-        action_names: Any = None,
-        layout: Any = None,
+        state_names: object = None,
+        action_names: object = None,
+        layout: object = None,
     ) -> Self:
         """The MDP of a log's frequencies: a simulator that can only be sampled, from its own log.
 

@@ -48,7 +48,7 @@ class Names:
         """``s=hall, a=left``."""
         return f"s={self.state(state)}, a={self.action(action)}"
 
-    def move(self, state: object, action: object, following: Any) -> str:
+    def move(self, state: object, action: object, following: object) -> str:
         """``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(following)}"
 
@@ -240,7 +240,7 @@ def _meant(given: Any, names: tuple[Name, ...]) -> bool:
     return given in numbers_of(names) or like or any(isinstance(part, str) for part in given)
 
 
-def start_law(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
+def start_law(initial: object, names: tuple[Name, ...] | None, n_states: int) -> Any:
     """A first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
     if isinstance(initial, Mapping):
         law = np.zeros(n_states)

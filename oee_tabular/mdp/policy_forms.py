@@ -38,7 +38,7 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     return _of_actions(policy, mdp, name)
 
 
-def is_policy_by_state(policies: Mapping[Any, Any], mdp: Sized) -> bool:
+def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
     """Whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
     known = numbers_of(names_of(mdp).states or ())
     return bool(policies) and all(
@@ -47,7 +47,7 @@ def is_policy_by_state(policies: Mapping[Any, Any], mdp: Sized) -> bool:
     )
 
 
-def are_several(policies: Any, mdp: Sized) -> bool:
+def are_several(policies: object, mdp: Sized) -> bool:
     """Whether a list holds policies, and is not one: an action, or a row, a state."""
     if not isinstance(policies, list | tuple) or not policies:
         return isinstance(policies, list | tuple)
@@ -118,11 +118,11 @@ def _tuples(policy: PolicyLike, names: tuple[Name, ...] | None, n_actions: int) 
     )
 
 
-def _texts(item: tuple[Any, ...]) -> bool:
+def _texts(item: tuple[object, ...]) -> bool:
     return any(isinstance(part, str) for part in item)
 
 
-def _of_mapping(policy: Mapping[Any, Any], mdp: Sized, name: str) -> Array:
+def _of_mapping(policy: Mapping[Any, object], mdp: Sized, name: str) -> Array:
     called = names_of(mdp)
     rows: dict[int, Array] = {}
     for state, choice in policy.items():
@@ -145,7 +145,7 @@ def _of_mapping(policy: Mapping[Any, Any], mdp: Sized, name: str) -> Array:
 
 def _of_function(policy: Callable[[Any], Any], mdp: Sized, name: str) -> Array:
     called, over = names_of(mdp), _over(mdp)
-    states: Iterable[Any] = range(mdp.n_states) if called.states is None else called.states
+    states: Iterable[object] = range(mdp.n_states) if called.states is None else called.states
     table = np.full((len(mdp.terminal_state), mdp.n_actions), 1.0 / mdp.n_actions)
     for s, state in zip(range(len(table)), states, strict=False):
         try:

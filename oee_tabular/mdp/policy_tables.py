@@ -26,7 +26,7 @@ class Sized(Protocol):
         """(S0,): its length is the number of the environment's own states."""
 
 
-def is_labelled(policy: Any) -> bool:
+def is_labelled(policy: object) -> bool:
     """Whether ``policy`` is a table or a series whose labels mean something: its order then does not."""
     if not hasattr(policy, "index") or not hasattr(policy, "to_dict"):
         return False
@@ -70,7 +70,7 @@ def by_state(frame: Any, mdp: Sized, name: str) -> dict[Any, Any]:
 
 
 def _unique(pairs: list[tuple[Any, Any]], name: str) -> dict[Any, Any]:
-    table: dict[Any, Any] = {}
+    table: dict[Any, object] = {}
     for state, choice in pairs:
         if state in table:
             raise ValueError(f"{name} must have a row for each state; state {state} has two")
@@ -78,12 +78,12 @@ def _unique(pairs: list[tuple[Any, Any]], name: str) -> dict[Any, Any]:
     return table
 
 
-def _item(label: Any) -> Any:
+def _item(label: object) -> Any:
     """A column's action: a number, or a name."""
     return int(label) if isinstance(label, str) and label.isdigit() else label
 
 
-def _in_range(item: Any, n_actions: int) -> bool:
+def _in_range(item: object, n_actions: int) -> bool:
     return isinstance(item, int) and 0 <= item < n_actions
 
 

@@ -32,7 +32,7 @@ _LOG = (
 
 
 def arguments_of_log(
-    log: Any, rewards: Any, initial: Any, sizes: tuple[Any, Any], names: tuple[Any, Any], layout: Any
+    log: Any, rewards: Any, initial: object, sizes: tuple[Any, Any], names: tuple[Any, Any], layout: object
 ) -> dict[str, Any]:
     """The arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_log`` explains these."""
     _require_log(log)
@@ -71,7 +71,7 @@ def arguments_of_log(
     }
 
 
-def arguments_of_env(env: Any, samples_per_pair: Any, seed: Seed, max_steps: Any) -> dict[str, Any]:
+def arguments_of_env(env: object, samples_per_pair: object, seed: Seed, max_steps: object) -> dict[str, Any]:
     """The arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
     wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
@@ -115,8 +115,8 @@ def _walked(
 ) -> tuple[list[tuple[Any, ...]], list[Any]]:
     """Moves and first states of episodes, until each action of each state met has been taken ``wanted`` times."""
     tried: dict[Any, list[int]] = {}
-    moves: list[tuple[Any, ...]] = []
-    starts: list[Any] = []
+    moves: list[tuple[object, ...]] = []
+    starts: list[object] = []
     lacking, over, state = 0, True, None
     first_seed: int | None = int(generator.integers(2**31))
     while len(moves) < limit:
@@ -212,7 +212,7 @@ def _say_filled(missing: BoolArray, names: Names) -> None:
 
 
 def _arguments(
-    moves: Outcomes, rewards: Any, initial: Array, n_actions: int, names: tuple[Any, Any], layout: Any
+    moves: Outcomes, rewards: Any, initial: Array, n_actions: int, names: tuple[Any, Any], layout: object
 ) -> dict[str, Any]:
     n_own = len(initial)
     array = None
@@ -255,7 +255,7 @@ class Tables(Sized, Protocol):
     transition_rewards: sparse.csr_array | None
 
 
-def supporting(mdp: Tables, log: Any, epsilon: object) -> dict[str, Any]:
+def supporting(mdp: Tables, log: object, epsilon: object) -> dict[str, Any]:
     """What changes in an MDP that is to allow the log's moves; ``FiniteMDP.with_support_of`` explains them."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _moves_of(mdp, log)

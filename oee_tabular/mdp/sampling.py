@@ -39,13 +39,13 @@ class Sampling(NamedTuple):
 
     def arrays(self) -> dict[str, Any]:
         """What a file holds."""
-        found: dict[str, Any] = {f"{KEY}pairs": self.pairs, f"{KEY}starts": np.array(self.starts)}
+        found: dict[str, object] = {f"{KEY}pairs": self.pairs, f"{KEY}starts": np.array(self.starts)}
         if self.reward_error is not None:
             found |= {f"{KEY}error_{part}": getattr(self.reward_error, part) for part in ("data", "indices", "indptr")}
         return found
 
 
-def stored_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling | None:
+def stored_sampling(arrays: Mapping[str, object], shape: tuple[int, int]) -> Sampling | None:
     """The one of a file, None where it has none."""
     if f"{KEY}pairs" not in arrays:
         return None

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def plot_curves(
-    x: Any,
-    curves: Mapping[str, Any],
+    x: object,
+    curves: Mapping[str, object],
     ax: Axes,
     *,
-    bands: Mapping[str, tuple[Any, Any]] | None = None,
-    truth: Any = None,
+    bands: Mapping[str, tuple[object, object]] | None = None,
+    truth: object = None,
     truth_label: str = "true value",
     xlabel: str = "parameter",
     ylabel: str = "value (discounted sum of rewards)",
@@ -61,11 +61,11 @@ def plot_curves(
 
 
 def plot_errors(
-    n: Any,
-    errors: Mapping[str, Any],
+    n: object,
+    errors: Mapping[str, object],
     ax: Axes,
     *,
-    bands: Mapping[str, tuple[Any, Any]] | None = None,
+    bands: Mapping[str, tuple[object, object]] | None = None,
     slope: float | None = -0.5,
     xlabel: str = "transitions of the target, n",
     ylabel: str = "mean L1 error",
@@ -143,7 +143,7 @@ def _positive(curves: Mapping[str, Array], name: str) -> dict[str, Array]:
     return {label: np.where(y > 0, y, np.nan) for label, y in curves.items()}
 
 
-def _curves(x: Any, curves: Mapping[str, Any], name: str) -> tuple[Array, dict[str, Array]]:
+def _curves(x: object, curves: Mapping[str, object], name: str) -> tuple[Array, dict[str, Array]]:
     where = _checks.float_array(x, name, ndim=1)
     _checks.require_finite(where, name)
     if not curves:
@@ -151,7 +151,7 @@ def _curves(x: Any, curves: Mapping[str, Any], name: str) -> tuple[Array, dict[s
     return where, {str(label): _like(y, where, f"curve {label!r}") for label, y in curves.items()}
 
 
-def _like(values: Any, where: Array, name: str) -> Array:
+def _like(values: object, where: Array, name: str) -> Array:
     array = _checks.float_array(values, name, ndim=1)
     if len(array) != len(where):
         raise ValueError(f"{name} must have {len(where)} values, one a point; it has {len(array)}")

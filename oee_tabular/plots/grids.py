@@ -52,7 +52,7 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
 
 
 def plot_grid(
-    values: Any,
+    values: object,
     shape: tuple[int, int],
     ax: Axes,
     *,
@@ -60,7 +60,7 @@ def plot_grid(
     norm: Any = None,
     colormap: str = SEQUENTIAL,
     text: Any = None,
-    crossed: Any = None,
+    crossed: object = None,
     ticks: Any = None,
 ) -> Axes:
     """A heat map of one number a state; row 0 is on top, as states are numbered.
@@ -122,7 +122,9 @@ def plot_grid(
     return ax
 
 
-def plot_ratio(values: Any, shape: tuple[int, int], ax: Axes, *, label: str = "ratio P_target / P_simulator") -> Axes:
+def plot_ratio(
+    values: object, shape: tuple[int, int], ax: Axes, *, label: str = "ratio P_target / P_simulator"
+) -> Axes:
     """A heat map of ratios, logarithmic around 1: one colour for more often than in the simulator, one for less often.
 
     Parameters
@@ -155,11 +157,11 @@ def plot_ratio(values: Any, shape: tuple[int, int], ax: Axes, *, label: str = "r
 
 
 def plot_coverage(
-    counts: Any,
+    counts: object,
     shape: tuple[int, int],
     ax: Axes,
     *,
-    over: Any = None,
+    over: object = None,
     label: str = "moves recorded in the state (logarithmic)",
 ) -> Axes:
     """How many moves the log has from each state, logarithmic; states without any are crossed out.
@@ -194,12 +196,12 @@ def plot_coverage(
 
 
 def plot_occupancy(
-    time: Any,
+    time: object,
     shape: tuple[int, int],
     ax: Axes,
     *,
-    unseen: Any = None,
-    over: Any = None,
+    unseen: object = None,
+    over: object = None,
     label: str = "share of the policy's discounted time (%)",
 ) -> Axes:
     """Where a policy spends its time; ``unseen`` states are crossed out.
@@ -264,14 +266,14 @@ def _shape(shape: tuple[int, int]) -> tuple[int, int]:
     return _checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]")
 
 
-def _states(values: Any, n_states: int, name: str) -> Array:
+def _states(values: object, n_states: int, name: str) -> Array:
     array = _checks.float_array(values, name).reshape(-1)
     if array.size != n_states:
         raise ValueError(f"{name} must have {n_states} entries, one a cell of the grid; it has {array.size}")
     return array
 
 
-def _mask(mask: Any, n_states: int) -> Any:
+def _mask(mask: object, n_states: int) -> Any:
     found = np.zeros(n_states, dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_).reshape(-1)
     if found.size != n_states:
         raise ValueError(f"over must have {n_states} entries, one a cell of the grid; it has {found.size}")

@@ -101,9 +101,9 @@ def credible_span(records: Sequence[Mapping[str, Any]], *, margin: float = 0.5) 
 
 def plot_intervals(
     names: Sequence[str],
-    values: Any,
-    lower: Any,
-    upper: Any,
+    values: object,
+    lower: object,
+    upper: object,
     ax: Axes,
     *,
     truth: float | None = None,
@@ -174,7 +174,7 @@ def plot_intervals(
     return ax
 
 
-def _limits(arrays: Sequence[Any], truth: float | None) -> tuple[float, float]:
+def _limits(arrays: Sequence[object], truth: float | None) -> tuple[float, float]:
     """What finite numbers span, with a margin."""
     every = np.concatenate([*arrays, [] if truth is None else [truth]])
     finite = every[np.isfinite(every)]
@@ -186,11 +186,11 @@ def _limits(arrays: Sequence[Any], truth: float | None) -> tuple[float, float]:
 
 
 def plot_states(
-    time: Any,
-    recorded: Any,
+    time: object,
+    recorded: object,
     ax: Axes,
     *,
-    seen: Any = None,
+    seen: object = None,
     top: int = 20,
     names: Sequence[str] | None = None,
     xlabel: str = "share of the policy's discounted time (%)",

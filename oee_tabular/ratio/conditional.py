@@ -148,7 +148,7 @@ class Conditional(Method):
         known = weight > 0
         smoothed = (observed + spread(prior.kappa) * prior.rows) / spread(np.where(known, weight, 1.0))
         p = np.where(spread(n_row == 0), prior.rows, smoothed)
-        details: dict[str, Any] = dict(prior.details)
+        details: dict[str, object] = dict(prior.details)
         if isinstance(self.ridge, str):
             lam = self._chosen_ridge(given, n_row, details)
         else:

@@ -95,7 +95,7 @@ def density_ratio(
     normalized: bool = True,
     loss: str = "kl",
     solver: str | Sgd = "dual",
-    features: Any = None,
+    features: object = None,
     kernel: str | Kernel | None = None,
     coordinates: ArrayLike | None = None,
     n_centers: int = N_CENTERS,

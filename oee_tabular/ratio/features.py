@@ -141,7 +141,7 @@ def warn_of_rank(features: Array, *, where: str = "") -> int:
     return rank
 
 
-def cell_features(features: Any, n: int) -> Array:
+def cell_features(features: object, n: int) -> Array:
     """User's features of n cells as an (n, d) array of finite numbers."""
     array = _checks.float_array(features, "features", ndim=(1, 2))
     if len(array) != n or array.size == 0:
@@ -150,7 +150,7 @@ def cell_features(features: Any, n: int) -> Array:
     return array.reshape(n, -1)
 
 
-def feature_array(features: Any, simulator: FiniteMDP) -> Array:
+def feature_array(features: object, simulator: FiniteMDP) -> Array:
     """phi as an (entries, d) array of finite numbers.
 
     ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)

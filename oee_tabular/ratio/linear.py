@@ -64,7 +64,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
 
 
 def class_features(
-    features: Any, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
+    features: object, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
 ) -> tuple[Array, dict[str, Any]]:
     """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates."""
     if features is not None:
@@ -230,7 +230,7 @@ class InClass(Method):
     def _fit(self, given: Given) -> TransitionRatio:
         observed, simulator, rows = given.observed, given.simulator, given.rows
         box, q = _checks.box(self.lower, self.upper, normalized=True), rows.weights
-        details: dict[str, Any] = {}
+        details: dict[str, object] = {}
         if self.kernel is None:
             phi = rows.centred(feature_array(self.features, simulator))
             details["feature_rank"] = warn_of_rank(phi, where=" within rows")

@@ -123,7 +123,7 @@ class Training:
         return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
 
 
-def check_network(network: Any, *, solver: object) -> None:
+def check_network(network: object, *, solver: object) -> None:
     """What no method can have with a network: a ValueError, at the making of the method."""
     _checks.instance(network, Network, "functions", "Network(...)")
     if solver != "dual":
@@ -131,7 +131,7 @@ def check_network(network: Any, *, solver: object) -> None:
 
 
 def check_boxed_network(
-    network: Any, *, lower: object, upper: object, ridge: object, toward: Any, normalized: bool, solver: object
+    network: object, *, lower: object, upper: object, ridge: object, toward: object, normalized: bool, solver: object
 ) -> None:
     """Nor eq. 3.7 without rows."""
     check_network(network, solver=solver)

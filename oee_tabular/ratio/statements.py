@@ -262,7 +262,7 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
     return np.asarray(theta.value, dtype=np.float64)
 
 
-def _solve(problem: Any, solver: str) -> None:
+def _solve(problem: object, solver: str) -> None:
     """Solve to the status "optimal", or SolverStatusError."""
     status = run(problem, solver)
     if status != "optimal":

@@ -116,7 +116,7 @@ class Tied(Method):
             )
         zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums
-        details: dict[str, Any] = {
+        details: dict[str, object] = {
             "n_keys": n_keys,
             "n_groups": groups,
             "groups_visited": visited,

@@ -94,12 +94,12 @@ def transition_ratio(
     *,
     method: str | Method = "conditional",
     discount: float | None = None,
-    values_of: Any = None,
+    values_of: object = None,
     horizon: int | None = None,
     simulator_data: SimulatorData = None,
     behavior_policy: PolicyLike | None = None,
     seed: Seed = None,
-    **options: Any,
+    **options: object,
 ) -> TransitionRatio:
     """zeta(s, a, s') = P_target / P_simulator from a log of the target.
 

@@ -120,7 +120,7 @@ class Contest:
 
 
 @one_thread
-def contest(problem: Problem, policies: Any, *, confidence: float = 0.95, quick: bool = False) -> Contest:
+def contest(problem: Problem, policies: object, *, confidence: float = 0.95, quick: bool = False) -> Contest:
     """Compare policies on one log: differences with their intervals, P(best), and the sentence.
 
     Parameters

@@ -22,11 +22,11 @@ from oee_tabular.report.sureness import Sureness, how_sure, ranked
 @one_thread
 def evaluate(
     problem: Problem,
-    policies: Any,
+    policies: object,
     *,
     estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None = None,
     confidence: float = 0.95,
-    seed: Any = None,
+    seed: object = None,
     normalized: bool = False,
     target: FiniteMDP | None = None,
     facts: Mapping[str, Any] | None = None,
@@ -151,7 +151,7 @@ def _estimated(
 
 
 def _told(
-    sure: Sureness, results: Sequence[Result], problem: Problem, policies: Mapping[str, Any], scale: float
+    sure: Sureness, results: Sequence[Result], problem: Problem, policies: Mapping[str, object], scale: float
 ) -> Sureness:
     """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
     about, values = {}, {}

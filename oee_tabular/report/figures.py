@@ -225,7 +225,7 @@ def changed(portrait: Portrait, name: str) -> str:
     assert portrait.grid is not None
     shape, least = portrait.grid, portrait.changes.certain.max(axis=1)
     shown = np.where(portrait.over | (portrait.counts.sum(axis=1) == 0), np.nan, 100.0 * least)
-    words: list[Any] = [
+    words: list[object] = [
         "end" if over else "" if not x > 0 else f"{x:.0f}" for x, over in zip(shown, portrait.over, strict=True)
     ]
     most = int(np.argmax(least))

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def names(report: Evaluation) -> list[str]:
     )
 
 
-def fingerprint(problem: Problem, policies: Mapping[str, Any]) -> str:
+def fingerprint(problem: Problem, policies: Mapping[str, object]) -> str:
     """Eight letters that differ where simulator, log, horizon or policies do."""
     simulator, digest = problem.simulator, hashlib.sha256()
     kept = [simulator.transitions.indptr, simulator.transitions.indices, simulator.transitions.data, simulator.rewards,

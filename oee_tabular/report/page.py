@@ -84,7 +84,7 @@ def _title(found: list[contents.Answer]) -> str:
 
 def _result_rows(report: Evaluation, answer: contents.Answer) -> list[dict[str, Any]]:
     """Intervals that stand alone, then one row an estimator; the answer's is strong."""
-    alone: list[dict[str, Any]] = [
+    alone: list[dict[str, object]] = [
         {
             "name": name,
             "value": "",

@@ -188,7 +188,7 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
-        found: dict[str, Any] = plain(
+        found: dict[str, object] = plain(
             {
                 "version": __version__,
                 "unit": self.unit,
@@ -264,7 +264,7 @@ def _aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
     ]
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Without numpy's types, infinities and nan (None): what JSON holds."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -82,7 +82,7 @@ def episodes_holding(
     return log
 
 
-def sample_transitions(mdp: FiniteMDP, distribution: Any, n: int, *, seed: Seed) -> Transitions:
+def sample_transitions(mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed) -> Transitions:
     """n independent moves: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
     A bag, without episodes or termination: absorbing states are drawn from like any other.

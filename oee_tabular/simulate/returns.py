@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -86,7 +86,7 @@ def sample_returns(
     horizon: int,
     *,
     seed: Seed,
-    zeta: Any = None,
+    zeta: object = None,
     kind: Literal["per_decision", "trajectory"] = "per_decision",
     n_lanes: int = 64,
     record: bool = False,

@@ -115,7 +115,7 @@ class Sampler:
         """gamma^t of each step."""
         return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
 
-    def _run(self, places: Any, path: Any, weighted: bool, sums: Array, lengths: Any, last: Any) -> None:
+    def _run(self, places: object, path: object, weighted: bool, sums: Array, lengths: object, last: object) -> None:
         from oee_tabular.simulate._lanes import Outcome, Plan, returns
 
         table, by_move = self.table, self.mdp.reward_data is not None
@@ -128,7 +128,7 @@ class Sampler:
 
 def sampler(
     mdp: FiniteMDP, policy: Array, n: int, horizon: int, *,
-    seed: Seed, zeta: Any = None, lanes: int = 64, name: str = "n_episodes",
+    seed: Seed, zeta: object = None, lanes: int = 64, name: str = "n_episodes",
 ) -> Sampler:  # fmt: skip
     """The engine for a checked policy; ``zeta`` as in ``sample_returns``, None: no weights; ``name``: what n is called."""
     from oee_tabular.exact.walks import factors_of  # not at import: logs do without
@@ -149,7 +149,7 @@ def alias_table(
 
 
 def build(
-    indptr: Any, indices: Any, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
+    indptr: Any, indices: object, prob: Array, policy: Array, initial: Array, pay: Array, ratio: Array, over: Any, *,
     records: bool | None = None,
 ) -> AliasTable:  # fmt: skip
     """The table of all states under a policy, with rewards by row or by entry, and factors by entry, or none.

@@ -24,8 +24,8 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
     >>> arguments("10,slip=0.3,pay=next,desc=['SF','FG']")
     ([10], {'slip': 0.3, 'pay': 'next', 'desc': ['SF', 'FG']})
     """
-    positional: list[Any] = []
-    keywords: dict[str, Any] = {}
+    positional: list[object] = []
+    keywords: dict[str, object] = {}
     for part in _split(text):
         key, equals, value = part.partition("=")
         if equals and key.strip().isidentifier():

@@ -14,7 +14,7 @@ from oee_tabular.mdp.policy_forms import policy_table
 
 
 def record_episodes(
-    env: Any,
+    env: object,
     policy: PolicyLike,
     *,
     n_transitions: int | None = None,
@@ -125,7 +125,7 @@ def _table(policy: PolicyLike, n_states: int, n_actions: int) -> Array:
 def _sizes(env: object) -> tuple[int, int]:
     sizes = []
     for name in ("observation_space", "action_space"):
-        space: Any = getattr(env, name, None)
+        space: object = getattr(env, name, None)
         if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
             raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
         sizes.append(int(space.n))

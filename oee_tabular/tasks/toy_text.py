@@ -55,7 +55,7 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
         raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
 
 
-def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
+def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> FiniteMDP:
     """The FiniteMDP of a Gymnasium toy-text environment.
 
     Parameters

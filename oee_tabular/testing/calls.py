@@ -100,7 +100,7 @@ class Subject:
             raise Broken(f"no value: status {shorten(found.status)!r}", f"case {pair.name!r}, seed={seed}")
         return float(found.value)
 
-    def limit(self, pair: Case, **data: Any) -> float | None:
+    def limit(self, pair: Case, **data: object) -> float | None:
         """Its own limit; None where it has none to tell."""
         estimator = self.estimator(pair)
         with guarded("estimator.limit", pair.name):
@@ -130,7 +130,7 @@ def call(estimator: Any, problem: Problem, policy: Array, seed: Seed, where: str
     return found
 
 
-def malformed(answer: Any) -> str:
+def malformed(answer: object) -> str:
     """What is wrong with an estimate, or nothing."""
     if not isinstance(answer, Estimate):
         return f"it must return an Estimate; it returned {type(answer).__name__}"
@@ -186,7 +186,7 @@ def shorten(text: str, length: int = 160) -> str:
     return line if len(line) <= length else line[: length - 3] + "..."
 
 
-def name_of(estimator: Any) -> str:
+def name_of(estimator: object) -> str:
     """What to call an estimator in a table: a function's name, a representation that says something, or the class's name."""
     kind: Any = type(estimator)
     name = str(kind.__name__)

@@ -197,7 +197,7 @@ _POLICY = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
 _BEHAVIOR = np.array([[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]])
 
 
-def _mortal(rows: Any, discount: float) -> FiniteMDP:
+def _mortal(rows: object, discount: float) -> FiniteMDP:
     """Three states that pay, each left for one that is over; ``rows`` (3, 2, 4) in tenths."""
     transitions = np.zeros((4, 2, 4))
     transitions[:3] = np.asarray(rows) / 10.0

@@ -198,7 +198,7 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
 def own_object(spec: str, what: str, example: str) -> Any:
     """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
     module_name, path = module_and_path(spec, what, example)
-    found: Any = own_module(module_name)
+    found: object = own_module(module_name)
     for name in path.split("."):
         if not hasattr(found, name):
             public = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]

@@ -143,7 +143,7 @@ class Verdicts(Mapping[str, Verdict]):
 
 
 def check_estimator(
-    estimator: Any,
+    estimator: object,
     *,
     seed: int = 0,
     claims: Iterable[str] | None = None,
@@ -201,7 +201,7 @@ def check_estimator(
     return Verdicts(title, subject.claims, seed, verdicts)
 
 
-def check_numbers(seed: Seed, repetitions: Any) -> None:
+def check_numbers(seed: Seed, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ValueError(f"seed must be an integer of at least 0; got {seed!r}")

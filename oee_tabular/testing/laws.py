@@ -140,7 +140,7 @@ def runs(subject: Subject, pair: Case) -> Runs:
         for k, log in enumerate(pair.logs(LARGE, subject.repetitions, seed=subject.log_seed(key, LARGE))):
             large.append(subject.value(pair, log, seed=1000 + k, rollouts=ROLLOUTS[LARGE]))
         subject.memory[pair.name] = Runs(np.array(small), np.array(large))
-    found: Any = subject.memory[pair.name]
+    found: object = subject.memory[pair.name]
     assert isinstance(found, Runs)
     return found
 

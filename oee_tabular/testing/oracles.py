@@ -185,7 +185,7 @@ def compare_with_oracle(
     _checks.require_memory(4.0 * times, "repetitions", times)
     if (behavior_policy is None) == (data_distribution is None):
         raise ValueError("one of behavior_policy and data_distribution must be given")
-    data: dict[str, Any]
+    data: dict[str, object]
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
         steps = rollout_horizon(target.discount, optional_steps(horizon, target))

@@ -318,7 +318,7 @@ def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
     return matrix.reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
 
 
-def _some(values: Sequence[Any], name: str) -> list[Any]:
+def _some(values: Sequence[object], name: str) -> list[Any]:
     found = list(values)
     if not found:
         raise ValueError(f"{name} must hold at least one; it is empty")

@@ -11,7 +11,6 @@ Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy import sparse, special
@@ -68,7 +67,7 @@ def unnormalised_bound(
 
 
 def unnormalised_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
 ) -> Sides:
     """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
 
@@ -131,7 +130,7 @@ def _long(gamma: float) -> int:
 
 
 def normalised_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
 ) -> Sides:
     """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at the pair's own eta and R.
 
@@ -153,7 +152,7 @@ def normalised_sides(
     )
 
 
-def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: Any = None) -> Array:
+def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: object = None) -> Array:
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
     By the chain rule [1] the divergence of the first t moves under K from those under P'. inf from the first move on that K
@@ -202,7 +201,7 @@ def divergence_terms(p: Array, q: Array) -> Array:
     return terms
 
 
-def kl_path_bound(path_divergence: Any, reward_bound: float, discount: float) -> float:
+def kl_path_bound(path_divergence: object, reward_bound: float, discount: float) -> float:
     """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2 KL_t)).
 
     Parameters
@@ -231,7 +230,7 @@ def kl_path_bound(path_divergence: Any, reward_bound: float, discount: float) ->
 
 
 def kl_path_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
 ) -> Sides:
     """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -77,7 +76,7 @@ class SimulationLemma:
 
 
 def simulation_lemma(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
 ) -> SimulationLemma:
     """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
 
@@ -149,7 +148,7 @@ def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array
         states = transposed @ pairs.reshape(-1)
 
 
-def check_pair(target: object, model: object, ratio: Any = None) -> FiniteMDP | ReweightedModel:
+def check_pair(target: object, model: object, ratio: object = None) -> FiniteMDP | ReweightedModel:
     """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
     target = _checks.instance(target, FiniteMDP, "target")
     if ratio is not None:

@@ -8,7 +8,6 @@ and is loose (``tight=True``: its tight constant); Theorem 2 is false (``value_b
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -48,7 +47,7 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
 
 
 def ratio_error_sides(
-    moves: Any, pairs: Any, true_moves: Any, true_pairs: Any, *, mu: float, nu: float, tight: bool = False
+    moves: object, pairs: object, true_moves: object, true_pairs: object, *, mu: float, nu: float, tight: bool = False
 ) -> Sides:
     """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
 
@@ -115,7 +114,7 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
 
 
 def value_error_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, error: float, nu: float, ratio: Any = None
+    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, error: float, nu: float, ratio: object = None
 ) -> Sides:
     """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
 

@@ -32,7 +32,7 @@ def styles(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
     names = list(table.estimator.unique())
     bases = list(dict.fromkeys(name.removesuffix(", calibrated") for name in names))
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, object]] = {}
     for name in names:
         k = bases.index(name.removesuffix(", calibrated"))
         raw = f"{name}, calibrated" in names

@@ -13,7 +13,6 @@ import functools
 import hashlib
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -47,7 +46,7 @@ def monte_carlo(case: str, gravity: float, delta: float, episodes: int = EPISODE
 
 def make(episodes: int = EPISODES) -> pd.DataFrame:
     """The whole table: case, gravity, delta, value, standard_error, episodes."""
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, object]] = []
     for case, (gravities, _, _) in CASES.items():
         for gravity in gravities:
             for delta in DELTAS:

@@ -64,7 +64,7 @@ class Case:
         policy, d = self.policy(delta), self.simulator.n_state
         return lambda states: policy(states[:, :d])
 
-    def log(self, n: int, seed: Any) -> ContinuousTransitions:
+    def log(self, n: int, seed: object) -> ContinuousTransitions:
         """n moves of the target, by the simulator's coordinates."""
         found = record(self.target, self.acting(self.behavior), n_transitions=n, max_steps=self.horizon, seed=seed)
         d, columns = self.simulator.n_state, found.columns()
@@ -81,7 +81,7 @@ class Case:
 class Arm(Case):
     """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to each."""
 
-    def log(self, n: int, seed: Any) -> ContinuousTransitions:
+    def log(self, n: int, seed: object) -> ContinuousTransitions:
         """n moves, 25 a run."""
         runs = n // (len(kinova.GOALS) * kinova.HORIZON)
         return kinova.record_goals(self.target, n_runs=runs, delta=self.behavior, seed=seed)  # type: ignore[arg-type]
@@ -123,7 +123,7 @@ def _cartpole(**changes: Any) -> Case:
     return replace(_CARTPOLE, target=classic.ChangedCartPole(**({"gravity": 10.0} | changes)))
 
 
-def _noisy(**changes: Any) -> Case:
+def _noisy(**changes: object) -> Case:
     return replace(_cartpole(**changes), episodes=10_000)  # other noise is not the truth's: more of it is left
 
 

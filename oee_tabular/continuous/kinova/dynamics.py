@@ -125,7 +125,7 @@ def require_mujoco() -> Any:
     return mujoco
 
 
-def goal_number(goal: Any) -> int:
+def goal_number(goal: object) -> int:
     """``goal`` as a row number of GOALS."""
     if isinstance(goal, bool) or not isinstance(goal, int | np.integer) or not 0 <= goal < len(GOALS):
         raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {goal!r}")

@@ -194,7 +194,7 @@ def kinova_model(
     defensive: float = 0.0,
     points: int = 3,
     n_states: int = 500,
-    seed: Any = 0,
+    seed: object = 0,
 ) -> Discretization:
     """The 3-D MDP of the hand's position on a grid of ``spacing`` m (default: the step of a command) around home.
 

@@ -88,7 +88,7 @@ class ArmCells(Places):
         rewards = sparse.csr_array((paid, matrix.indices, matrix.indptr), shape=matrix.shape)
         return FiniteMDP(matrix, rewards, self.initial, self.discount)
 
-    def build(self, transitions: sparse.csr_array, **facts: Any) -> Discretization:
+    def build(self, transitions: sparse.csr_array, **facts: object) -> Discretization:
         """The Discretization of these transitions; ``facts`` go into its metadata."""
         made = task_metadata(self.task) | {"builder": "arm_cells", "n_cells": self.cells.n_cells} | facts
         return Discretization(self.mdp(transitions), self.task, self.cells, self.points, self.point_cell, made, {})

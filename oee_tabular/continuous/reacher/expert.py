@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARG
 from oee_tabular.continuous.task import StatePolicy
 
 
-def joint_angles(target: Any, length: float = LENGTH) -> tuple[float, float]:
+def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >= 0).
 
     cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)).

@@ -137,7 +137,7 @@ class LocalRisk(TiltRisk):
             sparse.block_array([[diagonal + self.smoothness * self.prior, edge], [edge.T, corner]], format="csc")
         )
 
-    def factor(self, hessian: Any) -> Factor:
+    def factor(self, hessian: object) -> Factor:
         """Of f'', which has its slack already."""
         return Factor(hessian)
 

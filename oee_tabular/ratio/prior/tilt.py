@@ -184,7 +184,7 @@ def _dirichlet_evidence(tilt: Tilt, observed: Array, simulator: FiniteMDP) -> fl
 
 
 def fit_tilt(
-    observed: Array, simulator: FiniteMDP, features: Any = None, *, solver: str = "dual", warn: bool = True
+    observed: Array, simulator: FiniteMDP, features: object = None, *, solver: str = "dual", warn: bool = True
 ) -> Tilt:
     """Fit theta to counts on the simulator's entries, by Newton's method ("dual") or by a cvxpy solver.
 

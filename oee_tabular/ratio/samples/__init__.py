@@ -38,8 +38,8 @@ from oee_tabular.ratio.samples.result import SampleRatio, sample_points
 
 @one_thread
 def density_ratio_samples(
-    x_p: Any,
-    x_q: Any,
+    x_p: object,
+    x_q: object,
     *,
     features: Callable[[Array], Any] | str | None = None,
     kernel: str | Kernel | None = None,
