@@ -10,9 +10,9 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous.changes.cases import CASES, Case
-from oee_tabular.continuous.changes.linear import linear_model
 from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.interpolation import GridInterpolation
+from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.support import within_support
@@ -52,7 +52,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
         whole = HistoryTask(case.simulator)
         tasks[HISTORY] = ResidualSimulator(whole, whole.log(log), seed=0)
     if name.split(",")[0] not in WITHOUT_LINEAR:
-        tasks[LINEAR] = linear_model(case.simulator, log)
+        tasks[LINEAR] = LinearModel(case.simulator, log)
     rows = [_row(case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas])]
     rows += [_row(case, what, name, [case.returns(task, d) for d in case.deltas]) for what, task in tasks.items()]
     if case.grid:
