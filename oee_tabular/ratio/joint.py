@@ -44,15 +44,6 @@ def solve_joint(program: JointProgram) -> JointPoint:
     return JointPoint(*_joint.solve_all(program, program.ratio_lower > 0.0 or program.ratio_upper < np.inf))
 
 
-def joint_objective(program: JointProgram, point: JointPoint) -> float:
-    """The value that is minimised."""
-    value = 0.0
-    for weights, masses, g in ((program.p, program.q, point.moves), (program.s, program.r, point.pairs)):
-        seen = weights > 0
-        value += float(masses @ g - weights[seen] @ np.log(g[seen]) + 0.5 * program.lam * g @ g)
-    return value
-
-
 def joint_gaps(program: JointProgram, point: JointPoint) -> Array:
     """(rows,) duality gaps of any point, from the program as stated, by code that no solver uses."""
     return np.asarray(_certificate.joint_gaps(program, point))
