@@ -33,7 +33,7 @@ MOVED = {
     "tasks.kinova_arm": "continuous.kinova.dynamics",
     "tasks.kinova_kinematics": "continuous.kinova.dynamics",
     "tasks.kinova_logs": "continuous.kinova.logs",
-    "tasks.kinova_model": "continuous.kinova.hand",
+    "tasks.kinova_model": "continuous.kinova",
     "data.continuous": "continuous.log",
     "data.continuous_files": "continuous.log_files",
     "report.continuous": "continuous.evaluation",

@@ -15,7 +15,6 @@ stepped, not weighted. Cells, ratios and exact values can come after it, as afte
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from scipy.special import ndtr
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._threads import one_thread
+from oee_tabular.continuous.coordinate import Coordinate
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.history import consecutive, told_by_history
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -36,54 +36,8 @@ APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
 ROUNDS = 3  # of setting them apart and fitting again
 STOPS = 5  # rows that end at exactly the extreme of a coordinate: a stop
-SURE = 3.0  # standard errors of what g explains: the target differs
-HIDDEN = 0.05  # share of what is left over that history tells: the state is not all that decides
-TRIFLE = 0.01  # the same share of the whole residual: a smooth rest of g is no hidden state
 SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
-ALIKE = 0.05  # share by which two scatters that are the same may differ
 SAME = 1e-9  # of a displacement's deviation: rounding
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """What was learned of one coordinate of the next state (or of the reward).
-
-    Attributes
-    ----------
-    name : the coordinate's
-    kind, per_action : the class of functions that g is of, and whether each action has its own coefficients
-    simulator_scatter, residual_scatter : root mean squares, of the simulator's own step about f and of s' - f(s, a) in the log
-    left_over : root mean square of s' - f(s, a) - g(s, a)
-    explained : share of the residual's mean square that g explains on episodes that it was not fitted to
-    surely : how many standard errors that share is from 0
-    scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
-    told_by_history : share of what is left over that the action and the left-over before explain
-    """
-
-    name: str
-    kind: str
-    per_action: bool
-    simulator_scatter: float
-    residual_scatter: float
-    left_over: float
-    explained: float
-    surely: float
-    scatter: str
-    told_by_history: float
-
-    @property
-    def differs(self) -> bool:
-        """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
-        alike = abs(self.left_over - self.simulator_scatter) <= ALIKE * self.simulator_scatter
-        return self.surely > SURE or (self.scatter == "log" and not alike)
-
-    @property
-    def hidden(self) -> bool:
-        """Whether something that is not in the state decides: told by history, and no trifle of the whole residual."""
-        told = (
-            self.told_by_history * (self.left_over / self.residual_scatter) ** 2 if self.residual_scatter > 0 else 0.0
-        )
-        return self.told_by_history > HIDDEN and told > TRIFLE
 
 
 class ResidualSimulator(DerivedTask):

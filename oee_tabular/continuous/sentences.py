@@ -10,9 +10,10 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
+from oee_tabular.continuous.coordinate import TRIFLE
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.residual import TRIFLE, ResidualSimulator
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.simulator import ContinuousSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value

@@ -15,7 +15,8 @@ from oee_tabular.estimators.base import Estimate, without_divergence
 from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
-from oee_tabular.estimators.problem import Problem, checked_policy, simulator_rewards
+from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.rewards import simulator_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import policy_kernel

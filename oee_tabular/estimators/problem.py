@@ -11,7 +11,6 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular._sparse import align, find
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
@@ -24,31 +23,14 @@ from oee_tabular.estimators.findings import (
     rewards_contradict,
     rows_dropped,
 )
+from oee_tabular.estimators.rewards import RewardConflict, conflict, simulator_rewards, with_log_rewards
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.finite_mdp import canonical_table
 from oee_tabular.mdp.horizons import optional_steps
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
 
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
-
-
-@dataclass(frozen=True)
-class RewardConflict:
-    """How often the log pays something else than the simulator for the same move."""
-
-    rows: int
-    moves: int
-    of_rows: int
-    example: str
-    at_most: bool = False  # of moves that were counted, only the least and the largest reward are known
-
-    def __str__(self) -> str:
-        return (
-            f"the log's rewards contradict the simulator's in {'up to ' * self.at_most}{self.rows} of {self.of_rows} "
-            f"transitions ({self.moves} different moves; {self.example})"
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,12 +213,12 @@ class Problem:
     @cached_property
     def model(self) -> FiniteMDP:
         """The simulator, paying what the log paid where ``rewards`` is "log"."""
-        return self.simulator if self.rewards == "simulator" else _with_log_rewards(self.simulator, self.log)
+        return self.simulator if self.rewards == "simulator" else with_log_rewards(self.simulator, self.log)
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
         """Where the log and the simulator pay differently for one move; None where they agree or nothing is known."""
-        return _conflict(self.simulator, self.log)
+        return conflict(self.simulator, self.log)
 
     @cached_property
     def behavior_conflict(self) -> int:
@@ -306,16 +288,6 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     return log if np.array_equal(arrival, log.next_state) else log.led_to(arrival)
 
 
-def simulator_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Array:
-    """r(s, a, s') or r(s, a) of the simulator for each row of the log; its expected r(s, a) off its support."""
-    expected = simulator.rewards[log.state, log.action]
-    if simulator.transition_rewards is None:
-        return expected
-    rows = log.state * simulator.n_actions + log.action
-    position, stored = find(simulator.transition_rewards, rows, log.next_state)
-    return np.where(stored, simulator.transition_rewards.data[position], expected)
-
-
 def _supported(matrix: sparse.csr_array, simulator: FiniteMDP) -> sparse.csr_array:
     """Counts that were given, of which there are some, where the simulator has probability."""
     if matrix.nnz == 0:
@@ -330,40 +302,3 @@ def _of_counted(log: Transitions | TransitionCounts) -> tuple[Finding, ...]:
         return ()
     kept = 0 if log.sample is None else log.sample.n_episodes or 0
     return (*rows_dropped(*log.recording[-2:]), *episodes_sampled(kept, log.recording.episodes))
-
-
-def _with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> FiniteMDP:
-    moves = log.moves()
-    assert moves.reward_sum is not None
-    shape = simulator.transitions.shape
-    rows = log.state * simulator.n_actions + log.action
-    total = canonical_table(rows, log.next_state, moves.reward_sum, shape)
-    seen = canonical_table(rows, log.next_state, moves.number, shape)
-    matrix = simulator.transitions
-    paid, known = align(total, matrix)
-    often, _ = align(seen, matrix)
-    own = simulator.reward_data
-    if own is None:
-        own = np.repeat(simulator.rewards.reshape(-1), np.diff(matrix.indptr))
-    data = np.where(known, paid / np.where(known, often, 1.0), own)
-    return simulator.with_rewards(sparse.csr_array((data, matrix.indices, matrix.indptr), shape=shape))
-
-
-def _conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:
-    number, _, least, most = log.moves()
-    if least is None or most is None:
-        return None
-    expected = simulator_rewards(simulator, log)
-    scale = max(1.0, float(np.abs(expected).max()))
-    far = np.where(np.abs(least - expected) > np.abs(most - expected), least, most)
-    differ = np.flatnonzero(np.abs(far - expected) > 1e-6 * scale)
-    if differ.size == 0:
-        return None
-    moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
-    k = int(differ[np.argmax(np.abs(far - expected)[differ])])
-    example = (
-        f"{simulator.names.move(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
-        f"{expected[k]:g} in the simulator"
-    )
-    varies = bool((least[differ] < most[differ]).any())
-    return RewardConflict(round(float(number[differ].sum())), moves.shape[1], len(log), example, varies)

@@ -342,7 +342,7 @@ class FiniteMDP(Made):
         >>> line.with_support_of(oee.Transitions([0, 1], [0, 0], [2, 2]), 0.1).transitions.toarray().tolist()
         [[0.45, 0.45, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.sampled import supporting
+        from oee_tabular.mdp.support import supporting
 
         return self._changed(**supporting(self, log, epsilon))
 

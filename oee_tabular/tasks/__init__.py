@@ -25,7 +25,8 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.interpolation import GridInterpolation
     from oee_tabular.continuous.kinova.dynamics import KinovaArm
     from oee_tabular.continuous.kinova.expert import kinova_policy
-    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, kinova_model
+    from oee_tabular.continuous.kinova.grid import kinova_model
+    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
     from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
