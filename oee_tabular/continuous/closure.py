@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.grid import Places
 from oee_tabular.continuous.task import StatePolicy
@@ -50,7 +50,7 @@ def measure(
     horizon: int,
     n_episodes: int,
     discount: float | None,
-    seed: object,
+    seed: Seed,
 ) -> Closure:
     """The closure error of ``policy`` (default: uniform); see ``Discretization.closure``."""
 

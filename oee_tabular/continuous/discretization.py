@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import canonical
 from oee_tabular.continuous import discretization_files
 from oee_tabular.continuous.closure import Closure, measure
@@ -146,7 +146,7 @@ class Discretization(Places):
         horizon: int = 100,
         n_episodes: int = 2000,
         discount: float | None = None,
-        seed: object = 0,
+        seed: Seed = 0,
     ) -> Closure:
         """The error that discretising makes in the value of ``policy`` (default: uniform), measured by Monte Carlo."""
         return measure(self, self.mdp, policy, horizon=horizon, n_episodes=n_episodes, discount=discount, seed=seed)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states
 from oee_tabular.mdp.horizons import followed
@@ -53,7 +53,7 @@ def monte_carlo_value(
     horizon: int,
     *,
     discount: float = 0.99,
-    seed: object = None,
+    seed: Seed = None,
     normalized: bool = False,
 ) -> MonteCarlo:
     """J = E[sum_{t<T} gamma^t r_t] of the continuous task by Monte Carlo: the truth that discretised values are held to.

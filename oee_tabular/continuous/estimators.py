@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
@@ -55,7 +55,7 @@ class Simulated:
     value: MonteCarloValue
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: object = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         mc = self.value(policy)
         facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
@@ -82,7 +82,7 @@ class Refitted:
     paths: int = 1000
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: object = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         mc, function = self.value(policy), self.value.functions[np.asarray(policy).tobytes()]
         paths = min(self.paths, mc.n_episodes)
@@ -114,7 +114,7 @@ class Residual(Refitted):
     """``Refitted`` in the simulator corrected by the log's residuals; no value to rely on where the state is not Markov."""
 
     @one_thread
-    def __call__(self, problem: Problem, policy: object, *, seed: object = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: object, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         found = Refitted.__call__(self, problem, policy, seed=seed)
         hidden = [c for c in self.learned.coordinates if c.hidden]
@@ -143,7 +143,7 @@ class Plain:
     simulator: FiniteMDP
 
     @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: object = None) -> Estimate:
+    def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """Exact."""
         return Estimate(policy_value(self.simulator, policy, horizon=problem.horizon))
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
 from oee_tabular.continuous.discretization import require_log_of
@@ -192,7 +192,7 @@ class _Learned:
     with_history: ResidualSimulator | None
 
     @classmethod
-    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: object) -> _Learned:
+    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: Seed) -> _Learned:
         corrected, with_history = ResidualSimulator(simulator.task, log, seed=seed), None
         if any(coordinate.hidden for coordinate in corrected.coordinates):
             whole = HistoryTask(simulator.task)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record
@@ -121,7 +121,7 @@ def on_cells(
     settings: Settings,
     horizon: int,
     discount: float,
-    seed: object,
+    seed: Seed,
 ) -> OnCells:
     """The simulator and the log (whose actions are numbers) on the cells.
 

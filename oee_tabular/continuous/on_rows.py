@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import StatePolicy, check_probabilities
@@ -61,7 +61,7 @@ def report_on_rows(
     said: tuple[str, ...],
     first: str,
     *,
-    seed: object,
+    seed: Seed,
     facts: Mapping[str, object],
     confidence: float = 0.95,
     normalized: bool = False,

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.coordinate import Coordinate
 from oee_tabular.continuous.discretization import require_log_of
@@ -86,7 +86,7 @@ class ResidualSimulator(DerivedTask):
     """
 
     @one_thread
-    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: object = None) -> None:
+    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Seed = None) -> None:
         super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name}, corrected by a log")
         require_log_of(task, log)
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._checks import Seed
 from oee_tabular.continuous.estimators import MonteCarloValue, Residual
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import StatePolicy
@@ -20,7 +21,7 @@ def corrected_value(
     discount: float = 0.99,
     refits: int = 20,
     paths: int = 1000,
-    seed: object = None,
+    seed: Seed = None,
 ) -> Estimate:
     """J = E[sum_{t<T} gamma^t r_t] in the corrected simulator by Monte Carlo, its standard error and 95% interval.
 

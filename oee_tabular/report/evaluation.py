@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from oee_tabular import _checks, _progress
+from oee_tabular._checks import Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
@@ -26,7 +27,7 @@ def evaluate(
     *,
     estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None = None,
     confidence: float = 0.95,
-    seed: object = None,
+    seed: Seed = None,
     normalized: bool = False,
     target: FiniteMDP | None = None,
     facts: Mapping[str, Any] | None = None,

@@ -17,7 +17,7 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.theory.bounds import divergence_terms
+from oee_tabular.theory.paths import divergence_terms
 from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
 
 

@@ -13,7 +13,7 @@ import oee_tabular as oee
 from oee_tabular import inference
 from oee_tabular.estimators.base import Basis
 from oee_tabular.report.quoting import quoted
-from oee_tabular.theory.bounds import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
+from oee_tabular.theory import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
 from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.cartpole.dynamics import CartPole
 from oee_tabular.continuous.cartpole.expert import cartpole_policy
@@ -64,7 +64,7 @@ class Case:
         policy, d = self.policy(delta), self.simulator.n_state
         return lambda states: policy(states[:, :d])
 
-    def log(self, n: int, seed: object) -> ContinuousTransitions:
+    def log(self, n: int, seed: Seed) -> ContinuousTransitions:
         """n moves of the target, by the simulator's coordinates."""
         found = record(self.target, self.acting(self.behavior), n_transitions=n, max_steps=self.horizon, seed=seed)
         d, columns = self.simulator.n_state, found.columns()
@@ -81,7 +81,7 @@ class Case:
 class Arm(Case):
     """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to each."""
 
-    def log(self, n: int, seed: object) -> ContinuousTransitions:
+    def log(self, n: int, seed: Seed) -> ContinuousTransitions:
         """n moves, 25 a run."""
         runs = n // (len(kinova.GOALS) * kinova.HORIZON)
         return kinova.record_goals(self.target, n_runs=runs, delta=self.behavior, seed=seed)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization
@@ -45,7 +45,7 @@ def kinova_model(
     defensive: float = 0.0,
     points: int = 3,
     n_states: int = 500,
-    seed: object = 0,
+    seed: Seed = 0,
 ) -> Discretization:
     """The 3-D MDP of the hand's position on a grid of ``spacing`` m (default: the step of a command) around home.
 
