@@ -176,7 +176,7 @@ class Line(ContinuousTask):
         return rng.uniform(-1.0, 1.0, (n, 1))
 
     def terminated(self, states):
-        return np.abs(states[:, 0]) > self.end
+        return (np.abs(states) > self.end).any(axis=1)
 
     def reward_between(self, states, actions, next_states):
         return next_states[:, 0] - states[:, 0] if self.knows_reward else None
@@ -442,6 +442,8 @@ def test_a_log_without_episodes_is_chained_by_its_states():
 def test_history_is_the_task_with_one_more_thing():
     task = HistoryTask(Line(lambda s, a: 0.1 * s, noise=0.1, end=1.0))
     states = np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 0.0]])
+    short = HistoryTask(Line(end=0.75))
+    assert_array_equal(short.terminated(states), [False, True])  # by its own state, whatever the last action was
     moved = task.moves(states, np.array([1, 1]), np.zeros((2, 1)))
     assert_allclose(moved.next_state, [[0.8, 0.0, 1.0], [1.295, 0.0, 1.0]])
     assert_array_equal(moved.terminated, [False, True])

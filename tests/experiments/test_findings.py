@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from saved_results import RESULTS, saved
 
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.findings import course, entitle, listed, span
-from oee_tabular.experiments.output import share_legend, summary_of
+from oee_tabular.experiments.output import figures, heading, share_legend, summary_of
 
 EACH = pytest.mark.parametrize("experiment", list(EXPERIMENTS), ids=lambda experiment: experiment.id)
 
@@ -41,6 +42,16 @@ def test_the_saved_figure_says_what_its_table_shows_on_one_line(experiment):
     assert title.get_fontsize() >= 9.0
     assert box.x0 >= 0.0
     assert box.x1 <= figure.bbox.x1
+
+
+def test_a_figure_and_its_page_are_made_with_the_finding():
+    experiment = EXPERIMENTS["estimands"]
+    table = smoke(experiment, saved("estimands"))
+    made = figures(experiment, table, summary_of(experiment, table))
+    assert experiment.finding(table) in html.unescape(made["figure.svg"].decode())
+    assert heading(experiment, table)[-1] == f"![{experiment.finding(table)}](figure.png)"
+    silent = replace(experiment, finding=lambda _: "")
+    assert heading(silent, table)[-1] == f"![{experiment.title}](figure.png)"
 
 
 @EACH
