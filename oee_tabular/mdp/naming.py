@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import IntArray
+from oee_tabular._checks import Array, IntArray
 
 Name: TypeAlias = str | tuple[Any, ...]
 
@@ -134,6 +134,24 @@ def reads_as_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def coordinates(names: tuple[Name, ...] | None) -> Array | None:
+    """(S, c) of names that are all tuples of c numbers; None of others. O(S c).
+
+    Examples
+    --------
+    >>> coordinates(((0, 0.5), (1, 0.5))).tolist(), coordinates(((0, 0), (1, "over")))
+    ([[0.0, 0.5], [1.0, 0.5]], None)
+    """
+    if not names or any(not isinstance(name, tuple) or len(name) != len(names[0]) for name in names):
+        return None
+    if any(not isinstance(part, int | float) for name in names for part in name):
+        return None
+    try:
+        return _checks.freeze(np.array(names, dtype=np.float64))
+    except OverflowError:  # an integer beyond floats
+        return None
 
 
 class _Same:
