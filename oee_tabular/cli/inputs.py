@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from oee_tabular.tasks import NamedTask
 
 _ENTRIES = (
-    "file of the simulator's transitions, .csv (columns state, action, next_state, ...) or .npy (S, A, S) or (entries,)"
+    "file of the simulator's transitions, .csv (columns state, action, next_state, by number or name, ...) or .npy (S, A, S) "
+    "or (entries,)"
 )
 FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
 TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."

@@ -62,7 +62,7 @@ class Format:
 
     def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
         """ValueError where a file with these labels is no log of this kind."""
-        require_columns(name, self.required, labels)
+        require_columns(repr(name), self.required, labels)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """ValueError where a Minari episode is none of such a log."""

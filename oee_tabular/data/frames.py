@@ -42,7 +42,7 @@ def frame_columns(frame: Any, column_names: Mapping[str, Any]) -> dict[str, Any]
             close = difflib.get_close_matches(field[:80], COLUMNS, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
-    table = _eager(frame)
+    table = eager(frame)
     asked = _asked([str(label) for label in table.columns], column_names)
     columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
     if "episode" in columns:
@@ -68,7 +68,8 @@ def _asked(labels: list[str], column_names: Mapping[str, Any]) -> dict[str, list
     return asked
 
 
-def _eager(frame: Any) -> Any:
+def eager(frame: Any) -> Any:
+    """A frame as narwhals has it, its rows read; ValueError for what is none, or has a column twice."""
     import narwhals as nw
 
     if not is_frame(frame):

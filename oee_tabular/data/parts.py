@@ -111,7 +111,7 @@ def _with_header(part: Part) -> Part:
     if again:
         raise ValueError(f"{part.name!r} must have columns that differ; it has {again[0]!r} twice")
     fixed = tuple((label, value) for label, value in part.fixed if label not in labels)
-    require_columns(part.name, Format.required, [*labels, *(label for label, _ in fixed)])
+    require_columns(repr(part.name), Format.required, [*labels, *(label for label, _ in fixed)])
     return Part(part.path, part.name, tuple(labels), fixed)
 
 

@@ -93,7 +93,7 @@ def require_columns(name: str, required: Sequence[str], labels: Iterable[str]) -
         return
     shown = f"{', '.join(found):.300}" or "none"
     hint = meant(required, found) or " (rename the columns that hold them)" * (len(found) >= len(required))
-    raise ValueError(f"{name!r} must have the columns {', '.join(required)}; it has {shown}{hint}")
+    raise ValueError(f"{name} must have the columns {', '.join(required)}; it has {shown}{hint}")
 
 
 def meant(required: Sequence[str], found: Sequence[str]) -> str:
