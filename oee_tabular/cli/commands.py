@@ -340,7 +340,11 @@ def counts(
     output: Annotated[Path, option(OUTPUT, "The counts: .npz, for --log of evaluate and plan.", metavar="FILE")],
     simulator: Annotated[
         str | None,
-        option(INPUT, "Whose states and actions there are; others are bad rows. As in evaluate.", metavar="SIM"),
+        option(
+            INPUT,
+            "Whose states and actions, by number or name, there are; others are bad rows. As in evaluate.",
+            metavar="SIM",
+        ),
     ] = None,
     bad_rows: Annotated[
         str,
@@ -362,9 +366,8 @@ def counts(
 
     _files.new_file(output, "--output", overwrite=overwrite)
     mdp = None if simulator is None else task_of(simulator, None).mdp
-    limits = {} if mdp is None else {"n_states": mdp.n_states, "n_actions": mdp.n_actions}
     found = Transitions.open(
-        log, **limits, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
+        log, simulator=mdp, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
         progress=sys.stderr.isatty(),
     )  # fmt: skip
     reasons = found.recording.reasons
