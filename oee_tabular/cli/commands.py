@@ -262,7 +262,10 @@ def sample(
     seed: Seed = 0,
     json: Annotated[bool, json_option("sample")] = False,
 ) -> None:
-    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
+    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states.
+
+    States and actions stand there by name where the simulator has names; a Minari folder has numbers.
+    """
     if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
     from oee_tabular import _files
@@ -274,7 +277,8 @@ def sample(
         size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
     else:
         refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
-        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed)
+        by_name = output.suffix != ""  # a Minari data set holds numbers
+        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed, by_name=by_name)
         log.save(output)
         size, number, text = len(log), log.n_episodes, f"{output}: {log.describe()}"
     answer("sample", text, {"file": str(output), "transitions": size, "episodes": number}, json)
@@ -342,7 +346,7 @@ def counts(
         str | None,
         option(
             INPUT,
-            "Whose states and actions, by number or name, there are; others are bad rows. As in evaluate.",
+            "Whose states and actions there are, by number or name; others are bad rows. As in evaluate.",
             metavar="SIM",
         ),
     ] = None,

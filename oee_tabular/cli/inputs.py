@@ -45,19 +45,25 @@ def recorded(
     discount: float | None,
     initial: str | None,
     seed: int,
+    *,
+    by_name: bool,
 ) -> Transitions:
-    """A log of the environment that ``spec`` names; Gymnasium's are stepped."""
+    """A log of the environment that ``spec`` names; Gymnasium's are stepped. ``by_name``: with its names where it has some."""
+    from oee_tabular.data import Transitions
     from oee_tabular.tasks import record_episodes
 
     task = task_of(spec, discount, initial)
     pi = policy_of(policy, task, "policy")
     steps = 1000 if horizon is None else horizon
     if task.environment is None or initial is not None:  # which no environment's reset() takes
-        return sampled(task.mdp, pi, transitions, episodes, steps, seed)
-    env = task.environment()
-    log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
-    env.close()
-    return log
+        log = sampled(task.mdp, pi, transitions, episodes, steps, seed)
+    else:
+        env = task.environment()
+        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
+        env.close()
+    if not by_name:
+        return log
+    return Transitions(**log.columns(), state_names=task.mdp.state_names, action_names=task.mdp.action_names)
 
 
 def sampled(
