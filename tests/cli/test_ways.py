@@ -293,10 +293,9 @@ def test_compare_says_which_or_that_it_cannot(capsys, folder):
         compared.probability_best[1],
         compared.unseen_share[0],
     ]
-    assert found["differences"] == [
-        {"policy": "any", "than": "best", "difference": compared.differences[1, 0], "lower": compared.lower[1, 0],
-         "upper": compared.upper[1, 0]}
-    ]  # fmt: skip
+    (apart,) = found["differences"]
+    assert (apart["policy"], apart["than"], apart["difference"]) == ("any", "best", second["value"] - first["value"])
+    assert (apart["lower"], apart["upper"]) == (compared.lower[1, 0], compared.upper[1, 0])
     same = ["--policy", "one=uniform", "--policy", "other=mix:0.02", "--policy", "best=optimal"]
     few = oee.Transitions.load("log.csv").first(12)
     few.save("few.csv")
@@ -305,6 +304,29 @@ def test_compare_says_which_or_that_it_cannot(capsys, folder):
     assert "The log cannot say which of" in doubt["sentence"]
     assert {row["probability_best"] for row in doubt["policies"]} == {None}
     assert "beyond 10% there is no P(best)" in run(capsys, *words[:4], "few.csv", *words[5:], *same)
+
+
+@pytest.mark.parametrize("moves", [6, 60, 600])
+def test_compare_and_evaluate_say_one_value(capsys, folder, moves):
+    oee.Transitions.load("log.csv").first(moves).save("some.csv")
+    words = [
+        "--simulator",
+        "sim.npz",
+        "--log",
+        "some.csv",
+        "--policy",
+        "best=optimal",
+        "--policy",
+        "any=uniform",
+        "--json",
+    ]
+    compared, evaluated = (json.loads(run(capsys, command, *words)) for command in ("compare", "evaluate"))
+    rows = [row for row in evaluated["results"] if row["estimator"] == "oee"]
+    told = [{key: row[key] for key in ("policy", "value", "lower", "upper")} for row in compared["policies"]]
+    assert told == sorted(({key: row[key] for key in told[0]} for row in rows), key=lambda row: -row["value"])
+    assert compared["sentence"] in evaluated["conclusion"]
+    for apart in compared["differences"]:
+        assert apart["lower"] <= apart["difference"] <= apart["upper"]
 
 
 def test_compare_wants_two(capsys, folder):
