@@ -130,7 +130,9 @@ def evaluate(
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
     continuous = is_continuous(simulator)
     if not continuous:
-        refuse_settings(settings | {name: value for name, value in (("state", state), ("actions", actions)) if value})
+        _refuse_settings(
+            simulator, settings | {name: value for name, value in (("state", state), ("actions", actions)) if value}
+        )
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)
@@ -276,7 +278,9 @@ def sample(
         states.save(output)
         size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
     else:
-        refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
+        _refuse_settings(
+            environment, {name: value for name, value in (("state", state), ("actions", actions)) if value}
+        )
         by_name = output.suffix != ""  # a Minari data set holds numbers
         log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed, by_name=by_name)
         log.save(output)
@@ -393,6 +397,13 @@ def info(
 
 for study in (studies.reproduce, studies.bench, studies.check):
     app.command(cls=Grouped, short_help=studies.SHORT[study.__name__])(study)
+
+
+def _refuse_settings(simulator: str | None, settings: dict[str, Any]) -> None:
+    """Options of continuous tasks are refused; before that, a simulator that is not there."""
+    if settings and simulator is not None:
+        task_of(simulator, None)
+    refuse_settings(settings)
 
 
 def _version(asked: bool) -> None:
