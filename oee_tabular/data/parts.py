@@ -114,7 +114,7 @@ def _with_header(part: Part, named: Collection[str]) -> Part:
     if again:
         raise ValueError(f"{part.name!r} must have columns that differ; it has {again[0]!r} twice")
     fixed = tuple((label, value) for label, value in part.fixed if label not in labels)
-    require_columns(repr(part.name), Format.required, [*labels, *(label for label, _ in fixed)])
+    require_columns(repr(part.name), Format.required, [*labels, *(label for label, _ in fixed)], way=Format.way)
     return Part(part.path, part.name, tuple(labels), fixed)
 
 
@@ -122,8 +122,9 @@ def _require_kind(part: Part, label: str, kind: object, named: bool) -> None:
     import pyarrow as pa
 
     held = getattr(kind, "value_type", kind)  # of a column that is written as a dictionary
-    worded = label in MOVE and (pa.types.is_string(held) or pa.types.is_large_string(held))
-    if worded and named:
+    texts = pa.types.is_string(held) or pa.types.is_large_string(held)
+    worded = label in MOVE and texts
+    if (worded and named) or (label == "episode" and texts):
         return
     fits = pa.types.is_integer(kind) or pa.types.is_floating(kind) or (label in FLAGS and pa.types.is_boolean(kind))
     if not fits:

@@ -169,12 +169,15 @@ class _Same:
 
 @lru_cache(maxsize=16)
 def _lookup(key: _Same) -> Mapping[Hashable, int]:
-    found: dict[Hashable, int] = {str(item): k for k, item in enumerate(key.names)}
+    found: dict[Hashable, int] = {
+        str(item).replace(", ", ","): k for k, item in enumerate(key.names) if isinstance(item, tuple)
+    }
+    found |= {str(item): k for k, item in enumerate(key.names)}
     return MappingProxyType(found | {item: k for k, item in enumerate(key.names)})
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
-    """Name -> number; a tuple is found by its text as well, as files write it. Made once for a tuple: O(1) from then on."""
+    """Name -> number; a tuple is found by its text as well, "(0, 1)" or "(0,1)". Made once for a tuple: O(1) from then on."""
     return _lookup(_Same(names))
 
 

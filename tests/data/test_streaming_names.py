@@ -93,3 +93,22 @@ def test_the_simulator_says_how_many_states_there_are():
         Transitions.open("log.csv", simulator=named_simulator(), n_states=4)
     with pytest.raises(ValueError, match=r"^simulator must be a FiniteMDP"):
         Transitions.open("log.csv", simulator=4)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_episodes_may_be_called_by_texts(tmp_path, ending):
+    simulator = named_simulator()
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 7, seed=0)
+    frame = pd.DataFrame(log.columns()).assign(episode=[f"run {k} of May" for k in log.episode])
+    path = tmp_path / f"log{ending}"
+    (frame.to_csv if ending == ".csv" else frame.to_parquet)(path, index=False)
+    assert_array_equal(Transitions.load(path).episode, log.episode)
+    assert_array_equal(Transitions(**frame.to_dict("list")).episode, log.episode)
+    found = Transitions.open(path)
+    assert (found.recording.episodes, found.recording.shortest, found.recording.longest) == (20, 7, 7)
+    assert found.sample.n_episodes == 20
+    swapped = pd.concat([frame.iloc[:7], frame.iloc[14:21], frame.iloc[:7]])
+    (swapped.to_csv if ending == ".csv" else swapped.to_parquet)(path, index=False)
+    for read in (Transitions.load, Transitions.open):
+        with pytest.raises(ValueError, match=r"episode must (keep the rows of an episode together|.*begins again)"):
+            read(path)
