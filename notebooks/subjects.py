@@ -102,7 +102,7 @@ SUBJECTS = {
     "plots": {
         "Values": ("plot_values", "plot_intervals", "plot_curves", "plot_errors", "plot_variance_growth"),
         "Grids and states": (
-            "plot_grid", "plot_occupancy", "plot_coverage", "plot_ratio", "plot_states", "detect_grid",
+            "plot_grid", "plot_occupancy", "plot_coverage", "plot_ratio", "plot_states", "detect_grid", "map_of", "Map",
         ),
         "Files and style": ("label_ends", "figure_png", "figure_svg", "COLORS", "LINES", "MARKERS"),
     },

@@ -42,6 +42,10 @@ def local(path: str | os.PathLike[str]) -> str:
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name:
         raise ValueError(f"path must be text without a null character; got {name!r}")
+    if name == "-":
+        raise ValueError(
+            "path must be a file; '-', standard input or output, is none (--json prints what a command found)"
+        )
     if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
         name
     ):  # pathlib makes one slash of two
@@ -51,6 +55,7 @@ def local(path: str | os.PathLike[str]) -> str:
 
 def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
     """ValueError where something stands at ``path`` that may not be lost."""
+    local(path)
     if not overwrite and os.path.lexists(path):
         raise ValueError(f"{name} must be a new file, or be given with --overwrite; {os.fspath(path)!r} exists already")
 

@@ -115,6 +115,10 @@ TABLE = {
         lambda: mdp(terminal_state=[0.5]),
         r"terminal_state must be 1 to 2 integers; got float64",
     ),
+    "a grid's shape that does not fit": (
+        lambda: FiniteMDP(np.eye(6)[:, None], np.zeros(6), 0, 0.9, layout=(2, 4)),
+        r"^layout must be \(height, width\) with height \* width = 6, the number of states; it is \(2, 4\)$",
+    ),
     "a layout of another length": (
         lambda: mdp(layout=[0.0, 1.0, 2.0]),
         r"^layout must have shape \(2,\) or \(2, c\), a place for each state; it has shape \(3,\)$",

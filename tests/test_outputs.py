@@ -50,6 +50,23 @@ def test_a_recorded_log_is_not_overwritten(tmp_path, capsys, name):
     assert len(oee.Transitions.load(path)) > 0
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("evaluate",), SAMPLE[:-1], ("sample", "cartpole", "--episodes", 1), ("policy", GRID, "uniform"), ("export", GRID),
+        ("counts", "log.csv"), ("plan", "--simulator", GRID, "--log", "log.csv", "--transitions", 9),
+        ("reproduce", "fig1a", "--smoke"), ("bench",),
+    ],
+)  # fmt: skip
+def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    oee.sample_episodes(oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25), 2, 9, seed=0).save("log.csv")
+    code, out, said = command(capsys, *words, "--output", "-")
+    assert (code, out) == (2, "")
+    assert "path must be a file; '-', standard input or output, is none (--json prints what a command found)" in said
+    assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
+
+
 def test_nor_are_a_log_of_states_and_a_plan_s_policy(tmp_path, capsys):
     for name in ("log.csv", "plan.npy"):
         (tmp_path / name).write_text("hours of work")

@@ -46,8 +46,8 @@ NAMES = {
         FiniteMDP check_policy displacements mix uniform_policy
     """,
     "oee_tabular.plots": """
-        COLORS LINES MARKERS detect_grid figure_png figure_svg label_ends plot_coverage plot_curves plot_errors plot_grid
-        plot_intervals plot_occupancy plot_ratio plot_states plot_values plot_variance_growth
+        COLORS LINES MARKERS Map detect_grid map_of figure_png figure_svg label_ends plot_coverage plot_curves plot_errors
+        plot_grid plot_intervals plot_occupancy plot_ratio plot_states plot_values plot_variance_growth
     """,
     "oee_tabular.ratio": """
         Assumptions Conditional InClass Joint Method Network Quotient RatioFit SampleRatio Sgd SgdTrace Tied

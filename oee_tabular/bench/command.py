@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from oee_tabular import _files
 from oee_tabular.bench.families import families as own_families
 from oee_tabular.bench.run import SEEDS, SIZES, Plan, carry_out, plan
 from oee_tabular.experiments.store import Store, alone
@@ -28,6 +29,7 @@ def bench(
     """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
     if seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
+    _files.local(output)
     planned = plan(
         _names(estimators), families=families, sizes=SIZES if sizes is None else _numbers(sizes), seeds=seeds, seed=seed
     )

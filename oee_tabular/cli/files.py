@@ -10,6 +10,7 @@ import typer
 from oee_tabular.cli.answers import answer
 from oee_tabular.cli.inputs import (
     recorded,
+    refuse_settings,
     write_array,
 )
 from oee_tabular.cli.options import (
@@ -34,7 +35,6 @@ from oee_tabular.continuous.command import (
     STATE_HELP,
     is_continuous,
     recorded_states,
-    refuse_settings,
 )
 
 
@@ -56,7 +56,10 @@ def sample(
     seed: Seed = 0,
     json: Annotated[bool, json_option("sample")] = False,
 ) -> None:
-    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states."""
+    """Record a log. A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states.
+
+    States and actions stand there by name where the simulator has names; a Minari folder has numbers.
+    """
     if (transitions is None) == (episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
     from oee_tabular import _files
@@ -67,8 +70,9 @@ def sample(
         states.save(output)
         size, number, text = len(states), states.n_episodes, f"{output}: {states!r}"
     else:
-        refuse_settings({name: value for name, value in (("state", state), ("actions", actions)) if value})
-        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed)
+        refuse_settings(environment, {name: value for name, value in (("state", state), ("actions", actions)) if value})
+        by_name = output.suffix != ""  # a Minari data set holds numbers
+        log = recorded(environment, policy, transitions, episodes, horizon, discount, initial, seed, by_name=by_name)
         log.save(output)
         size, number, text = len(log), log.n_episodes, f"{output}: {log.describe()}"
     answer("sample", text, {"file": str(output), "transitions": size, "episodes": number}, json)
@@ -131,7 +135,11 @@ def counts(
     output: Annotated[Path, option(OUTPUT, "The counts: .npz, for --log of evaluate and plan.", metavar="FILE")],
     simulator: Annotated[
         str | None,
-        option(INPUT, "Whose states and actions there are; others are bad rows. As in evaluate.", metavar="SIM"),
+        option(
+            INPUT,
+            "Whose states and actions there are, by number or name; others are bad rows. As in evaluate.",
+            metavar="SIM",
+        ),
     ] = None,
     bad_rows: Annotated[
         str,
@@ -153,9 +161,8 @@ def counts(
 
     _files.new_file(output, "--output", overwrite=overwrite)
     mdp = None if simulator is None else task_of(simulator, None).mdp
-    limits = {} if mdp is None else {"n_states": mdp.n_states, "n_actions": mdp.n_actions}
     found = Transitions.open(
-        log, **limits, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
+        log, simulator=mdp, bad_rows=bad_rows, kept_moves=kept_moves, output=output, jobs=jobs, dask=dask,
         progress=sys.stderr.isatty(),
     )  # fmt: skip
     reasons = found.recording.reasons

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from oee_tabular.tasks import NamedTask
 
 _ENTRIES = (
-    "file of the simulator's transitions, .csv (columns state, action, next_state, ...) or .npy (S, A, S) or (entries,)"
+    "file of the simulator's transitions, .csv (columns state, action, next_state, by number or name, ...) or .npy (S, A, S) "
+    "or (entries,)"
 )
 FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
 TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."
@@ -35,6 +36,16 @@ def write_array(path: Path, array: Array) -> None:
         np.save(handle, array, allow_pickle=False)
 
 
+def refuse_settings(simulator: str | None, settings: dict[str, Any]) -> None:
+    """An error where options of continuous tasks are given without one; before that, for a simulator that is not there."""
+    if settings:
+        if simulator is not None:
+            task_of(simulator, None)
+        name = next(iter(settings))
+        option = "simulations" if name == "episodes" else name
+        raise ValueError(f"--{option} needs a continuous task (--simulator cartpole:gravity=10)")
+
+
 def recorded(
     spec: str,
     policy: str,
@@ -44,19 +55,25 @@ def recorded(
     discount: float | None,
     initial: str | None,
     seed: int,
+    *,
+    by_name: bool,
 ) -> Transitions:
-    """A log of the environment that ``spec`` names; Gymnasium's are stepped."""
+    """A log of the environment that ``spec`` names; Gymnasium's are stepped. ``by_name``: with its names where it has some."""
+    from oee_tabular.data import Transitions
     from oee_tabular.tasks import record_episodes
 
     task = task_of(spec, discount, initial)
     pi = policy_of(policy, task, "policy")
     steps = 1000 if horizon is None else horizon
     if task.environment is None or initial is not None:  # which no environment's reset() takes
-        return sampled(task.mdp, pi, transitions, episodes, steps, seed)
-    env = task.environment()
-    log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
-    env.close()
-    return log
+        log = sampled(task.mdp, pi, transitions, episodes, steps, seed)
+    else:
+        env = task.environment()
+        log = record_episodes(env, pi, n_transitions=transitions, n_episodes=episodes, max_steps=steps, seed=seed)
+        env.close()
+    if not by_name:
+        return log
+    return Transitions(**log.columns(), state_names=task.mdp.state_names, action_names=task.mdp.action_names)
 
 
 def sampled(

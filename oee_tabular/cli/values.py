@@ -15,6 +15,7 @@ from oee_tabular.cli.inputs import (
     embedded,
     from_files,
     given_problem,
+    refuse_settings,
     write_array,
 )
 from oee_tabular.cli.options import (
@@ -52,7 +53,6 @@ from oee_tabular.continuous.command import (
     STRICT_HELP,
     from_states,
     is_continuous,
-    refuse_settings,
     settings_of,
 )
 
@@ -120,7 +120,9 @@ def evaluate(
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
     continuous = is_continuous(simulator)
     if not continuous:
-        refuse_settings(settings | {name: value for name, value in (("state", state), ("actions", actions)) if value})
+        refuse_settings(
+            simulator, settings | {name: value for name, value in (("state", state), ("actions", actions)) if value}
+        )
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
     if simulator is None and log is None:
         report = embedded(policy, behavior, target, options, normalized, common)

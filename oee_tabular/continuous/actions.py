@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import StatePolicy
+from oee_tabular.continuous.task import BadPolicy, StatePolicy, asked
 
 LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
 MOST = 1000  # commands
@@ -93,18 +93,20 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePol
     n_actions = len(actions)
 
     def probabilities(states: Array) -> Array:
-        found = np.asarray(policy(states))
+        found = np.asarray(asked(policy, states))
         if found.shape == (len(states), n_actions):
             return found
         if actions.ndim == 1 and found.shape == (len(states),) and found.dtype.kind in "iu":
             bad = np.flatnonzero((found < 0) | (found >= n_actions))
             if bad.size:
-                raise ValueError(f"policy(states)[{bad[0]}] must be in 0..{n_actions - 1}; it is {found[bad[0]]}")
+                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{n_actions - 1}; it is {found[bad[0]]}")
             return np.asarray(np.eye(n_actions)[found])
         commands = found[:, None] if found.ndim == 1 else found
         if actions.ndim == 1 or commands.shape != (len(states), actions.shape[1]):
             return found
-        _checks.require_finite(commands, "policy(states)")
+        odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
+        if odd.size:
+            raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
         return _shared(commands.astype(np.float64), actions)
 
     return probabilities

@@ -76,14 +76,6 @@ def settings_of(
     return {name: value for name, value in given.items() if value is not None}
 
 
-def refuse_settings(settings: dict[str, Any]) -> None:
-    """An error where options of continuous tasks are given without one."""
-    if settings:
-        name = next(iter(settings))
-        option = "simulations" if name == "episodes" else name
-        raise ValueError(f"--{option} needs a continuous task (--simulator cartpole:gravity=10)")
-
-
 def from_states(
     spec: str,
     log: Path,

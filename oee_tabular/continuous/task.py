@@ -223,10 +223,28 @@ def check_states(task: ContinuousTask, states: object, name: str = "states") -> 
     return array
 
 
+class BadPolicy(ValueError):
+    """A policy function's own error, told as what it must do."""
+
+
+def asked(policy: Callable[[Array], Any], states: Array) -> Any:
+    """What a policy function says for all ``states`` at once; a ValueError that says so where it raises."""
+    try:
+        return policy(states)
+    except (MemoryError, BadPolicy):
+        raise
+    except Exception as error:
+        raise BadPolicy(
+            f"policy must take all states at once, an array of shape (n, {states.shape[1]}), and give a row or a number for "
+            f"each; given {len(states)} of them it raises {type(error).__name__}: {error} (of a function of one state: "
+            "return numpy.array([function(state) for state in states]))"
+        ) from error
+
+
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
     _checks.function(policy, "policy")
-    table = _checks.float_array(policy(states), "policy(states)")
+    table = _checks.float_array(asked(policy, states), "policy(states)")
     if table.shape != (len(states), n_actions):
         raise ValueError(
             f"policy(states) must have shape {(len(states), n_actions)} for {len(states)} states; it has shape {table.shape}"

@@ -20,7 +20,8 @@ def _open(path: Paths, **options: Any) -> TransitionCounts:
     Parameters
     ----------
     path : file (.parquet, .csv, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, or a list
-    n_states, n_actions : int, optional: states and actions from there on are bad
+    simulator : FiniteMDP, optional: whose states and actions there are, others are bad; where it has names, so may the log
+    n_states, n_actions : int, optional, in its place: states and actions from there on are bad
     bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
         a row that is left out breaks its episode, whose other moves are still counted
     kept_moves : int, 200 000: whole episodes of so many moves are kept for importance sampling, drawn uniformly

@@ -69,6 +69,8 @@ def _batch(table: Any, row: NDArray[np.int64], lost: list[tuple[int, str]]) -> B
 
     columns, missing = {}, {}
     for label, column in zip(table.schema.names, table.columns, strict=True):
+        if pa.types.is_dictionary(column.type):
+            column = column.dictionary_decode()
         if column.null_count:
             missing[str(label)] = column.is_null().to_numpy(zero_copy_only=False)
             column = column.fill_null(False if pa.types.is_boolean(column.type) else pa.scalar(0).cast(column.type))

@@ -56,7 +56,7 @@ class Log:
             "reward": lambda value, name: _checks.float_array(value, name, ndim=1),
             "terminated": booleans,
             "truncated": booleans,
-            "episode": lambda value, name: integers(value, name, low=None),
+            "episode": lambda value, name: integers(_numbered(value), name, low=None),
             "timestep": integers,
             "behavior_probability": lambda value, name: _checks.float_array(value, name, ndim=1),
         }
@@ -208,6 +208,15 @@ def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
     if low is not None and (bad := np.flatnonzero(whole < low)).size:
         raise ValueError(f"{name}[{bad[0]}] must be at least {low}; it is {whole[bad[0]]}")
     return whole
+
+
+def _numbered(episode: Any) -> Any:
+    """Episodes that have texts for numbers, in the order of their first rows."""
+    items = list(episode) if isinstance(episode, list | tuple | np.ndarray) and np.ndim(episode) == 1 else []
+    if not items or not all(isinstance(item, str) for item in items):
+        return episode
+    first: dict[str, int] = {}
+    return np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64)
 
 
 def booleans(value: object, name: str) -> BoolArray:

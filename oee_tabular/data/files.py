@@ -38,6 +38,9 @@ class Format:
 
     kind = "transitions"  # of an npz
     required = ("state", "action", "next_state")
+    way = (
+        "; in Python, several to a state as well: Transitions.from_frame(frame, state='its name', ...).save('log.csv')"
+    )
     endings = ".npz, .csv, .parquet, or be a Minari folder or id"
 
     def known(self, label: str) -> bool:
@@ -62,7 +65,7 @@ class Format:
 
     def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
         """ValueError where a file with these labels is no log of this kind."""
-        require_columns(name, self.required, labels)
+        require_columns(repr(name), self.required, labels, way=self.way)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """ValueError where a Minari episode is none of such a log."""

@@ -42,11 +42,9 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
             close = difflib.get_close_matches(field[:80], COLUMNS, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
-    table = _eager(frame)
+    table = eager(frame)
     asked = _asked([str(label) for label in table.columns], column_names)
     columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
-    if "episode" in columns:
-        columns["episode"] = _numbered(columns["episode"])
     return columns
 
 
@@ -68,7 +66,8 @@ def _asked(labels: list[str], column_names: Mapping[str, object]) -> dict[str, l
     return asked
 
 
-def _eager(frame: Any) -> Any:
+def eager(frame: Any) -> Any:
+    """A frame as narwhals has it, its rows read; ValueError for what is none, or has a column twice."""
     import narwhals as nw
 
     if not is_frame(frame):
@@ -115,14 +114,6 @@ def _values(table: Any, label: str) -> Column:
 def _joined(parts: list[Column]) -> Any:
     """One column as it is, several as tuples."""
     return parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
-
-
-def _numbered(episode: Column) -> Column:
-    """Episodes that have texts for numbers, in the order of their first rows."""
-    if episode.dtype.kind not in "OU" or not all(isinstance(item, str) for item in episode):
-        return episode
-    first: dict[str, int] = {}
-    return np.array([first.setdefault(item, len(first)) for item in episode], dtype=np.int64)
 
 
 def _warn_resembling(rest: list[str], free: list[str]) -> None:

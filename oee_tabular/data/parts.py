@@ -9,7 +9,7 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,6 +23,8 @@ ENDINGS = (*TABLES, ".npz")
 _ENDS = 2**20  # bytes at either end of a file by which it is known again
 FLAGS = ("terminated", "truncated")
 NUMBERS = ("reward", "behavior_probability")
+MOVE = ("state", "action", "next_state")
+NAMES = " (names take a simulator that has them: simulator=, --simulator)"
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,10 @@ class Part:
         return frozenset((*self.columns, *(label for label, _ in self.fixed))) & frozenset(COLUMNS)
 
 
-def found(path: Paths) -> list[Part]:
+def found(path: Paths, named: Collection[str] = ()) -> list[Part]:
     """The files that a path, a folder, a pattern or a list of them names, in the order of their names.
 
+    ``named``: columns that may hold texts, names.
     Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them.
     """
     given = [path] if isinstance(path, str | os.PathLike) else list(_checks.collection(path, "path", "paths of files"))
@@ -52,7 +55,7 @@ def found(path: Paths) -> list[Part]:
         raise ValueError(
             f"path must name each file once; {sorted(again)[0]!r} is named twice" if again else "path must name files"
         )
-    return _of_one_schema([_with_header(part) for part in parts])
+    return _of_one_schema([_with_header(part, named) for part in parts])
 
 
 def _parts_at(name: str) -> list[Part]:
@@ -90,7 +93,7 @@ def _fixed(path: Path) -> tuple[tuple[str, str], ...]:
     return tuple((label, value) for label, equals, value in steps if equals and label in COLUMNS)
 
 
-def _with_header(part: Part) -> Part:
+def _with_header(part: Part, named: Collection[str]) -> Part:
     """With the names of the file's columns; errors name the file and the column."""
     suffix = Path(part.path).suffix.lower()
     if suffix == ".parquet":
@@ -99,7 +102,7 @@ def _with_header(part: Part) -> Part:
         labels = [str(label) for label in schema.names]
         for label in COLUMNS:
             if label in labels:
-                _require_kind(part, label, schema.field(labels.index(label)).type)
+                _require_kind(part, label, schema.field(labels.index(label)).type, label in named)
     elif suffix == ".csv":
         try:
             labels = csv_header(part.path)
@@ -111,17 +114,23 @@ def _with_header(part: Part) -> Part:
     if again:
         raise ValueError(f"{part.name!r} must have columns that differ; it has {again[0]!r} twice")
     fixed = tuple((label, value) for label, value in part.fixed if label not in labels)
-    require_columns(part.name, Format.required, [*labels, *(label for label, _ in fixed)])
+    require_columns(repr(part.name), Format.required, [*labels, *(label for label, _ in fixed)], way=Format.way)
     return Part(part.path, part.name, tuple(labels), fixed)
 
 
-def _require_kind(part: Part, label: str, kind: object) -> None:
+def _require_kind(part: Part, label: str, kind: object, named: bool) -> None:
     import pyarrow as pa
 
+    held = getattr(kind, "value_type", kind)  # of a column that is written as a dictionary
+    texts = pa.types.is_string(held) or pa.types.is_large_string(held)
+    worded = label in MOVE and texts
+    if (worded and named) or (label == "episode" and texts):
+        return
     fits = pa.types.is_integer(kind) or pa.types.is_floating(kind) or (label in FLAGS and pa.types.is_boolean(kind))
     if not fits:
         rule = "booleans" if label in FLAGS else "numbers" if label in NUMBERS else "integers"
-        raise ValueError(f"column {label!r} of {part.name!r} must hold {rule}; it holds {kind}")
+        hint = NAMES * worded
+        raise ValueError(f"column {label!r} of {part.name!r} must hold {rule}; it holds {kind}{hint}")
 
 
 def _of_one_schema(parts: list[Part]) -> list[Part]:

@@ -7,6 +7,7 @@ that was stopped, however, goes on without counting a file twice.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -27,6 +28,8 @@ from oee_tabular.data.readers import LARGEST, Limits
 from oee_tabular.data.sampling import Sample
 from oee_tabular.data.tally import Counted
 from oee_tabular.data.transitions import Transitions
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.naming import Name
 
 PARTIAL = "transition_counts_partial"
 SHARE = 0.1  # of the time that may go to writing down what was counted so far
@@ -36,6 +39,7 @@ SECONDS = 2.0  # between two such writings, at least
 def count_log(
     path: files.Paths,
     *,
+    simulator: FiniteMDP | None = None,
     n_states: int | None = None,
     n_actions: int | None = None,
     bad_rows: str = "refuse",
@@ -48,13 +52,12 @@ def count_log(
     """Count the moves of files of any size, in memory of the size of the counts; ``Transitions.open`` explains the rest."""
     if isinstance(path, str | os.PathLike) and holds_counts(path):
         return TransitionCounts.load(path)
-    parts = files.found(path)
-    limits = Limits(
-        LARGEST if n_states is None else _checks.positive_integer(n_states, "n_states"),
-        LARGEST if n_actions is None else _checks.positive_integer(n_actions, "n_actions"),
-        _drops(bad_rows),
-        _checks.positive_integer(kept_moves, "kept_moves"),
-    )
+    drops = _drops(bad_rows)
+    limits = Limits(*_sizes(simulator, n_states, n_actions), drops, _checks.positive_integer(kept_moves, "kept_moves"))
+    if simulator is not None:
+        limits = limits._replace(state_names=simulator.state_names, action_names=simulator.action_names)
+    given = (("state", limits.state_names), ("action", limits.action_names), ("next_state", limits.state_names))
+    parts = files.found(path, [label for label, names in given if names is not None])
     if jobs != -1:
         _checks.positive_integer(jobs, "jobs")
     names = {files.plain_name(part, parts): part for part in parts}
@@ -70,6 +73,20 @@ def count_log(
         run.write()
         raise
     return run.finish()
+
+
+def _sizes(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None) -> tuple[int, int]:
+    """From which numbers on states and actions are bad."""
+    if simulator is not None:
+        _checks.instance(simulator, FiniteMDP, "simulator")
+        if n_states is not None or n_actions is not None:
+            raise ValueError("n_states and n_actions must be left out where simulator is given, which has its own")
+        return simulator.n_states, simulator.n_actions
+    states, actions = (
+        LARGEST if size is None else _checks.positive_integer(size, name)
+        for size, name in ((n_states, "n_states"), (n_actions, "n_actions"))
+    )
+    return states, actions
 
 
 def _drops(bad_rows: str) -> bool:
@@ -188,7 +205,14 @@ class Run:
 
     def _settings(self) -> dict[str, Any]:
         """Those that files were counted under; a file without bad rows is counted alike whether they are dropped or not."""
-        return {name: int(value) for name, value in self.limits._asdict().items() if name != "drop"}
+        limits = self.limits
+        found: dict[str, Any] = {"states": limits.states, "actions": limits.actions, "kept": limits.kept}
+        names = {"state_names": limits.state_names, "action_names": limits.action_names}
+        return found | {name: _digest(given) for name, given in names.items() if given is not None}
+
+
+def _digest(names: tuple[Name, ...]) -> str:
+    return hashlib.sha256(json.dumps(names).encode()).hexdigest()
 
 
 def _added(total: Counted | None, found: Counted) -> Counted:

@@ -86,14 +86,17 @@ def _parquet(path: str, take: Callable[[Any], Any]) -> Any:
             raise ValueError(f"{name!r} must be a parquet table; {str(error) or type(error).__name__:.300}") from None
 
 
-def require_columns(name: str, required: Sequence[str], labels: Iterable[str]) -> None:
-    """ValueError where a required column is missing, with the separator or the spelling that was probably meant."""
+def require_columns(name: str, required: Sequence[str], labels: Iterable[str], *, way: str = "") -> None:
+    """ValueError where a required column is missing, with the separator or the spelling that was probably meant.
+
+    ``way``: what else helps, where that is not seen.
+    """
     found = list(labels)
     if set(required) <= set(found):
         return
     shown = f"{', '.join(found):.300}" or "none"
-    hint = meant(required, found) or " (rename the columns that hold them)" * (len(found) >= len(required))
-    raise ValueError(f"{name!r} must have the columns {', '.join(required)}; it has {shown}{hint}")
+    hint = meant(required, found) or f" (rename the columns that hold them{way})" * (len(found) >= len(required))
+    raise ValueError(f"{name} must have the columns {', '.join(required)}; it has {shown}{hint}")
 
 
 def meant(required: Sequence[str], found: Sequence[str]) -> str:

@@ -11,11 +11,9 @@ import numpy as np
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
 from oee_tabular.data import _counting
 from oee_tabular.data.batches import Batch, batches
-from oee_tabular.data.parts import Part
+from oee_tabular.data.parts import MOVE, NAMES, Part
 from oee_tabular.data.readers import READERS, Limits
 from oee_tabular.data.sampling import Episodes
-
-_NAMES = "; names take a log that is read whole: Transitions.load or --log (its numbers: log.numbered(simulator).save)"
 
 REASONS = 5  # kinds of bad rows that are told with an example
 
@@ -148,7 +146,8 @@ class Tally:
                 mask |= at
                 if fresh.any():
                     k = int(np.argmax(fresh))
-                    said = found or f"it is {column[k]}{_NAMES * bool(at.all() and isinstance(column[k], str))}"
+                    named = name in MOVE and at.all() and isinstance(column[k], str)
+                    said = found(k) if callable(found) else found or f"it is {column[k]}{NAMES * bool(named)}"
                     first.append((k, f"{name} {rule}", f"{name}[{batch.row[k]}] {rule}; {said}"))
             columns[name] = values
             if mask.any():

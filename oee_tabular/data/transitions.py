@@ -38,7 +38,7 @@ class Transitions(Log):
     reward : (n,) finite numbers, optional
     terminated : (n,) booleans, optional
         The move ended the task. Default: none did.
-    episode : (n,) integers, optional
+    episode : (n,) integers or texts, optional
         Rows of one episode stand together, in order; each row's next_state is the following row's state, and a
         terminated or truncated row is the last of its episode. Without it the rows are a bag of moves.
     timestep : (n,) integers from 0, optional

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from oee_tabular import _files
 from oee_tabular.experiments import output as out
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.registry import Experiment
@@ -46,6 +47,7 @@ def reproduce(
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
+    _files.local(output)
     chosen: list[Experiment] = []
     left_out: list[ImportError] = []
     for experiment in EXPERIMENTS.choose(names, everything=everything):

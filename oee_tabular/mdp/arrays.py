@@ -119,7 +119,19 @@ def terminal_states(value: object, n_states: int) -> IntArray:
 
 
 def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
-    """``value``, (S,) or (S, c) finite numbers, as a new (S, c) array that is not writable."""
+    """``value`` as a new (S, c) array that is not writable: (S,) or (S, c) finite numbers, or the tuple (height, width).
+
+    A tuple of two integers is a grid's shape: state s lies in row s // width, column s % width. Of two states it may also be
+    their places, where its product is not 2.
+    """
+    if isinstance(value, tuple) and len(value) == 2 and all(_is_integer(part) for part in value):
+        height, width = (int(part) for part in value)
+        if min(height, width) > 0 and height * width == n_states:
+            return _checks.freeze(np.stack(np.divmod(np.arange(n_states), width), axis=1).astype(np.float64))
+        if n_states != 2:
+            raise ValueError(
+                f"{name} must be (height, width) with height * width = {n_states}, the number of states; it is {value!r:.80}"
+            )
     array = _checks.float_array(value, name, ndim=(1, 2))
     if len(array) != n_states or array.size == 0:
         raise ValueError(
@@ -127,3 +139,7 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
         )
     _checks.require_finite(array, name)
     return _checks.freeze(array.reshape(n_states, -1))
+
+
+def _is_integer(part: object) -> bool:
+    return isinstance(part, int | np.integer) and not isinstance(part, bool)

@@ -28,7 +28,7 @@ from oee_tabular.mdp.arrays import (
     transition_rows,
 )
 from oee_tabular.mdp.made import Made
-from oee_tabular.mdp.naming import Name, Names, check_names, from_text, start_law, to_text
+from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, start_law, to_text
 from oee_tabular.mdp.sampling import Sampling, stored_sampling
 
 KIND = "finite_mdp"
@@ -53,8 +53,10 @@ class FiniteMDP(Made):
     terminal_state : (S0,) integers, optional
         For s below S0, the number of the environment's own states: where a transition that *terminates* on entering s
         leads. By default s itself.
-    layout : (S,) or (S, c) array, optional
-        Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``).
+    layout : (S,) or (S, c) array, or a grid's shape (height, width), optional
+        Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``) and where
+        maps have them, (row, column) of two. Of a shape, two integers whose product is S, state s lies in row s // width.
+        None: the coordinates in ``state_names`` where all are tuples of numbers of one length, (3, 4); else none.
     sampling : Sampling, optional
         What the MDP rests on where it was made of samples; ``from_log`` and ``from_env`` give it, intervals widen by it.
     state_names, action_names : S, A texts or tuples of texts and numbers, optional
@@ -84,6 +86,7 @@ class FiniteMDP(Made):
     """
 
     __slots__ = (
+        "_own_layout",
         "_reward_data",
         "action_names",
         "discount",
@@ -111,6 +114,7 @@ class FiniteMDP(Made):
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
+    _own_layout: Array | None  # as given, without the names' coordinates
     _reward_data: Array | None
 
     def __init__(
@@ -137,6 +141,7 @@ class FiniteMDP(Made):
             terminal = terminal_states(terminal_state, n_states)
         called = None if state_names is None else check_names(state_names, "state_names", n_states)
         start = start_law(initial, called, n_states)
+        places = None if layout is None else check_layout(layout, n_states)
         values = {
             "n_states": n_states,
             "n_actions": n_actions,
@@ -146,10 +151,11 @@ class FiniteMDP(Made):
             "initial": _checks.freeze(_checks.distribution(start, "initial", (n_states,))),
             "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
             "terminal_state": _checks.freeze(terminal),
-            "layout": None if layout is None else check_layout(layout, n_states),
+            "layout": coordinates(called) if places is None else places,
             "state_names": called,
             "action_names": None if action_names is None else check_names(action_names, "action_names", n_actions),
             "sampling": sampling,
+            "_own_layout": places,
             "_reward_data": data,
         }
         for name, value in values.items():
@@ -243,7 +249,7 @@ class FiniteMDP(Made):
         return self._changed(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
-        """The same MDP with other coordinates of its states, (S,) or (S, c); None: with none."""
+        """The same MDP with other coordinates of its states, as in the constructor; None: those in its names, or none."""
         return self._changed(layout=layout)
 
     def with_names(self, state_names: object = None, action_names: object = None) -> Self:
@@ -293,8 +299,8 @@ class FiniteMDP(Made):
         else:
             for part in ("data", "indices", "indptr"):
                 arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
-        if self.layout is not None:
-            arrays["layout"] = self.layout
+        if self._own_layout is not None:
+            arrays["layout"] = self._own_layout
         called = {"state_names": self.state_names, "action_names": self.action_names}
         arrays |= {name: to_text(names) for name, names in called.items() if names is not None}
         return arrays | ({} if self.sampling is None else self.sampling.arrays())
@@ -353,12 +359,11 @@ class FiniteMDP(Made):
             "initial",
             "discount",
             "terminal_state",
-            "layout",
             "state_names",
             "action_names",
+            "sampling",
         )
-        same += ("sampling",)
-        return {"rewards": rewards} | {name: getattr(self, name) for name in same}
+        return {"rewards": rewards, "layout": self._own_layout} | {name: getattr(self, name) for name in same}
 
     def _changed(self, **changes: object) -> Self:
         """The same MDP with other arguments of the constructor."""

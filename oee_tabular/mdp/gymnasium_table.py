@@ -14,7 +14,7 @@ from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical
-from oee_tabular.mdp.naming import Name, check_names
+from oee_tabular.mdp.naming import Name, check_names, coordinates
 
 # wrappers of Gymnasium that change neither actions nor observations nor rewards (a time limit is a horizon)
 _HARMLESS = {
@@ -158,6 +158,7 @@ def build(
     flow = canonical(sparse.csr_array((weights * paid, (rows, columns)), shape=shape), drop_zeros=False)
     mean, _ = align(flow, transitions)
     rewards = sparse.csr_array((mean / transitions.data, transitions.indices, transitions.indptr), shape)
+    layout = coordinates(state_names) if layout is None else layout
     if layout is not None:
         layout = np.concatenate([layout, layout[twins]])
     if state_names is not None:

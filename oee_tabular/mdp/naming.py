@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import IntArray
+from oee_tabular._checks import Array, IntArray
 
 Name: TypeAlias = str | tuple[Any, ...]
 
@@ -136,6 +136,24 @@ def reads_as_number(text: str) -> bool:
     return True
 
 
+def coordinates(names: tuple[Name, ...] | None) -> Array | None:
+    """(S, c) of names that are all tuples of c numbers; None of others. O(S c).
+
+    Examples
+    --------
+    >>> coordinates(((0, 0.5), (1, 0.5))).tolist(), coordinates(((0, 0), (1, "over")))
+    ([[0.0, 0.5], [1.0, 0.5]], None)
+    """
+    if not names or any(not isinstance(name, tuple) or len(name) != len(names[0]) for name in names):
+        return None
+    if any(not isinstance(part, int | float) for name in names for part in name):
+        return None
+    try:
+        return _checks.freeze(np.array(names, dtype=np.float64))
+    except OverflowError:  # an integer beyond floats
+        return None
+
+
 class _Same:
     """A tuple of names as a key, by what it is and not by what it holds: found in O(1)."""
 
@@ -151,12 +169,15 @@ class _Same:
 
 @lru_cache(maxsize=16)
 def _lookup(key: _Same) -> Mapping[Hashable, int]:
-    found: dict[Hashable, int] = {str(item): k for k, item in enumerate(key.names)}
+    found: dict[Hashable, int] = {
+        str(item).replace(", ", ","): k for k, item in enumerate(key.names) if isinstance(item, tuple)
+    }
+    found |= {str(item): k for k, item in enumerate(key.names)}
     return MappingProxyType(found | {item: k for k, item in enumerate(key.names)})
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
-    """Name -> number; a tuple is found by its text as well, as files write it. Made once for a tuple: O(1) from then on."""
+    """Name -> number; a tuple is found by its text as well, "(0, 1)" or "(0,1)". Made once for a tuple: O(1) from then on."""
     return _lookup(_Same(names))
 
 

@@ -7,53 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
-from oee_tabular._sparse import row_of_entry
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.plots.maps import Map, as_map
 from oee_tabular.plots.style import COLORS, DIVERGING, PAPER, SEQUENTIAL, literally
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from oee_tabular.mdp import FiniteMDP
-
 VECTOR = 1600  # cells up to which each is a shape of its own; beyond, the map is an image
 NUMBERED = 12  # rows and columns up to which cells can hold text
 
 
-def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
-    """(rows, columns) of a gridworld whose states are numbered row * columns + column, or None where it is none.
-
-    A gridworld's moves stay, go to the neighbour on the left or right (never around an edge), or to the one above or below;
-    a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
-
-    Parameters
-    ----------
-    mdp : FiniteMDP
-
-    Examples
-    --------
-    >>> from oee_tabular.tasks import gridworld
-    >>> detect_grid(gridworld(5, slip=0.1))
-    (5, 5)
-    """
-    matrix = mdp.transitions
-    start = row_of_entry(matrix) // mdp.n_actions
-    step = matrix.indices.astype(np.int64) - start
-    counted = (mdp.initial[matrix.indices] == 0) | (np.abs(step) <= 1)
-    sizes = np.unique(np.abs(step[counted]))
-    long = sizes[sizes > 1]
-    if len(long) != 1:
-        return None
-    width = int(long[0])
-    around = (start // width != matrix.indices // width) & (np.abs(step) == 1) & counted
-    if 1 not in sizes or around.any() or mdp.n_states % width or mdp.n_states == width:
-        return None
-    return mdp.n_states // width, width
-
-
 def plot_grid(
     values: object,
-    shape: tuple[int, int],
+    shape: tuple[int, int] | Map,
     ax: Axes,
     *,
     label: str,
@@ -63,12 +30,12 @@ def plot_grid(
     crossed: object = None,
     ticks: Any = None,
 ) -> Axes:
-    """A heat map of one number a state; row 0 is on top, as states are numbered.
+    """A heat map of one number a state; row 0 is on top. A cell without a state stays blank.
 
     Parameters
     ----------
-    values : (rows * columns,), or that shape; nan for a cell without colour
-    shape : (rows, columns)
+    values : (S,), or (rows, columns); nan for a cell without colour
+    shape : (rows, columns) of states numbered row * columns + column; or a ``Map``, as ``map_of`` makes it
     ax : matplotlib Axes
     label : of the colour bar, with the unit
     norm, colormap : matplotlib's; None: linear
@@ -83,8 +50,10 @@ def plot_grid(
     >>> [text.get_text() for text in ax.texts]
     ['a', 'b', 'c', 'd']
     """
-    rows, columns = _shape(shape)
-    cells = np.ma.masked_invalid(_states(values, rows * columns, "values").reshape(rows, columns))
+    places = as_map(shape)
+    rows, columns = places.shape
+    n_states = len(places.cell)
+    cells = np.ma.masked_invalid(places.spread(_states(values, n_states, "values")).reshape(rows, columns))
     if rows * columns <= VECTOR:
         drawn: Any = ax.pcolormesh(cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face")
     else:
@@ -96,20 +65,20 @@ def plot_grid(
     ax.set_aspect("equal")
     if crossed is not None:
         mask = np.asarray(crossed, dtype=np.bool_).reshape(-1)
-        if mask.shape != (rows * columns,):
-            raise ValueError(f"crossed must have {rows * columns} entries, one a state; it has {mask.size}")
-        row, column = np.divmod(np.flatnonzero(mask), columns)
+        if mask.shape != (n_states,):
+            raise ValueError(f"crossed must have {n_states} entries, one a state; it has {mask.size}")
+        row, column = np.divmod(places.cell[mask & (places.cell >= 0)], columns)
         size = min(9.0, 120.0 / max(rows, columns))
         for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
             ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
     if text is not None and max(rows, columns) <= NUMBERED:
-        _write(ax, drawn, cells, list(text), columns)
+        _write(ax, drawn, cells, places.cell, list(text))
     ax.set_xlabel("column")
     ax.set_ylabel("row")
-    for axis, count in ((ax.xaxis, columns), (ax.yaxis, rows)):
-        every = max(1, -(-count // 10))
-        numbers = range(0, count, every)
-        axis.set_ticks([k + 0.5 for k in numbers], [str(k) for k in numbers])
+    for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
+        every = max(1, -(-len(called) // 10))
+        numbers = range(0, len(called), every)
+        axis.set_ticks([k + 0.5 for k in numbers], [f"{called[k]:.6g}" for k in numbers])
         axis.set_tick_params(length=0)
     for spine in ax.spines.values():
         spine.set_visible(False)
@@ -123,7 +92,7 @@ def plot_grid(
 
 
 def plot_ratio(
-    values: object, shape: tuple[int, int], ax: Axes, *, label: str = "ratio P_target / P_simulator"
+    values: object, shape: tuple[int, int] | Map, ax: Axes, *, label: str = "ratio P_target / P_simulator"
 ) -> Axes:
     """A heat map of ratios, logarithmic around 1: one colour for more often than in the simulator, one for less often.
 
@@ -140,8 +109,7 @@ def plot_ratio(
     """
     from matplotlib.colors import LogNorm
 
-    rows, columns = _shape(shape)
-    ratio = _states(values, rows * columns, "values")
+    ratio = _states(values, len(as_map(shape).cell), "values")
     if (ratio < 0).any():
         k = int(np.argmax(ratio < 0))
         raise ValueError(f"values[{k}] must be nonnegative; it is {ratio[k]:g}")
@@ -158,7 +126,7 @@ def plot_ratio(
 
 def plot_coverage(
     counts: object,
-    shape: tuple[int, int],
+    shape: tuple[int, int] | Map,
     ax: Axes,
     *,
     over: object = None,
@@ -180,11 +148,11 @@ def plot_coverage(
     """
     from matplotlib.colors import LogNorm
 
-    rows, columns = _shape(shape)
+    n_states = len(as_map(shape).cell)
     given = _checks.float_array(counts, "counts", ndim=(1, 2))
     _checks.require_nonnegative(given, "counts")
-    seen = _states(given.sum(axis=1) if given.ndim == 2 else given, rows * columns, "counts")
-    ended = _mask(over, rows * columns)
+    seen = _states(given.sum(axis=1) if given.ndim == 2 else given, n_states, "counts")
+    ended = _mask(over, n_states)
     most = max(float(seen.max()), 1.0)
     top = 10.0 ** max(1.0, np.ceil(np.log10(most)))
     ticks = [10.0**k for k in range(round(np.log10(top)) + 1)]
@@ -197,7 +165,7 @@ def plot_coverage(
 
 def plot_occupancy(
     time: object,
-    shape: tuple[int, int],
+    shape: tuple[int, int] | Map,
     ax: Axes,
     *,
     unseen: object = None,
@@ -221,23 +189,26 @@ def plot_occupancy(
     """
     from matplotlib.colors import PowerNorm
 
-    rows, columns = _shape(shape)
-    share = 100.0 * _states(time, rows * columns, "time")
-    ended = _mask(over, rows * columns)
+    n_states = len(as_map(shape).cell)
+    share = 100.0 * _states(time, n_states, "time")
+    ended = _mask(over, n_states)
     share = np.where(ended, np.nan, share)
     most = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
-    crossed = _mask(unseen, rows * columns) & ~ended
+    crossed = _mask(unseen, n_states) & ~ended
     words = ["end" if e else "" if c else _percent(s) for s, e, c in zip(share, ended, crossed, strict=True)]
     norm = PowerNorm(0.5, 0.0, most if most > 0 else 1.0)
     return plot_grid(share, shape, ax, label=label, norm=norm, text=words, crossed=crossed)
 
 
-def _write(ax: Axes, drawn: Any, cells: Any, words: list[str], columns: int) -> None:
+def _write(ax: Axes, drawn: Any, cells: Any, places: IntArray, words: list[str]) -> None:
     from matplotlib.colors import to_rgb
 
+    columns = cells.shape[1]
     size = 8.0 if columns <= 8 else 7.2
-    for k, word in enumerate(words):
-        row, column = divmod(k, columns)
+    for cell, word in zip(places, words, strict=False):
+        if cell < 0:
+            continue
+        row, column = divmod(int(cell), columns)
         value = cells[row, column]
         style: dict[str, Any] = {}
         if value is not np.ma.masked:
@@ -256,14 +227,6 @@ def _short(count: float) -> str:
 
 def _percent(share: float) -> str:
     return "" if share < 0.05 else f"{share:.1f}" if share < 9.95 else f"{share:.0f}"
-
-
-def _shape(shape: tuple[int, int]) -> tuple[int, int]:
-    try:
-        rows, columns = shape
-    except (TypeError, ValueError):
-        raise ValueError(f"shape must be (rows, columns); got {shape!r}") from None
-    return _checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]")
 
 
 def _states(values: object, n_states: int, name: str) -> Array:

@@ -55,7 +55,8 @@ class Conditional(Method):
         probabilities; kinds with fewer than 5 visited rows or 100 moves are pooled), or given. ``details`` has the choice,
         its curve and its meaning.
     features : phi for the tilt: None (log P, and (log P)^2 where the evidence asks for it), an array aligned with
-        ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of (s, a, s');
+        ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a function of (s, a, s'),
+        or a data frame (columns state, action, next_state, by number or name, and one a feature);
         ``oee.ratio.action_displacement`` makes some
     smoothness : "evidence" (default), a positive number, or ``numpy.inf``; with the tilt only
         How much alike theta is in neighbouring states (lambda of ``ratio.prior.local_tilt``): chosen by its evidence, given, or

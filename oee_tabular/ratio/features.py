@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 
@@ -154,11 +155,16 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     """phi as an (entries, d) array of finite numbers.
 
     ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
-    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d).
+    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a data frame with columns state, action,
+    next_state (numbers or the simulator's names) and one for each feature, 0 in the moves that it has not.
     """
     matrix, rows = simulator.transitions, Rows.of(simulator)
     if features is None:
         return np.asarray(np.log(matrix.data)[:, None])
+    if not callable(features) and is_frame(features):
+        from oee_tabular.ratio.tabled import features_in
+
+        return features_in(features, simulator, "features")[0]
     moves = rows.spread(rows.state), rows.spread(rows.action), rows.arrival
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")

@@ -169,8 +169,8 @@ class InClass(Method):
 
     Parameters
     ----------
-    features : an array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), or a function of
-        (s, a, s'); or instead of it
+    features : an array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a function of
+        (s, a, s'), or a data frame (columns state, action, next_state, by number or name, and one a feature); or instead of it
     kernel : "gaussian" (moves of one action are alike as the coordinates of s and the displacements to s' are), or a function
         of (m, 1 + 2c) and (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array
     coordinates : (S,) or (S, c), where each state is; with a kernel

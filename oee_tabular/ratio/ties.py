@@ -23,6 +23,8 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import IntArray
+from oee_tabular.data.frames import is_frame
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.density import density_ratio
 from oee_tabular.ratio.method import Given, Method
@@ -38,7 +40,8 @@ class Tied(Method):
     Parameters
     ----------
     tie : array of integers, one for each entry of ``simulator.transitions.data``; or a function of the arrays (s, a, s') of
-        all entries that returns one
+        all entries that returns one; or a data frame with columns state, action, next_state (numbers or the simulator's
+        names) and one of keys
     strength : kappa >= 0, how many moves the simulator is worth in each group of keys
 
     Raises
@@ -87,7 +90,7 @@ class Tied(Method):
     def _fit(self, given: Given) -> TransitionRatio:
         observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
         matrix, rows = simulator.transitions, given.rows
-        keys = _keys(self.tie, rows)
+        keys = _keys(self.tie, rows, simulator)
         visits = rows.sums(observed)
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
@@ -126,10 +129,14 @@ class Tied(Method):
         return replace(given.ratio(zeta, "tied", gap, details), tied=True)
 
 
-def _keys(tie: object, rows: Rows) -> IntArray:
+def _keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     """Keys numbered from 0, one for each entry."""
     if callable(tie):
         tie = tie(rows.spread(rows.state), rows.spread(rows.action), rows.arrival)
+    elif is_frame(tie):
+        from oee_tabular.ratio.tabled import keys_in
+
+        tie = keys_in(tie, simulator, "tie")
     given = _checks.as_array(tie, "tie")
     if given.shape != rows.entries.shape:
         raise ValueError(

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from oee_tabular import __version__, _checks, _printing
+from oee_tabular import __version__, _checks, _printing, _progress
+from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.inference import Comparison, Interval
 from oee_tabular.inference.comparison import several_policies
-from oee_tabular.report.quoting import LIKELIHOOD
+from oee_tabular.report.quoting import LIKELIHOOD, quoted
 from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked
 
 
@@ -22,9 +24,10 @@ class Contest:
 
     Attributes
     ----------
-    comparison : values of the log's frequencies, best first, and their differences; those from the best hold all at once
+    comparison : of the log's own frequencies: intervals of the differences, P(best); those from one policy hold all at once
     sureness : likelihood intervals of each policy, and the sentence
     confidence : of the intervals
+    values : policy -> the value that ``evaluate`` gives as ``oee``, best first
 
     Examples
     --------
@@ -40,6 +43,7 @@ class Contest:
     comparison: Comparison
     sureness: Sureness
     confidence: float
+    values: Mapping[str, float]
 
     @property
     def sentence(self) -> str:
@@ -49,29 +53,27 @@ class Contest:
     @property
     def best(self) -> str | None:
         """The policy that is worth most, None where the log cannot say."""
-        return None if "cannot say" in self.sentence else self.comparison.names[0]
+        return None if "cannot say" in self.sentence else next(iter(self.values))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values."""
         found = self.comparison
         policies, differences = [], []
-        for i, name in enumerate(found.names):
-            ends = self._interval(name)
+        leader = next(iter(self.values))
+        for name, value in self.values.items():
+            i, ends = found.names.index(name), self._interval(name)
             policies.append(
                 {
                     "policy": name,
-                    "value": float(found.values[i]),
+                    "value": value,
                     "lower": None if ends is None else ends.lower,
                     "upper": None if ends is None else ends.upper,
                     "probability_best": self._probability(i),
                     "unseen_share": float(found.unseen_share[i]),
                 }
             )
-            if i:
-                parts = {"difference": found.differences, "lower": found.lower, "upper": found.upper}
-                differences.append(
-                    {"policy": name, "than": found.names[0]} | {key: float(table[i, 0]) for key, table in parts.items()}
-                )
+            if name != leader:
+                differences.append({"policy": name, "than": leader} | self._difference(name, leader))
         return {
             "version": __version__, "confidence": self.confidence, "best": self.best, "sentence": self.sentence,
             "policies": policies, "differences": differences,
@@ -83,23 +85,25 @@ class Contest:
 
     def __str__(self) -> str:
         head = ["policy", "value", f"{self.confidence:.0%} interval", "P(best)", "unseen", "less than the best by"]
-        body = [self._row(record, i) for i, record in enumerate(self.to_dict()["policies"])]
+        body = [self._row(record) for record in self.to_dict()["policies"]]
         widths = [max(len(row[k]) for row in (head, *body)) for k in range(len(head))]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (head, *body)]
         told = [
-            f"Values: {_printing.SUM}, of the log's frequencies; their intervals by the likelihood, those of differences for "
-            f"all at once, at {self.confidence:.0%}. unseen: share of the policy's time of which the log says nothing"
+            f"Values: {_printing.SUM}, as oee evaluate gives them (oee); their intervals by the likelihood, those of "
+            f"differences by the log's frequencies, for all at once, at {self.confidence:.0%}. unseen: share of the policy's "
+            "time of which the log says nothing"
             + ("; beyond 10% there is no P(best)." if "-" in [row[3] for row in body] else ".")
         ]
         return "\n".join([self.sentence, "", *(line.rstrip() for line in lines), "", *told])
 
-    def _row(self, record: Mapping[str, Any], i: int) -> list[str]:
-        found, ends = self.comparison, self._interval(record["policy"])
+    def _row(self, record: Mapping[str, Any]) -> list[str]:
+        leader, ends = next(iter(self.values)), self._interval(record["policy"])
         form = ".5g" if ends is None else _printing.spec(ends.lower, ends.upper)
         best, less = record["probability_best"], ""
-        if i:
-            low, high = found.lower[0, i], found.upper[0, i]
-            less = f"{found.differences[0, i]:{_printing.spec(low, high)}} {_printing.interval(low, high)}"
+        if record["policy"] != leader:
+            less_by = self._difference(leader, record["policy"])
+            low, high = less_by["lower"], less_by["upper"]
+            less = f"{less_by['difference']:{_printing.spec(low, high)}} {_printing.interval(low, high)}"
         return [
             record["policy"],
             format(record["value"], form),
@@ -108,6 +112,14 @@ class Contest:
             f"{record['unseen_share']:.1%}",
             less,
         ]
+
+    def _difference(self, one: str, other: str) -> dict[str, float]:
+        """Of two values, and its interval, which has the difference of those that are shown in it."""
+        found, apart = self.comparison, self.values[one] - self.values[other]
+        pair = found.names.index(one), found.names.index(other)
+        return {
+            "difference": apart, "lower": min(float(found.lower[pair]), apart), "upper": max(float(found.upper[pair]), apart)
+        }  # fmt: skip
 
     def _interval(self, name: str) -> Interval | None:
         found = self.sureness.intervals.get(name, {}).get(LIKELIHOOD)
@@ -151,5 +163,15 @@ def contest(problem: Problem, policies: object, *, confidence: float = 0.95, qui
     sure = how_sure(problem, named, level, guaranteed=False, quick=quick, scale=1.0)
     found = sure.comparison
     assert found is not None
-    values = dict(zip(found.names, map(float, found.values), strict=True))
-    return Contest(found, ranked(sure, values), level)
+    values = {name: _value(problem, named[name], sure, name, level) for name in named}
+    values = {name: values[name] for name in sorted(named, key=lambda name: -values[name])}
+    return Contest(found, ranked(sure, values), level, values)
+
+
+def _value(problem: Problem, policy: Array, sure: Sureness, name: str, level: float) -> float:
+    """What ``evaluate`` shows as ``oee``; where that has no value, maximum likelihood's."""
+    _progress.doing(f"value of “{name}”")
+    estimate = OffEnvironment()(problem, policy, seed=0)  # exact: no seed matters
+    found = quoted(estimate, sure.intervals.get(name, {}).get(LIKELIHOOD), problem, policy, level).value
+    assert sure.comparison is not None
+    return found if math.isfinite(found) else float(sure.comparison.values[sure.comparison.names.index(name)])

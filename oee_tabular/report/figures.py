@@ -18,7 +18,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import NAMELESS, Names
-from oee_tabular.plots import detect_grid
+from oee_tabular.plots import Map, map_of
 from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report.contents import Answer, alone, number, within
@@ -53,13 +53,13 @@ class Visits:
 
 @dataclass(frozen=True, eq=False)
 class Portrait:
-    """Counts (S, A) of the log, ``over`` (S,) states that no action leaves, visits by policy, changed rows, and the grid."""
+    """Counts (S, A) of the log, ``over`` (S,) states that no action leaves, visits by policy, changed rows, and the map."""
 
     counts: Array
     over: BoolArray
     visits: Mapping[str, Visits]
     changes: RowChanges
-    grid: tuple[int, int] | None
+    map: Map | None
     names: Names = NAMELESS
 
     @property
@@ -74,16 +74,19 @@ class Portrait:
 
     def where(self, state: int) -> str:
         """A state in words."""
-        if self.grid is None:
-            return f"state {self.names.state(state)}"
-        row, column = divmod(state, self.grid[1])
-        return f"state {self.names.state(state)} (row {row}, column {column})"
+        place = self.place(state)
+        words = "" if place is None else f" (row {place[0]:.6g}, column {place[1]:.6g})"
+        return f"state {self.names.state(state)}{words}"
+
+    def place(self, state: int) -> tuple[float, float] | None:
+        """The row and the column of a state, as the map's axes call them; None where there is none."""
+        return None if self.map is None else self.map.place(state)
 
 
 def portray(
     problem: Problem, policies: Mapping[str, Array], confidence: float, grid: tuple[int, int] | None
 ) -> Portrait:
-    """The portrait of a problem; ``grid`` None: found from the simulator's moves."""
+    """The portrait of a problem; ``grid`` None: ``plots.map_of`` finds the map."""
     simulator = problem.simulator
     changes = row_changes(problem, confidence=confidence)
     visits: dict[str, Visits] = {}
@@ -100,11 +103,11 @@ def portray(
             total = float(time.sum())
             time = time / total if total > 0 else time
             visits[name] = Visits(time, np.where(changes.counts > 0, 0.0, time).sum(axis=1))
-    shape = detect_grid(simulator) if grid is None else _grid(grid, simulator.n_states)
-    return Portrait(changes.counts, over, visits, changes, shape, simulator.names)
+    places = map_of(simulator) if grid is None else _grid(grid, simulator.n_states)
+    return Portrait(changes.counts, over, visits, changes, places, simulator.names)
 
 
-def _grid(grid: Any, n_states: int) -> tuple[int, int]:
+def _grid(grid: Any, n_states: int) -> Map:
     try:
         rows, columns = grid
     except (TypeError, ValueError):
@@ -114,7 +117,7 @@ def _grid(grid: Any, n_states: int) -> tuple[int, int]:
         raise ValueError(
             f"grid must have as many cells as the simulator has states, {n_states}; {shape} has {shape[0] * shape[1]}"
         )
-    return shape
+    return Map.of_shape(*shape)
 
 
 def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
@@ -135,7 +138,7 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
                 portrait.names.action(a),
                 portrait.names.state(changes.next_state[s, a]),
             ),
-            "cell": None if portrait.grid is None else divmod(s, portrait.grid[1]),
+            "cell": portrait.place(s),
             "action": a,
             "moves": int(changes.counts[s, a]),
             "certain": float(changes.certain[s, a]),
@@ -181,12 +184,12 @@ def forest(report: Evaluation, answer: Answer, name: str) -> str:
 
 def recorded(portrait: Portrait, name: str) -> str:
     """What the log has seen, on the grid."""
-    assert portrait.grid is not None
-    shape, moves = portrait.grid, portrait.counts.sum(axis=1)
+    assert portrait.map is not None
+    places, moves = portrait.map, portrait.counts.sum(axis=1)
     return plots.figure_svg(
-        lambda ax: plots.plot_coverage(portrait.counts, shape, ax, over=portrait.over),
-        name=name, size=_size(shape), title="Moves recorded in each state",
-        description=f"A grid of {shape[0]} rows and {shape[1]} columns. The log has moves from "
+        lambda ax: plots.plot_coverage(portrait.counts, places, ax, over=portrait.over),
+        name=name, size=_size(places), title="Moves recorded in each state",
+        description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has moves from "
         f"{portrait.alive - portrait.never} of the {portrait.alive} states that can be left; the most, {int(moves.max())}, are "
         f"from {portrait.where(int(moves.argmax()))}.",
     )  # fmt: skip
@@ -203,11 +206,11 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
         "pairs that the log has seen."
     )
     title = f"Where {policy} spends its time"
-    if portrait.grid is not None:
-        shape = portrait.grid
+    if portrait.map is not None:
+        places = portrait.map
         return plots.figure_svg(
-            lambda ax: plots.plot_occupancy(time, shape, ax, unseen=visits.unseen > NOTABLE, over=portrait.over),
-            name=name, size=_size(shape), title=title, description=description,
+            lambda ax: plots.plot_occupancy(time, places, ax, unseen=visits.unseen > NOTABLE, over=portrait.over),
+            name=name, size=_size(places), title=title, description=description,
         )  # fmt: skip
     seen = 1.0 - np.divide(visits.unseen, time, out=np.zeros_like(time), where=time > 0)
     bars = min(20, max(1, int((time > 0).sum())))
@@ -222,8 +225,8 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
 
 def changed(portrait: Portrait, name: str) -> str:
     """On the grid, by how much the target differs for certain: the largest of each state's actions."""
-    assert portrait.grid is not None
-    shape, least = portrait.grid, portrait.changes.certain.max(axis=1)
+    assert portrait.map is not None
+    places, least = portrait.map, portrait.changes.certain.max(axis=1)
     shown = np.where(portrait.over | (portrait.counts.sum(axis=1) == 0), np.nan, 100.0 * least)
     words: list[object] = [
         "end" if over else "" if not x > 0 else f"{x:.0f}" for x, over in zip(shown, portrait.over, strict=True)
@@ -231,16 +234,16 @@ def changed(portrait: Portrait, name: str) -> str:
     most = int(np.argmax(least))
     return plots.figure_svg(
         lambda ax: plots.plot_grid(
-            shown, shape, ax, text=words, label="moves that end elsewhere, at least (%)"
+            shown, places, ax, text=words, label="moves that end elsewhere, at least (%)"
         ),
-        name=name, size=_size(shape), title="Where the target differs from the simulator for certain",
+        name=name, size=_size(places), title="Where the target differs from the simulator for certain",
         description="For each state the largest certain change of its actions. The largest is at least "
         f"{100 * least[most]:.0f}% of moves, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs differ "
         "for certain.",
     )  # fmt: skip
 
 
-def _size(shape: tuple[int, int]) -> tuple[float, float]:
+def _size(places: Map) -> tuple[float, float]:
     """A figure as wide as the others, with a map of square cells and its colour bar."""
-    tall = (WIDTH - 1.3) * shape[0] / shape[1]
+    tall = (WIDTH - 1.3) * len(places.rows) / len(places.columns)
     return (WIDTH, min(max(tall, 0.9) + 0.6, 7.0))

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from oee_tabular import _printing
+from oee_tabular import _files, _printing
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
@@ -32,7 +32,7 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     ...     (Path(folder) / "new").exists()
     False
     """
-    path = Path(folder)
+    path = Path(_files.local(folder))
     nearest = path
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent

@@ -119,7 +119,7 @@ def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, 
         for k, (name, visits) in enumerate(portrait.visits.items())
     ]
     return {
-        "recorded": None if portrait.grid is None else markup(figures.recorded(portrait, "recorded")),
+        "recorded": None if portrait.map is None else markup(figures.recorded(portrait, "recorded")),
         "policies": rows,
         "left_out": max(0, len(report.policies) - MOST_POLICIES) if portrait.visits else 0,
         "never": portrait.never,
@@ -134,7 +134,7 @@ def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, 
 def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
     rows, certain = changed_rows(portrait)
     picture = None
-    if certain and portrait.grid is not None:
+    if certain and portrait.map is not None:
         picture = markup(figures.changed(portrait, "changes"))
     return {
         "rows": rows,

@@ -59,8 +59,9 @@ class Report(Evaluation):
         ----------
         path : .html or .htm file; its folder is made, the file appears whole or not at all
         title : of the page
-        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: found from the moves that the
-            simulator makes (``plots.detect_grid``). Other tasks get a picture of the states where a policy spends its time
+        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: the simulator's layout,
+            or the moves that it makes (``plots.map_of``). Other tasks get a picture of the states where a policy spends
+            its time
 
         Returns
         -------

@@ -97,7 +97,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
             raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
         size = bound.arguments["size"]
         return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
-    environment_exists(name)
+    environment_exists(name, ("gridworld", *names.CONTINUOUS))
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
     gamma = keywords.pop("discount", 0.99)

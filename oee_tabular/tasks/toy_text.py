@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular.mdp import FiniteMDP
 
 
-def environment_exists(identifier: str) -> None:
-    """A ValueError with the nearest ids for an unknown one."""
+def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
+    """A ValueError with the nearest ids, or names of ``others``, for an unknown one."""
     from gymnasium.envs.registration import registry
 
     _checks.instance(identifier, str, "identifier")
     if identifier not in registry:
-        near = difflib.get_close_matches(identifier, list(registry), n=3, cutoff=0.5)
+        near = difflib.get_close_matches(identifier, [*others, *registry], n=3, cutoff=0.5)
         hint = f"; near: {', '.join(near)}" if near else ""
         raise ValueError(
             f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint} (your own: module:Class or "

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -142,6 +143,82 @@ def test_keys_in_three_forms_are_one():
     large = 2**62 + np.arange(NNZ)  # as floats they would be one
     table(kind=large).to_csv("keys.csv", index=False)
     assert_array_equal(tie_of(Path("keys.csv"), GRID), large)
+
+
+NAMED = GRID.with_names([f"cell {s}" for s in range(9)], [("go", a) for a in range(4)])
+
+
+def by_name(**columns):
+    called = {"state": STATE, "next_state": NEXT}
+    frame = table(**columns).assign(**{label: [f"cell {s}" for s in values] for label, values in called.items()})
+    return frame.assign(action=[str(("go", int(a))) for a in ACTION])
+
+
+def test_states_and_actions_by_name(capsys):
+    NAMED.save("named.npz")
+    by_name(ahead=KIND == 1).iloc[::-1].to_csv("phi.csv", index=False)
+    by_name(kind=KEYS).to_csv("keys.csv", index=False)
+    assert_array_equal(features_of(Path("phi.csv"), NAMED)[0], (KIND == 1)[:, None])
+    assert_array_equal(tie_of(Path("keys.csv"), NAMED), KEYS)
+    table(kind=KEYS).to_csv("numbers.csv", index=False)  # numbers are taken as they were
+    assert_array_equal(tie_of(Path("numbers.csv"), NAMED), KEYS)
+    ask = [
+        "evaluate",
+        "--simulator",
+        "named.npz",
+        "--log",
+        "log.csv",
+        "--tie",
+        "keys.csv",
+        "--features",
+        "phi.csv",
+        "--json",
+    ]
+    found = json.loads(run(capsys, *ask))
+    assert [row["estimator"] for row in found["results"]][-2:] == ["oee-features", "oee-tied"]
+
+
+def test_python_takes_the_same_tables():
+    tuples = by_name(ahead=KIND == 1).assign(action=[("go", int(a)) for a in ACTION])
+    for frame in (
+        tuples,
+        by_name(ahead=KIND == 1),
+        table(ahead=KIND == 1),
+        pa.Table.from_pandas(by_name(ahead=KIND == 1)),
+    ):
+        same = oee.transition_ratio(LOG, NAMED, features=frame).values.data
+        assert_array_equal(same, oee.transition_ratio(LOG, NAMED, features=(KIND == 1).astype(float)).values.data)
+    tied = oee.transition_ratio(LOG, NAMED, tie=by_name(kind=KEYS)).values.data
+    assert_array_equal(tied, oee.transition_ratio(LOG, NAMED, tie=KEYS).values.data)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "text"),
+    [
+        (
+            "state",
+            "cel 3",
+            r"^column 'state' of tie, row 5, must be one of the simulator's names; it is 'cel 3' \(did you ",
+        ),
+        (
+            "action",
+            "left",
+            r"^column 'action' of tie, row 5, must be one of the simulator's names; it is 'left' \(they are ",
+        ),
+        ("next_state", None, r"^column 'next_state' of tie must have a name in every row; row 5 has none or nan$"),
+        ("kind", "a", r"^column 'kind' of tie must have a finite number in every row; row 5 has a$"),
+    ],
+)
+def test_bad_tables_in_python(column, value, text):
+    frame = by_name(kind=KEYS).astype(object)
+    frame.loc[5, column] = value
+    with pytest.raises(ValueError, match=text):
+        oee.transition_ratio(LOG, NAMED, tie=frame)
+
+
+def test_names_of_a_simulator_that_has_none():
+    with pytest.raises(ValueError, match=r"^column 'state' of features must have a finite number .*; row 0 has cell 0"):
+        oee.transition_ratio(LOG, GRID, features=by_name(ahead=1.0))
 
 
 # ---------------------------------------------------------------- bad files

@@ -95,6 +95,29 @@ def test_environments_of_one_s_own(capsys, folder, spec):
     assert oee.Transitions.load("own.csv").terminated.sum() == 3
 
 
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
+def test_what_is_sampled_has_names_and_is_read_again(capsys, folder, ending):
+    mdp = oee.tasks.gridworld(3, slip=0.2).with_names([(s // 3, s % 3) for s in range(9)], ["n", "e", "s", "w"])
+    mdp.save("named.npz")
+    run(capsys, "sample", "named.npz", "--transitions", 300, "--output", f"by_name{ending}")
+    log = oee.Transitions.load(f"by_name{ending}")
+    assert log.action_names is not None
+    same = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 60, 1000, seed=0).first(300)
+    assert_allclose(log.numbered(mdp).next_state, same.next_state)
+    assert "named states" in run(capsys, "info", f"by_name{ending}")
+    run(capsys, "counts", f"by_name{ending}", "--simulator", "named.npz", "--output", "counts.npz")
+    ask = ["evaluate", "--simulator", "named.npz", "--estimators", "oee", "--json", "--log"]
+    values = [json.loads(run(capsys, *ask, file))["results"][0]["value"] for file in (f"by_name{ending}", "counts.npz")]
+    assert values[0] == values[1]
+
+
+def test_a_minari_folder_of_named_states_holds_numbers(capsys, folder):
+    pytest.importorskip("minari")
+    oee.tasks.gridworld(3, slip=0.2).with_names(action_names=["n", "e", "s", "w"]).save("named.npz")
+    run(capsys, "sample", "named.npz", "--episodes", 2, "--output", "folder")
+    assert oee.Transitions.load("folder").action_names is None
+
+
 def test_a_function_s_mdp_and_one_that_is_sampled(capsys, folder):
     run(capsys, "export", "own_worlds:named,slip=0.2", "--output", "made.npz")
     made = oee.FiniteMDP.load("made.npz")
@@ -270,10 +293,9 @@ def test_compare_says_which_or_that_it_cannot(capsys, folder):
         compared.probability_best[1],
         compared.unseen_share[0],
     ]
-    assert found["differences"] == [
-        {"policy": "any", "than": "best", "difference": compared.differences[1, 0], "lower": compared.lower[1, 0],
-         "upper": compared.upper[1, 0]}
-    ]  # fmt: skip
+    (apart,) = found["differences"]
+    assert (apart["policy"], apart["than"], apart["difference"]) == ("any", "best", second["value"] - first["value"])
+    assert (apart["lower"], apart["upper"]) == (compared.lower[1, 0], compared.upper[1, 0])
     same = ["--policy", "one=uniform", "--policy", "other=mix:0.02", "--policy", "best=optimal"]
     few = oee.Transitions.load("log.csv").first(12)
     few.save("few.csv")
@@ -282,6 +304,29 @@ def test_compare_says_which_or_that_it_cannot(capsys, folder):
     assert "The log cannot say which of" in doubt["sentence"]
     assert {row["probability_best"] for row in doubt["policies"]} == {None}
     assert "beyond 10% there is no P(best)" in run(capsys, *words[:4], "few.csv", *words[5:], *same)
+
+
+@pytest.mark.parametrize("moves", [6, 60, 600])
+def test_compare_and_evaluate_say_one_value(capsys, folder, moves):
+    oee.Transitions.load("log.csv").first(moves).save("some.csv")
+    words = [
+        "--simulator",
+        "sim.npz",
+        "--log",
+        "some.csv",
+        "--policy",
+        "best=optimal",
+        "--policy",
+        "any=uniform",
+        "--json",
+    ]
+    compared, evaluated = (json.loads(run(capsys, command, *words)) for command in ("compare", "evaluate"))
+    rows = [row for row in evaluated["results"] if row["estimator"] == "oee"]
+    told = [{key: row[key] for key in ("policy", "value", "lower", "upper")} for row in compared["policies"]]
+    assert told == sorted(({key: row[key] for key in told[0]} for row in rows), key=lambda row: -row["value"])
+    assert compared["sentence"] in evaluated["conclusion"]
+    for apart in compared["differences"]:
+        assert apart["lower"] <= apart["difference"] <= apart["upper"]
 
 
 def test_compare_wants_two(capsys, folder):

@@ -13,6 +13,7 @@ from oee_tabular.cli import main
 from oee_tabular.continuous.actions import action_set, as_probabilities
 from oee_tabular.continuous.gymnasium_chance import Chance
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, gymnasium_spec, is_continuous_id
+from oee_tabular.continuous.task import check_probabilities
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import GymnasiumTask, ResidualSimulator, monte_carlo_value, record
 
@@ -323,6 +324,30 @@ def test_other_forms_of_a_policy():
     )
 
 
+@pytest.mark.parametrize("one", [lambda s: 1 if s[1] > 0 else 0, lambda s: [0.5, 0.5] if sum(s) > 0 else [1.0, 0.0]])
+def test_a_policy_of_one_state_is_told_so(one):
+    states = np.ones((3, 4))
+    text = r"^policy must take all states at once, an array of shape \(n, 4\), .* raises ValueError: The truth value "
+    for ask in (lambda: as_probabilities(one, np.arange(2))(states), lambda: check_probabilities(one, states, 2),
+                lambda: check_probabilities(as_probabilities(one, np.arange(2)), states, 2)):  # fmt: skip
+        with pytest.raises(ValueError, match=text) as caught:
+            ask()
+        assert str(caught.value).count("all states at once") == 1
+    every = as_probabilities(lambda states: np.array([one(state) for state in states]), np.arange(2))  # as it says
+    whole = check_probabilities(every, states, 2)
+    assert_allclose(whole.sum(axis=1), 1.0)
+
+
+def test_a_policy_s_bad_answers_keep_their_own_sentence():
+    states, commands = np.ones((3, 4)), np.array([[0.0], [1.0]])
+    for answer, actions, text in (
+        (np.array([0, 2, 0]), np.arange(2), r"^policy\(states\)\[1\] must be in 0\.\.1; it is 2$"),
+        (np.array([[0.0], [0.0], [np.nan]]), commands, r"^policy\(states\)\[2\] must be finite; it is \[nan\]$"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            check_probabilities(as_probabilities(lambda s, answer=answer: answer, actions), states, 2)
+
+
 # ---------------------------------------------------------------- end to end
 
 
@@ -425,6 +450,9 @@ BAD = {
     "discrete": (["sample", "CartPole-v1", "--actions", "3"], "actions must be left out where the environment has Discrete(2)"),
     "ours": (["sample", "cartpole", "--actions", "3"], "--actions must be left out for cartpole, which is no Gymnasium"),
     "finite": (["sample", "FrozenLake-v1", "--actions", "3"], "--actions needs a continuous task"),
+    "mistyped": (["sample", "Pendulm-v1", "--actions", "3"], "'Pendulm-v1' is neither; near: Pendulum-v1"),
+    "mistyped, ours": (["sample", "cartpol", "--actions", "3"], "'cartpol' is neither; near: cartpole"),
+    "mistyped, one's own": (["sample", "swinging:Pendulm-v1", "--actions", "3"], "'Pendulm-v1' is neither; near: Pendulum"),
     "policy": (["sample", "Pendulum-v1", "--policy", "expert"], "policy of Pendulum-v1 must be uniform or MODULE:FUNCTION of"),
 }  # fmt: skip
 

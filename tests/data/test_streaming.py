@@ -285,10 +285,12 @@ def bad_file(tmp_path, ending, name, row, value):
 
 def test_names_have_another_way(tmp_path):
     (tmp_path / "names.csv").write_text("state,action,next_state\nhall,0,dock\n")
-    with pytest.raises(
-        ValueError, match=r"state\[0\] must be an integer; it is \w+; names take a log that is read whole"
-    ):
+    hint = r" \(names take a simulator that has them"
+    with pytest.raises(ValueError, match=rf"state\[0\] must be an integer; it is \w+{hint}"):
         Transitions.open(tmp_path / "names.csv")
+    pd.read_csv(tmp_path / "names.csv").to_parquet(tmp_path / "names.parquet")
+    with pytest.raises(ValueError, match=rf"must hold integers; it holds (large_)?string{hint}"):
+        Transitions.open(tmp_path / "names.parquet")
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])

@@ -45,6 +45,47 @@ def test_one_number_or_several_a_state():
     assert three(layout=None).layout is None
 
 
+def test_a_grids_shape():
+    chain = FiniteMDP(np.eye(6)[:, None], np.zeros(6), 0, 0.9, layout=(2, 3))
+    assert chain.layout.tolist() == [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]
+    assert chain.with_layout((np.int64(3), 2)).layout[-1].tolist() == [2, 1]
+    assert_array_equal(oee.tasks.gridworld(3, 0.3).with_layout((3, 3)).layout, GRID.layout)
+    log = oee.Transitions([0, 1], [0, 0], [1, 2], [0.0, 1.0], terminated=[0, 1])
+    assert FiniteMDP.from_log(log, layout=(1, 3)).layout.tolist() == [[0, 0], [0, 1], [0, 2]]
+    for shape in ((2, 2), (4, 2), (-2, -3), (0, 6)):
+        with pytest.raises(
+            ValueError, match=r"^layout must be \(height, width\) with height \* width = 6, the number of"
+        ):
+            chain.with_layout(shape)
+    two = FiniteMDP(np.eye(2)[:, None], np.zeros(2), 0, 0.9)
+    assert two.with_layout((2, 1)).layout.tolist() == [[0, 0], [1, 0]]
+    assert two.with_layout((5, 7)).layout.tolist() == [[5], [7]]  # places of two states
+
+
+def test_coordinates_in_names_are_a_layout_where_none_is_given(tmp_path):
+    named = three(layout=None).with_names([(0, 0.5), (1, 0.5), (1, -2)])
+    assert_array_equal(named.layout, [[0, 0.5], [1, 0.5], [1, -2]])
+    named.save(tmp_path / "named.npz")
+    assert_array_equal(FiniteMDP.load(tmp_path / "named.npz").layout, named.layout)
+    assert_array_equal(pickle.loads(pickle.dumps(named)).with_discount(0.5).layout, named.layout)
+    assert_array_equal(named.with_names([(7,), (8,), (9,)]).layout, [[7], [8], [9]])
+    assert named.with_names(["a", "b", "c"]).layout is None
+    assert_array_equal(named.with_layout(PLACES).layout, PLACES)  # a given one comes first
+    assert_array_equal(named.with_layout(PLACES).with_layout(None).layout, named.layout)
+    longer, text, digits = [(0, 0), (0, 1), (0, 1, 2)], [(0, 0), (0, 1), "dock"], [(0,), ("1",), (2,)]
+    for names in (longer, text, digits, [(0, (1,)), (1, (1,)), (2, (1,))], [(10**400,), (1,), (2,)]):
+        assert three(layout=None).with_names(names).layout is None
+
+
+def test_a_twin_lies_where_its_state_does():
+    log = oee.Transitions(
+        [(0, 0), (0, 0), (0, 1)], ["go"] * 3, [(0, 1), (0, 1), (0, 0)], [1.0] * 3, terminated=[0, 1, 0]
+    )
+    made = FiniteMDP.from_log(log)
+    assert made.state_names[-1] == (0, 1, "over")
+    assert made.layout.tolist() == [[0, 0], [0, 1], [0, 1]]
+
+
 def test_it_is_copied_and_read_only():
     given_places = PLACES.copy()
     mdp = three(layout=given_places)

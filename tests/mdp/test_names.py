@@ -203,6 +203,7 @@ def test_a_number_or_a_name():
 def test_a_name_is_found_without_looking_through_all():
     """A lookup is made once for an MDP's names, not once a state: a policy by name of 20 000 states takes no minutes."""
     names = tuple(f"s{k}" for k in range(20_000))
+    assert [numbers_of(((0, 1), "(0,1)", (1, 0)))[text] for text in ("(0, 1)", "(0,1)", "(1,0)")] == [0, 1, 2]
     assert numbers_of(names) is numbers_of(names)
     assert numbers_of(names)["s19999"] == 19_999
     assert numbers_of(tuple(iter(names))) is not numbers_of(names)  # by what it is: its names need not be compared

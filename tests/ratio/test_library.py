@@ -115,6 +115,14 @@ def test_at_most_eight_displacements_and_none_that_is_rare():
     assert names[0] == "move 0"
 
 
+def test_coordinates_in_names_place_the_states_where_nothing_else_does():
+    def moves(simulator):
+        return [f.name for f in library(simulator, [], Rows.of(simulator)) if f.name.startswith("move")]
+
+    named = five().with_names([tuple(place) for place in PLACES.tolist()])
+    assert moves(named) == moves(five(layout=PLACES)) != moves(five())
+
+
 def test_displacements_are_counted_where_the_log_has_been():
     simulator = five(2)
     few = np.zeros(10, dtype=bool)

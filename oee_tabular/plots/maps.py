@@ -1,0 +1,167 @@
+"""Where the states of an MDP lie on a map: the cells of a grid, from the layout or from the moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_of_entry
+
+if TYPE_CHECKING:
+    from oee_tabular.mdp import FiniteMDP
+
+SPARSEST = 0.02  # share of a map's cells that are states, at least: places that are further apart make no map
+CLOSE = 1e-6  # of a cell, by which a place may miss its middle
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Cells of a grid, row 0 on top, and the states in them; what ``plot_grid`` and its like take for a shape.
+
+    Attributes
+    ----------
+    rows, columns : the coordinates of the rows and of the columns, as they are written on the axes
+    cell : (S,) where each state is, row * columns + column; -1 for one that is not drawn
+
+    Examples
+    --------
+    >>> print(Map.of_shape(2, 3).spread([1, 2, 3, 4, 5, 6]))
+    [1. 2. 3. 4. 5. 6.]
+    >>> print(Map((0.0, 1.0), (0.0,), np.array([1])).spread([7]))
+    [nan  7.]
+    """
+
+    rows: tuple[float, ...]
+    columns: tuple[float, ...]
+    cell: IntArray
+
+    @classmethod
+    def of_shape(cls, rows: int, columns: int) -> Map:
+        """A state in each cell, numbered row * columns + column."""
+        return cls(tuple(range(rows)), tuple(range(columns)), np.arange(rows * columns))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return len(self.rows), len(self.columns)
+
+    def spread(self, values: Any) -> Array:
+        """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
+        cells = np.full(len(self.rows) * len(self.columns), np.nan)
+        shown = self.cell >= 0
+        cells[self.cell[shown]] = np.asarray(values, dtype=np.float64)[shown]
+        return cells
+
+    def place(self, state: int) -> tuple[float, float] | None:
+        """The coordinates of a state's row and column; None where it is not drawn."""
+        if self.cell[state] < 0:
+            return None
+        row, column = divmod(int(self.cell[state]), len(self.columns))
+        return self.rows[row], self.columns[column]
+
+
+def map_of(mdp: FiniteMDP) -> Map | None:
+    """The map of an MDP whose states lie on a grid, or None.
+
+    ``mdp.layout`` of two columns, (row, column), with even steps puts the states there; holes stay blank. A state that is
+    over and lies where another does is not drawn. Without such a layout: ``detect_grid``.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+
+    Notes
+    -----
+    None where two states that can be left share a place, and where fewer than one cell in fifty is a state. O(S log S + nnz).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> corner = oee.FiniteMDP(np.full((3, 1, 3), 1 / 3), [0, 0, 1], 0, 0.9, state_names=[(0, 0), (0, 1), (1, 1)])
+    >>> map_of(corner).shape, map_of(corner).spread([5, 6, 7])
+    ((2, 2), array([ 5.,  6., nan,  7.]))
+    """
+    layout = mdp.layout
+    if layout is not None and layout.shape[1] == 2:
+        found = _from_places(layout, mdp.closed())
+        if found is not None:
+            return found
+    shape = detect_grid(mdp)
+    return None if shape is None else Map.of_shape(*shape)
+
+
+def _from_places(layout: Array, over: Any) -> Map | None:
+    axes = [_even(place, len(layout) / SPARSEST) for place in layout.T]
+    if axes[0] is None or axes[1] is None:
+        return None
+    (rows, row), (columns, column) = axes[0], axes[1]
+    if len(layout) < SPARSEST * len(rows) * len(columns):
+        return None
+    cell = row * len(columns) + column
+    order = np.argsort(over, kind="stable")  # those that can be left come first
+    first = order[np.unique(cell[order], return_index=True)[1]]
+    hidden = np.ones(len(cell), dtype=np.bool_)
+    hidden[first] = False
+    if (hidden & ~over).any():
+        return None
+    return Map(rows, columns, np.where(hidden, -1, cell))
+
+
+def _even(place: Array, most: float) -> tuple[tuple[float, ...], IntArray] | None:
+    """The coordinates from the least to the largest in even steps, and the step of each; None where they are uneven."""
+    found = np.unique(place)
+    apart = np.diff(found)
+    gaps = apart[apart > CLOSE * np.abs(found).max()] if len(apart) else apart
+    step = float(gaps.min()) if len(gaps) else 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        at = (place - found[0]) / step
+        number = np.rint(at)
+        if not ((number < most) & (np.abs(at - number) <= CLOSE)).all():
+            return None
+    return tuple((found[0] + step * np.arange(int(number.max()) + 1)).tolist()), number.astype(np.int64)
+
+
+def as_map(shape: tuple[int, int] | Map) -> Map:
+    """A map, or that of (rows, columns); ValueError for anything else."""
+    if isinstance(shape, Map):
+        return shape
+    try:
+        rows, columns = shape
+    except (TypeError, ValueError):
+        raise ValueError(f"shape must be (rows, columns); got {shape!r}") from None
+    return Map.of_shape(_checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]"))
+
+
+def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
+    """(rows, columns) of a gridworld whose states are numbered row * columns + column, or None where it is none.
+
+    A gridworld's moves stay, go to the neighbour on the left or right (never around an edge), or to the one above or below;
+    a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import gridworld
+    >>> detect_grid(gridworld(5, slip=0.1))
+    (5, 5)
+    """
+    matrix = mdp.transitions
+    start = row_of_entry(matrix) // mdp.n_actions
+    step = matrix.indices.astype(np.int64) - start
+    counted = (mdp.initial[matrix.indices] == 0) | (np.abs(step) <= 1)
+    sizes = np.unique(np.abs(step[counted]))
+    long = sizes[sizes > 1]
+    if len(long) != 1:
+        return None
+    width = int(long[0])
+    around = (start // width != matrix.indices // width) & (np.abs(step) == 1) & counted
+    if 1 not in sizes or around.any() or mdp.n_states % width or mdp.n_states == width:
+        return None
+    return mdp.n_states // width, width
