@@ -117,6 +117,8 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     finite = [name for name, value in values.items() if math.isfinite(value)]
     if len(values) < 2 or not finite:
         return sure
+    if sure.comparison is None:
+        return replace(sure, ranking="At discount 1 policies are ranked only with a horizon (horizon=, --horizon).")
     leader = max(finite, key=lambda name: values[name])
     best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
     if len(best) == 1:
