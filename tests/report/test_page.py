@@ -173,7 +173,7 @@ def test_at_discount_one_the_time_is_that_until_absorption():
     simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
     found = oee.evaluate(Problem(simulator, oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])), np.ones((3, 1)))
     text = Page(found.to_html()).text
-    assert "67% of its time is where the log has been" in text
+    assert "66.7% of its time is where the log has been" in text
     assert "no value" in text
     stays = np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]]])
     for_ever = oee.FiniteMDP(stays, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
