@@ -107,9 +107,10 @@ def infinite_visits(model: Model, policy: Array) -> Array:
 
 
 def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
-    """(S, A): the policy's discounted time in each (s, a), up to a factor; at discount 1 until it is absorbed."""
+    """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of the time until the policy is absorbed."""
     if horizon is None and model.discount == 1.0:
-        return np.asarray(infinite_visits(model, policy)[:, None] * policy)
+        visits = infinite_visits(model, policy)[:, None] * policy
+        return np.asarray(visits / (float(visits.sum()) or 1.0))  # 0 where all is over at once
     return occupancy(model, policy, horizon=horizon)
 
 

@@ -40,13 +40,16 @@ def test_visits_by_hand_and_as_the_limit_of_a_horizon():
     loop = oee.FiniteMDP(rows, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
     assert_allclose(infinite_visits(loop, np.ones((3, 1))), [4 / 3, 2 / 3, 0.0], rtol=1e-12)
     simulator, _, policy = ending(0)
-    assert_allclose(
-        time_in_pairs(simulator, policy, None)[:-1],
-        500 * oee.occupancy(simulator, policy, horizon=500)[:-1], rtol=1e-9,
-    )  # fmt: skip
+    long = oee.occupancy(simulator, policy, horizon=500)
+    assert_allclose(infinite_visits(simulator, policy)[:-1], 500 * long[:-1].sum(axis=1), rtol=1e-9)
+    time = time_in_pairs(simulator, policy, None)
+    assert_allclose(time[:-1], long[:-1] / long[:-1].sum(), rtol=1e-9)
+    assert time[-1].tolist() == [0, 0]
+    assert time_in_pairs(simulator.with_discount(0.9), policy, None).sum() == pytest.approx(1.0)
     assert infinite_visits(simulator, policy)[-1] == 0
     over = oee.FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 1.0)
     assert infinite_visits(over, np.ones((1, 1))).tolist() == [0.0]
+    assert time_in_pairs(over, np.ones((1, 1)), None).tolist() == [[0.0]]
 
 
 def test_the_gradient_is_the_derivative_of_j():
@@ -105,3 +108,14 @@ def test_where_maximum_likelihood_never_ends_the_value_stays():
     assert "maximum_likelihood_value" not in found.diagnostics
     assert found.interval[0] < found.value < found.interval[1]
     assert "at discount 1" in str(oee.evaluate(problem, {"a": [0, 0, 0], "b": [0, 0, 0]}, estimators="oee"))
+
+
+def test_the_centre_weighs_rows_by_the_policy_s_time_until_the_end():
+    """What a feature costs that moves rows never recorded: as with a horizon that the policy does not outlast."""
+    simulator, target, policy = ending(6)
+    share = np.zeros((8, 2))
+    share[:3] = 1 / 6
+    log = oee.sample_transitions(target, share, 300, seed=0)
+    endless, long = (oee.transition_ratio(log, simulator, values_of=policy, horizon=horizon) for horizon in (None, 500))
+    assert_allclose(*([part[1] for part in zeta.details["centre"]] for zeta in (endless, long)), rtol=1e-9)
+    assert_allclose(endless.values.data, long.values.data, rtol=1e-9)

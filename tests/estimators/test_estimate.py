@@ -135,7 +135,9 @@ def test_without_a_horizon_at_discount_one():
         long = estimator(Problem(simulator, problem.log, horizon=400), POLICY)
         assert_allclose([found.value, found.standard_error], [long.value, long.standard_error], rtol=1e-6)
         names = ["coverage", "effective_sample_size"]
-        assert_allclose(*([facts[name] for name in names] for facts in (found.diagnostics, long.diagnostics)), rtol=1e-6)
+        assert_allclose(
+            *([facts[name] for name in names] for facts in (found.diagnostics, long.diagnostics)), rtol=1e-6
+        )
     rows = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
     ring = FiniteMDP(rows, [1.0, 1.0], [1, 0], 1.0)
     forever = Problem(ring, Transitions([0, 1], [0, 0], [1, 0]))
