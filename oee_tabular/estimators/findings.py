@@ -220,8 +220,3 @@ def behavior_contradicts(rows: int) -> tuple[Finding, ...]:
     """The policy that is said to have recorded the log did not."""
     text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."
     return (Finding("behavior", 0.0, text, str(rows)),) if rows else ()
-
-
-NO_HORIZON = Finding(
-    "horizon", 0.0, "At discount 1 without a horizon there is no coverage, and no standard error of a model's value."
-)

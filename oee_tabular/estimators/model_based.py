@@ -66,8 +66,6 @@ class ModelBased(ExactLimit):
         found = evaluate_policy(model, pi, horizon=problem.horizon)
         diagnostics: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
         told = findings.linear_algebra(found.error_bound, found.value)
-        if model.discount == 1.0 and problem.horizon is None:  # the time has no shares
-            return Estimate(found.value, diagnostics=diagnostics, findings=told)
         shape = (model.n_states, model.n_actions)
         seen = coverage(problem, model, pi, totals.reshape(shape))
         repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)

@@ -22,13 +22,13 @@ from oee_tabular.exact import (
     Model,
     ReweightedModel,
     evaluate_policy,
-    occupancy,
     policy_value,
     reweight,
     transition_gradient,
     weighted_return_moments,
 )
 from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
@@ -216,8 +216,6 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     diagnostics |= seen
     diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
     diagnostics["standard_error_of"] = None
-    if not seen:  # at discount 1 without a horizon
-        return Estimate(found.value, diagnostics=diagnostics, findings=told)
     basis = Basis(model_value=found.value, measured=seen["coverage"])
     exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
     step = _moved(problem, zeta, policy, model, exact)
@@ -231,10 +229,11 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if within is None or step is None:
         return exact
-    likeliest = policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
-    if not np.isfinite([within, step.change, step.standard_error, step.change_error, likeliest]).all():
+    likeliest = _likeliest(problem, zeta, policy)
+    known = [within, step.change, step.standard_error, step.change_error]
+    if not np.isfinite(known if likeliest is None else [*known, likeliest]).all():
         return exact  # rewards near the largest float
-    change = nearer(step.change, likeliest - exact.value)
+    change = 0.0 if likeliest is None else nearer(step.change, likeliest - exact.value)
     apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
     share = max(0.0, 1.0 - AGAINST / apart**2) if apart > 0 else 0.0
     value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
@@ -247,7 +246,7 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
         "one_step_standard_error": error,
         "unseen_standard_error": step.unseen,
         "one_step_distance": apart,
-        "maximum_likelihood_value": likeliest,
+        **({} if likeliest is None else {"maximum_likelihood_value": likeliest}),
         "moved": share,
     }
     if share > 0 and "meaning" in diagnostics:
@@ -268,6 +267,14 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
     )
 
 
+def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
+    """Maximum likelihood's value; None where it keeps the policy for ever in states that pay, at discount 1."""
+    try:
+        return policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
+    except DivergentKernelError:
+        return None
+
+
 def nearer(first: float, second: float) -> float:
     """The smaller of two changes in one direction; 0 where they contradict each other."""
     return 0.0 if first * second <= 0 else float(np.copysign(min(abs(first), abs(second)), first))
@@ -281,9 +288,7 @@ def coverage(problem: Problem, model: Model, policy: Array, counts: Array) -> di
     visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
     policy goes.
     """
-    if problem.horizon is None and model.discount == 1.0:
-        return {}
-    time = occupancy(model, policy, horizon=problem.horizon)
+    time = time_in_pairs(model, policy, problem.horizon)
     alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
     visited = counts > 0
     total = float(alive.sum())

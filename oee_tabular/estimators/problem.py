@@ -14,7 +14,6 @@ from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
-    NO_HORIZON,
     SAMPLED,
     Finding,
     behavior_contradicts,
@@ -232,13 +231,12 @@ class Problem:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is odd about the data, whatever the policy."""
-        conflict, endless = self.reward_conflict, self.simulator.discount == 1.0 and self.horizon is None
+        conflict = self.reward_conflict
         return (
             *(() if conflict is None else (rewards_contradict(conflict, log_pays=self.rewards == "log"),)),
             *behavior_contradicts(self.behavior_conflict),
             *_of_counted(self.log),
             *moves_dropped(self.dropped, float(self.counts.sum())),
-            *((NO_HORIZON,) if endless else ()),
             *(() if self.simulator.sampling is None else (SAMPLED,)),
         )
 

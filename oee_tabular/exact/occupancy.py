@@ -15,7 +15,15 @@ from oee_tabular._sparse import on_pattern, row_of_entry
 from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, policy_kernel, policy_system, readable, rows_of
+from oee_tabular.exact.system import (
+    Kernel,
+    policy_kernel,
+    policy_system,
+    readable,
+    recurrent_states,
+    rows_of,
+    without,
+)
 from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps
@@ -83,6 +91,29 @@ def occupancy(
     return on_pattern(mdp.transitions, data)
 
 
+def infinite_visits(model: Model, policy: Array) -> Array:
+    """(S,): sum_t gamma^t Pr(s_t = s) over all t; at discount 1 it is 0 in states that the policy never leaves, where V is 0.
+
+    DivergentKernelError at discount 1 where the policy is not absorbed in states that pay nothing. Cost: one sparse solve.
+    """
+    if model.discount < 1.0:
+        return np.asarray(occupancy(model, policy, of="state") / (1.0 - model.discount))
+    system = policy_system(model, policy)
+    over = recurrent_states(system, policy_rewards(model, policy))
+    if over.all():
+        return np.zeros(len(over))
+    found = solve_policy_system(without(system, over).csr(), model.initial, 1.0, transpose=True).x
+    return np.where(over, 0.0, np.maximum(found, 0.0))
+
+
+def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
+    """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of the time until the policy is absorbed."""
+    if horizon is None and model.discount == 1.0:
+        visits = infinite_visits(model, policy)[:, None] * policy
+        return np.asarray(visits / (float(visits.sum()) or 1.0))  # 0 where all is over at once
+    return occupancy(model, policy, horizon=horizon)
+
+
 def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
     """sum_{t<T} gamma^t Pr(s_t = s, a_t = a) / sum_{t<T} gamma^t."""
     weight, mass = 1.0, 0.0
@@ -110,7 +141,8 @@ def transition_gradient(
 
     Notes
     -----
-    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves.
+    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves. At discount 1 without a horizon the policy must be
+    absorbed in states that pay nothing; the derivative is 0 there.
 
     Examples
     --------
@@ -136,8 +168,7 @@ def transition_gradient(
     pay = 0.0 if valued.reward_data is None else valued.reward_data
     if steps is None:
         values = state_values(valued, pi)
-        visits = occupancy(model, pi, of="state") / (1.0 - gamma)
-        return np.asarray(visits[start] * action_share * (pay + gamma * values[columns]))
+        return np.asarray(infinite_visits(model, pi)[start] * action_share * (pay + gamma * values[columns]))
     from oee_tabular.exact import _finite
 
     back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, pi).T)), 1.0)

@@ -7,7 +7,7 @@ zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean unde
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,7 +17,8 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, on_pattern, row_of_entry
-from oee_tabular.exact import occupancy
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.method import Given, Method, Population
@@ -263,13 +264,21 @@ def _tilted(given: Given, method: Conditional) -> _Prior:
 def _average(given: Given, method: Conditional) -> _Prior:
     simulator, horizon = given.simulator, given.horizon
     tilt, details, likelihood = _tilt(given.observed, simulator, None, None, method.solver)
-    values, time = values_in(simulator, given.policies, horizon), None
-    if given.policies and not (horizon is None and simulator.discount == 1.0):  # the policies' time in each row
-        time = np.sum([occupancy(simulator, policy, horizon=horizon).reshape(-1) for policy in given.policies], axis=0)
+    values = values_in(simulator, given.policies, horizon)
+    time = _time_in_rows(simulator, given.policies, horizon)
     parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver)
     details["centre"] = [(part.name, part.weight, part.theta) for part in parts]
     rows = np.asarray(sum(part.weight * part.rows for part in parts))
     return _of_strength(given, method, rows, parts, details, "centre")
+
+
+def _time_in_rows(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> Array | None:
+    """(S*A,): the policies' time in each row; None without policies, or where one of them earns or pays for ever."""
+    try:
+        found = [time_in_pairs(simulator, policy, horizon).reshape(-1) for policy in policies]
+    except DivergentKernelError:
+        return None
+    return np.asarray(np.sum(found, axis=0)) if found else None
 
 
 PRIORS = {"average": _average, "tilt": _tilted, "simulator": _simulator, "none": _none}

@@ -15,7 +15,8 @@ import numpy as np
 from oee_tabular import _printing, plots
 from oee_tabular._checks import Array, BoolArray, positive_integer
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import Map, map_of
@@ -91,18 +92,19 @@ def portray(
     changes = row_changes(problem, confidence=confidence)
     visits: dict[str, Visits] = {}
     over = simulator.closed()
-    if problem.horizon is not None or simulator.discount < 1.0:
-        shown = {name: policies[name] for name in list(policies)[:MOST_POLICIES]}
-        zeta = transition_ratio(
-            problem.observed, simulator, values_of=list(shown.values()) or None, horizon=problem.horizon
-        )
-        model = zeta.target_model(simulator)
-        for name, policy in shown.items():
-            time = occupancy(model, policy, horizon=problem.horizon)
-            time = np.where(over[:, None], 0.0, time)
-            total = float(time.sum())
-            time = time / total if total > 0 else time
-            visits[name] = Visits(time, np.where(changes.counts > 0, 0.0, time).sum(axis=1))
+    shown = {name: policies[name] for name in list(policies)[:MOST_POLICIES]}
+    zeta = transition_ratio(
+        problem.observed, simulator, values_of=list(shown.values()) or None, horizon=problem.horizon
+    )
+    model = zeta.target_model(simulator)
+    for name, policy in shown.items():
+        try:
+            time = np.where(over[:, None], 0.0, time_in_pairs(model, policy, problem.horizon))
+        except DivergentKernelError:
+            continue
+        total = float(time.sum())
+        time = time / total if total > 0 else time
+        visits[name] = Visits(time, np.where(changes.counts > 0, 0.0, time).sum(axis=1))
     places = map_of(simulator) if grid is None else _grid(grid, simulator.n_states)
     return Portrait(changes.counts, over, visits, changes, places, simulator.names)
 

@@ -117,6 +117,8 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     finite = [name for name, value in values.items() if math.isfinite(value)]
     if len(values) < 2 or not finite:
         return sure
+    if sure.comparison is None:
+        return replace(sure, ranking="At discount 1 policies are ranked only with a horizon (horizon=, --horizon).")
     leader = max(finite, key=lambda name: values[name])
     best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
     if len(best) == 1:
@@ -165,7 +167,7 @@ def _distance(evidence: Evidence) -> str:
         spread = float(np.sum(evidence.n[rows] * simulator * (phi - level) ** 2))
         z = score / np.sqrt(spread) if spread > 0 else 0.0
         if abs(z) < 3.0:
-            return f"{pairs}, nor do all of them together."
+            return f"{pairs}, nor do moves that it holds likely come more or less often on the whole."
         often = "more" if z > 0 else "less"
         return (
             f"{pairs}, but all of them together do (z = {z:.1f}): moves that the simulator holds likely come {often} often in "

@@ -7,7 +7,7 @@ import pytest
 from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem, reweighted_zeta
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular import Problem, Transitions
 from oee_tabular.estimators import (
     DoublyRobust,
     Estimate,
@@ -136,9 +136,6 @@ def test_what_a_problem_s_data_contradict():
     assert str(settled).endswith("pay the log's mean where it has seen a move.")
     (other,) = Problem(simulator, log, behavior_policy=POLICY).findings
     assert "differ from behavior_policy" in str(other)
-    endless = FiniteMDP(simulator.transitions, simulator.rewards, simulator.initial, 1.0)
-    (endless,) = Problem(endless, log).findings
-    assert str(endless).startswith("At discount 1 without a horizon there is no coverage")
 
 
 @pytest.mark.parametrize(("options", "text"), [

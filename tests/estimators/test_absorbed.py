@@ -1,0 +1,121 @@
+"""Discount 1 without a horizon: policies that come to an end have visits, gradients, standard errors and a value that moves."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import oee_tabular as oee
+from oee_tabular.estimators import DoublyRobust, ModelBased, OffEnvironment
+from oee_tabular.exact import transition_gradient
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.occupancy import infinite_visits, time_in_pairs
+from oee_tabular.ratio import Conditional
+
+FIXED = OffEnvironment(Conditional(prior="simulator", strength=30.0))
+
+
+def ending(seed, n=8):
+    """Rows of all successors, the last state is the end; a target whose rows are bent along V; a policy."""
+    rng = np.random.default_rng(seed)
+    rows = rng.dirichlet(np.full(n, 2.0), (n, 2))
+    rows[-1] = np.eye(n)[-1]
+    pay = rng.normal(size=(n, 2)) * (np.arange(n) < n - 1)[:, None]
+    simulator = oee.FiniteMDP(rows, pay, np.full(n, 1 / n), 1.0)
+    policy = rng.dirichlet(np.ones(2), n)
+    level = oee.state_values(simulator, policy)
+    bent = rows * np.exp(-0.5 * (level - level.mean()) / level.std())
+    return simulator, simulator.with_transitions(bent / bent.sum(axis=2, keepdims=True)), policy
+
+
+def recorded(seed, per_row):
+    simulator, target, policy = ending(seed)
+    share = np.full((8, 2), 1.0) * (np.arange(8) < 7)[:, None]
+    log = oee.sample_transitions(target, share / share.sum(), 14 * per_row, seed=seed)
+    return oee.Problem(simulator, log), oee.policy_value(target, policy), policy
+
+
+def test_visits_by_hand_and_as_the_limit_of_a_horizon():
+    """0 to 1 or the end; 1 back to 0 or the end: v0 = 1 + v1 / 2, v1 = v0 / 2."""
+    rows = [[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]]
+    loop = oee.FiniteMDP(rows, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
+    assert_allclose(infinite_visits(loop, np.ones((3, 1))), [4 / 3, 2 / 3, 0.0], rtol=1e-12)
+    simulator, _, policy = ending(0)
+    long = oee.occupancy(simulator, policy, horizon=500)
+    assert_allclose(infinite_visits(simulator, policy)[:-1], 500 * long[:-1].sum(axis=1), rtol=1e-9)
+    time = time_in_pairs(simulator, policy, None)
+    assert_allclose(time[:-1], long[:-1] / long[:-1].sum(), rtol=1e-9)
+    assert time[-1].tolist() == [0, 0]
+    assert time_in_pairs(simulator.with_discount(0.9), policy, None).sum() == pytest.approx(1.0)
+    assert infinite_visits(simulator, policy)[-1] == 0
+    over = oee.FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 1.0)
+    assert infinite_visits(over, np.ones((1, 1))).tolist() == [0.0]
+    assert time_in_pairs(over, np.ones((1, 1)), None).tolist() == [[0.0]]
+
+
+def test_the_gradient_is_the_derivative_of_j():
+    simulator, target, policy = ending(1)
+    gradient = transition_gradient(simulator, policy)
+    toward = target.transitions.data - simulator.transitions.data
+    step = 1e-5
+    ends = [
+        oee.policy_value(simulator.with_transitions(simulator.transitions.toarray().reshape(8, 2, 8)
+                         + sign * step * (target.transitions - simulator.transitions).toarray().reshape(8, 2, 8)), policy)
+        for sign in (1, -1)
+    ]  # fmt: skip
+    assert_allclose(gradient @ toward, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
+    with pytest.raises(DivergentKernelError, match="the policy is absorbed in states that pay nothing"):
+        transition_gradient(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0), np.ones((1, 1)))
+
+
+def test_the_value_moves_and_its_intervals_hold():
+    """The harm of a centre that the log speaks against is bounded; the default's intervals hold in most logs."""
+    held, errors, moved = [], [], []
+    for seed in range(30):
+        problem, truth, policy = recorded(seed, per_row=40)
+        found = FIXED(problem, policy)
+        lower, upper = OffEnvironment()(problem, policy).interval
+        held.append(lower <= truth <= upper)
+        moved.append(found.diagnostics["moved"])
+        likelihood = found.diagnostics["maximum_likelihood_value"]
+        assert_allclose(likelihood, ModelBased("simulator")(problem, policy).value, rtol=1e-9)
+        errors.append([found.value - truth, found.diagnostics["model_value"] - truth, likelihood - truth])
+        assert found.diagnostics["coverage"] == pytest.approx(1.0)
+    own, unmoved, likelihood = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert max(moved) > 0.5
+    assert own < 0.9 * unmoved
+    assert own < 1.5 * likelihood
+    assert sum(held) >= 26
+
+
+@pytest.mark.parametrize("estimator", [DoublyRobust(), ModelBased("simulator")], ids=repr)
+def test_others_have_standard_errors_too(estimator):
+    z = []
+    for seed in range(20):
+        problem, truth, policy = recorded(seed, per_row=40)
+        found = estimator(problem, policy)
+        z.append((found.value - truth) / found.standard_error)
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_where_maximum_likelihood_never_ends_the_value_stays():
+    """State 1 was seen to stay where it pays: its frequencies have no value, the default's has one."""
+    rows = [[[0.0, 0.5, 0.5]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]]
+    simulator = oee.FiniteMDP(rows, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
+    problem = oee.Problem(simulator, oee.Transitions([0, 1, 1], [0, 0, 0], [1, 1, 1]))
+    assert not np.isfinite(ModelBased("simulator")(problem, np.ones((3, 1))).value)
+    found = OffEnvironment()(problem, np.ones((3, 1)))
+    assert found.value == found.diagnostics["model_value"] > 2
+    assert "maximum_likelihood_value" not in found.diagnostics
+    assert found.interval[0] < found.value < found.interval[1]
+    assert "at discount 1" in str(oee.evaluate(problem, {"a": [0, 0, 0], "b": [0, 0, 0]}, estimators="oee"))
+
+
+def test_the_centre_weighs_rows_by_the_policy_s_time_until_the_end():
+    """What a feature costs that moves rows never recorded: as with a horizon that the policy does not outlast."""
+    simulator, target, policy = ending(6)
+    share = np.zeros((8, 2))
+    share[:3] = 1 / 6
+    log = oee.sample_transitions(target, share, 300, seed=0)
+    endless, long = (oee.transition_ratio(log, simulator, values_of=policy, horizon=horizon) for horizon in (None, 500))
+    assert_allclose(*([part[1] for part in zeta.details["centre"]] for zeta in (endless, long)), rtol=1e-9)
+    assert_allclose(endless.values.data, long.values.data, rtol=1e-9)
