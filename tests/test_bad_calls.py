@@ -459,6 +459,18 @@ TABLE = {
         lambda: oee.density_ratio([1, 2], [2, 1], ridge=1e308, toward=1),
         r"the program must have numbers that double precision holds; ridge 1e\+308",
     ),
+    "a centre that overflows": (
+        lambda: oee.density_ratio([1, 2], [2, 1], ridge=1, toward=1e300, loss="chi2", normalized=False),
+        r"the program must have numbers that double precision holds; ridge 1 towards 1e\+300",
+    ),
+    "a ridge that overflows in rows": (
+        lambda: oee.ratio.Conditional(ridge=1e308).fit(LOG, GRID),
+        r"the options of method 'conditional' must make a program that double precision holds; .*ridge 1e\+308, toward 1$",
+    ),
+    "a centre that overflows in rows": (
+        lambda: oee.ratio.Conditional(ridge=1, toward=1e308).fit(LOG, GRID),
+        r"the options of method 'conditional' must make .*ridge 1, toward 1e\+308$",
+    ),
     "complex weights": (
         lambda: oee.density_ratio([1j], [1]),
         r"p must be an array of numbers; got list \(complex numbers\)",
