@@ -102,8 +102,7 @@ class Comparison:
 
 def _shares_of_the_best(draws: Array) -> Array:
     """(k,) how often each column is the largest of its row; those that are as large, but for rounding, share the row."""
-    largest = draws.max(axis=1, keepdims=True)
-    top = draws >= largest - 1e-12 * np.abs(largest)
+    top = draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
     return np.asarray(np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws))
 
 
@@ -241,8 +240,10 @@ def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:
 
 
 def _root(covariance: Array) -> Array:
+    """B with B B^T = covariance; what of it is rounding, whose root is not, is left out: equal rows stay equal."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(vectors * np.sqrt(np.where(real, values, 0.0)))
 
 
 @dataclass(frozen=True)
