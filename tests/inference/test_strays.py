@@ -170,5 +170,6 @@ def test_a_horizon_is_followed_as_far_as_the_discount_shows():
     for sign, found in zip((-1, 1), stray_swing(endless, gather(endless, [0, 0])), strict=True):
         assert found == pytest.approx(stray_swing(long, gather(long, [0, 0]))[sign > 0], abs=1e-12)
     rows = np.array([0])
-    for one, other in zip(*(_ahead(gather(p, [0, 0]).model, np.ones((2, 1)), rows, p.horizon) for p in (endless, long)), strict=True):
+    ways = [_ahead(gather(p, [0, 0]).model, np.ones((2, 1)), rows, p.horizon) for p in (endless, long)]
+    for one, other in zip(*ways, strict=True):
         assert_allclose(one, other, atol=1e-12)
