@@ -94,14 +94,10 @@ def simulated_rows(evidence: Evidence) -> Array:
     return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
 
 
-def unseen_time(evidence: Evidence) -> tuple[float, float]:
-    """Of the policy's discounted time, the share in open rows without data, and that in states that actions can leave.
-
-    Rows without data are the simulator's.
-    """
+def unseen_time(evidence: Evidence) -> float:
+    """Of the policy's discounted time, the share in open rows without data, which are the simulator's."""
     time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
-    unseen = float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
-    return unseen, float(time[~evidence.model.closed()].sum())
+    return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 
 
 def reached_rows(evidence: Evidence) -> BoolArray:

@@ -17,11 +17,11 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
+from oee_tabular.exact import occupancy, policy_value, transition_gradient
+from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.sampled import sampling_margin
-from oee_tabular.inference.strays import stray_share, stray_swing
+from oee_tabular.inference.strays import stray_swing
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 
@@ -38,8 +38,8 @@ class Comparison:
     lower, upper : (k, k) intervals for the differences, at ``confidence``
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
-    unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
-        the log has never seen, or in moves that were dropped
+    unseen_share : (k,) in [0, 1], of each policy's discounted time in states that can be left (as a dropped move shows, too),
+        that in rows of several next states that the log has never seen, or in moves that were dropped
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -198,8 +198,11 @@ def compare_policies(
 
 
 def _unknown_time(problem: Problem, evidence: Evidence) -> float:
-    share, alive = unseen_time(evidence)
-    return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
+    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+    dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
+    unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
+    left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
+    return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
 
 
 def several_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:

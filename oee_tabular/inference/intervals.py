@@ -254,4 +254,4 @@ def _varied(found: Interval, evidence: Evidence) -> Interval:
 def _coverage(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
     reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
-    return {"unvisited_share": unseen_time(evidence)[0], "unvisited_rows": int(reached.sum())}
+    return {"unvisited_share": unseen_time(evidence), "unvisited_rows": int(reached.sum())}

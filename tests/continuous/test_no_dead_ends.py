@@ -144,7 +144,14 @@ def estimator_of(value, error=None):
 
 @pytest.mark.parametrize(
     ("value", "error", "found"),
-    [(5.0, None, 5.0), (10.5, None, np.nan), (10.5, 0.1, np.nan), (10.5, 0.4, 10.0), (10.5, 0.253, np.nan), (-0.1, 0.01, np.nan)],
+    [
+        (5.0, None, 5.0),
+        (10.5, None, np.nan),
+        (10.5, 0.1, np.nan),
+        (10.5, 0.4, 10.0),
+        (10.5, 0.253, np.nan),
+        (-0.1, 0.01, np.nan),
+    ],
 )
 def test_values_that_cannot_be_are_refused(value, error, found):
     estimate = Possible(estimator_of(value, error), 0.0, 10.0)(_Fixed(), None)

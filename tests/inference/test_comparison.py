@@ -58,6 +58,14 @@ def test_policies_that_do_the_same_share_the_probability(twins):
         assert_allclose(shares, shares[0], rtol=1e-12)
 
 
+def test_where_nothing_is_paid_all_are_the_best():
+    nothing = SIMULATOR.with_rewards(np.zeros(16))
+    found = compare_policies(
+        oee.Problem(nothing, problem(50, 0).log), {"one": [0] * 16, "other": POLICIES["delta=0.4"]}
+    )
+    assert found.probability_best.tolist() == [0.5, 0.5]
+
+
 def test_the_intervals_of_differences_cover():
     truth = oee.policy_value(TARGET, POLICIES["delta=0.5"]) - oee.policy_value(TARGET, POLICIES["delta=0.4"])
     inside = 0

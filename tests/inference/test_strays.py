@@ -173,3 +173,20 @@ def test_a_horizon_is_followed_as_far_as_the_discount_shows():
     ways = [_ahead(gather(p, [0, 0]).model, np.ones((2, 1)), rows, p.horizon) for p in (endless, long)]
     for one, other in zip(*ways, strict=True):
         assert_allclose(one, other, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("state", "action", "following", "share"),
+    [
+        ([0, 1], [0, 0], [1, 2], 1.0),  # all that is known of (0, 0) is a move that was dropped
+        ([0, 0], [0, 0], [1, 0], 0.5),
+        ([0, 1, 1], [0, 0, 0], [0, 2, 0], 0.0),  # dropped where the policy never is
+    ],
+)
+def test_what_is_unseen_is_a_share(state, action, following, share):
+    """State 0 is never left, so that its time counts once a dropped move shows that it can be."""
+    rows = [[[1.0, 0, 0]], [[0, 0.5, 0.5]], [[0, 0, 1.0]]]
+    simulator = oee.FiniteMDP(rows, [0, 1.0, 2.0], [1.0, 0, 0], 0.9)
+    problem = oee.Problem(simulator, oee.Transitions(state, action, following), impossible="drop")
+    found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
+    assert_allclose(found.unseen_share, share, rtol=1e-12)
