@@ -20,6 +20,8 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, reweight
 from oee_tabular.mdp import FiniteMDP, check_policy
 
+LARGEST_REWARD = 1e140
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -86,6 +88,16 @@ def evidence_of(
         np.diff(indptr) > 1,
         lower_ratio is not None or upper_ratio is not None,
     )
+
+
+def require_squares(model: FiniteMDP) -> None:
+    """Rewards so small that floats hold the squares of values: what multiplies two of them would be nan."""
+    largest = float(np.abs(model.rewards if model.reward_data is None else model.reward_data).max())
+    if largest > LARGEST_REWARD:
+        raise ValueError(
+            f"the simulator's rewards must be at most {LARGEST_REWARD:g}, so that floats hold the squares of values; they "
+            f"reach {largest:g}: give them in a larger unit"
+        )
 
 
 def simulated_rows(evidence: Evidence) -> Array:

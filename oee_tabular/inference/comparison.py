@@ -18,7 +18,7 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows
+from oee_tabular.inference.ambiguity import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.sampled import sampling_margin
 from oee_tabular.inference.strays import stray_swing
@@ -156,6 +156,7 @@ def compare_policies(
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     named = several_policies(policies, problem.simulator)
+    require_squares(problem.model)
     _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(named), "n_draws", n_draws)
     parts = {name: gather(problem, policy) for name, policy in named.items()}
     names, evidences = list(parts), list(parts.values())
