@@ -129,12 +129,12 @@ def edited_array(array, rng):
     """The same array with one thing changed."""
     kind = rng.integers(6)
     if kind == 0 and array.size:
-        changed = array.copy() if rng.random() < 0.5 or array.dtype.kind in "US" else array.astype(np.float64)
+        changed = array.copy() if rng.random() < 0.5 or array.dtype.kind not in "biuf" else array.astype(np.float64)
         value = HOSTILE[rng.integers(len(HOSTILE))]
         try:
             with np.errstate(all="ignore"):
                 changed.reshape(-1)[rng.integers(changed.size)] = value
-        except (OverflowError, ValueError):
+        except (OverflowError, TypeError, ValueError):
             return np.array(value)
         return changed
     if kind == 1:

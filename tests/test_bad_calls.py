@@ -13,6 +13,7 @@ GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
 GRID = oee.tasks.gridworld(3, 0.3)
 LOG = oee.sample_episodes(GRID, oee.uniform_policy(GRID), 4, 20, seed=0)
 UNIFORM = oee.uniform_policy(GRID)
+HUGE = GRID.with_rewards(1e200 * GRID.rewards)
 
 
 def edited(array, index, value):
@@ -462,6 +463,30 @@ TABLE = {
     "a ridge that overflows": (
         lambda: oee.density_ratio([1, 2], [2, 1], ridge=1e308, toward=1),
         r"the program must have numbers that double precision holds; ridge 1e\+308",
+    ),
+    "a centre that overflows": (
+        lambda: oee.density_ratio([1, 2], [2, 1], ridge=1, toward=1e300, loss="chi2", normalized=False),
+        r"the program must have numbers that double precision holds; ridge 1 towards 1e\+300",
+    ),
+    "a ridge that overflows in rows": (
+        lambda: oee.ratio.Conditional(ridge=1e308).fit(LOG, GRID),
+        r"the options of method 'Conditional' must make a program that double precision holds; .*ridge 1e\+308, toward 1$",
+    ),
+    "a centre that overflows in rows": (
+        lambda: oee.ratio.Conditional(ridge=1, toward=1e308).fit(LOG, GRID),
+        r"the options of method 'Conditional' must make .*ridge 1, toward 1e\+308$",
+    ),
+    "a ridge of a class that overflows": (
+        lambda: oee.ratio.InClass(features=np.ones((GRID.transitions.nnz, 1)), ridge=1e308).fit(LOG, GRID),
+        r"the options of method 'linear' must make a program that double precision holds; .*ridge 1e\+308",
+    ),
+    "rewards whose squares overflow, compared": (
+        lambda: oee.inference.compare_policies(Problem(HUGE, LOG), {"a": UNIFORM, "b": [0] * 9}),
+        r"the simulator's rewards must be at most 1e\+140, .*; they reach 7.6e\+199: give them in a larger unit",
+    ),
+    "rewards whose squares overflow, robust": (
+        lambda: oee.interval(Problem(HUGE, LOG), UNIFORM, method="robust"),
+        r"the simulator's rewards must be at most 1e\+140, .*; they reach 7.6e\+199",
     ),
     "complex weights": (
         lambda: oee.density_ratio([1j], [1]),

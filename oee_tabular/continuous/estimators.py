@@ -237,7 +237,7 @@ class Calibrated:
 class Possible:
     """An estimator whose values beyond what the rewards can sum to are refused, with a sentence.
 
-    A value that is beyond by at most two standard errors is put on the bound.
+    A value that is beyond by at most 1.96 standard errors, within its interval, is put on the bound.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ class Possible:
         nearest = float(np.clip(found.value, self.lowest, self.highest))
         if not np.isfinite(found.value) or abs(nearest - found.value) <= room:
             return found
-        if abs(nearest - found.value) <= 2.0 * (found.standard_error or 0.0):
+        if abs(nearest - found.value) <= QUANTILE * (found.standard_error or 0.0):
             return replace(found, value=nearest)
         value, low, high = (x * self.scale for x in (found.value, self.lowest, self.highest))
         text = f"{value:.4g} cannot be: what {problem.horizon} rewards pay is between {low:.4g} and {high:.4g}"

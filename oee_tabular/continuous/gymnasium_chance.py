@@ -64,7 +64,7 @@ class Chance:
 
 
 def _arrays(*values: Any) -> list[Any]:
-    return [np.asarray(value, dtype=np.float64) if np.ndim(value) else value for value in values]
+    return [np.asarray(value, dtype=np.float64) if np.ndim(value) else float(value) for value in values]
 
 
 def draws_of(task: Any, states: Array, numbers: IntArray) -> int:

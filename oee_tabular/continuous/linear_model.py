@@ -70,7 +70,7 @@ class LinearModel(DerivedTask):
             self._low, self._high = (
                 np.where(turns, end, own) for end, own in ((-np.inf, self._low), (np.inf, self._high))
             )
-        number = np.arange(len(log)) * GROUPS // len(log)
+        number = np.arange(len(log)) * min(GROUPS, len(log)) // len(log)  # none of them empty
         if log.episode is not None and len(np.unique(log.episode)) >= GROUPS:
             number = np.unique(log.episode, return_inverse=True)[1] % GROUPS
         self._group = number

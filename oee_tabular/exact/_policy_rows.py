@@ -74,7 +74,7 @@ def average_rewards(policy, rewards):
 
 @njit(cache=True)
 def range_of_sums(kernel, formed):
-    """The smallest and the largest sum of a row, the latter with its rounding and that of ``formed`` terms an entry."""
+    """The smallest sum of a row, the largest with its rounding and that of ``formed`` terms an entry, the middle of the two."""
     indptr, data = kernel.indptr, kernel.data
     smallest, largest, entries = np.inf, 0.0, np.uint32(0)
     for i in range(len(indptr) - 1):
@@ -84,7 +84,8 @@ def range_of_sums(kernel, formed):
         smallest = min(smallest, total)
         largest = max(largest, total)
         entries = max(entries, indptr[i + 1] - indptr[i])
-    return smallest, largest * (1.0 + (np.float64(entries) + formed) * np.finfo(np.float64).eps)
+    rounded = largest * (1.0 + (np.float64(entries) + formed) * np.finfo(np.float64).eps)
+    return smallest, rounded, 0.5 * (smallest + largest)
 
 
 @njit(cache=True)

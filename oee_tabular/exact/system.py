@@ -69,6 +69,7 @@ class System:
     ----------
     kernel : K and gamma
     smallest, largest : row sums of K, the latter with its rounding
+    mass : the sum of a row, where all have one: half way between the smallest and the largest, without rounding
     transpose : whether M^T x = b is meant
     formed : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
     """
@@ -76,6 +77,7 @@ class System:
     kernel: Kernel
     smallest: float
     largest: float
+    mass: float
     transpose: bool = False
     formed: int = 0
 
@@ -85,8 +87,8 @@ class System:
         from oee_tabular.exact._policy_rows import range_of_sums
 
         found = Kernel(*rows_of(kernel), discount)
-        smallest, largest = range_of_sums(found, 0.0)
-        return cls(found, smallest, largest, transpose)
+        smallest, largest, mass = range_of_sums(found, 0.0)
+        return cls(found, smallest, largest, mass, transpose)
 
     @cached_property
     def components(self) -> tuple[Any, Any]:
@@ -124,8 +126,8 @@ def policy_system(model: Model, policy: Array) -> System:
     for part in (indptr, indices, data):
         part.flags.writeable = False
     kernel = Kernel(indptr, indices, data, model.discount)
-    smallest, largest = _policy_rows.range_of_sums(kernel, float(model.n_actions))
-    return System(kernel, smallest, largest, formed=model.n_actions)
+    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(model.n_actions))
+    return System(kernel, smallest, largest, mass, formed=model.n_actions)
 
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
@@ -167,8 +169,8 @@ def without(system: System, recurrent: BoolArray) -> System:
     from oee_tabular.exact import _policy_rows
 
     kernel = system.kernel._replace(data=readable(np.where(entries_of(system, recurrent), 0.0, system.kernel.data)))
-    smallest, largest = _policy_rows.range_of_sums(kernel, float(system.formed))
-    return System(kernel, smallest, largest, formed=system.formed)
+    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(system.formed))
+    return System(kernel, smallest, largest, mass, formed=system.formed)
 
 
 def exponent(numbers: Array) -> int:

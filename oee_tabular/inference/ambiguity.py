@@ -20,6 +20,8 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, reweight
 from oee_tabular.mdp import FiniteMDP, check_policy
 
+LARGEST_REWARD = 1e140
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -88,20 +90,26 @@ def evidence_of(
     )
 
 
+def require_squares(model: FiniteMDP) -> None:
+    """Rewards so small that floats hold the squares of values: what multiplies two of them would be nan."""
+    largest = float(np.abs(model.rewards if model.reward_data is None else model.reward_data).max())
+    if largest > LARGEST_REWARD:
+        raise ValueError(
+            f"the simulator's rewards must be at most {LARGEST_REWARD:g}, so that floats hold the squares of values; they "
+            f"reach {largest:g}: give them in a larger unit"
+        )
+
+
 def simulated_rows(evidence: Evidence) -> Array:
     """(entries,) the simulator's probabilities, rows summing to 1."""
     data = evidence.model.transitions.data
     return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
 
 
-def unseen_time(evidence: Evidence) -> tuple[float, float]:
-    """Of the policy's discounted time, the share in open rows without data, and that in states that actions can leave.
-
-    Rows without data are the simulator's.
-    """
+def unseen_time(evidence: Evidence) -> float:
+    """Of the policy's discounted time, the share in open rows without data, which are the simulator's."""
     time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
-    unseen = float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
-    return unseen, float(time[~evidence.model.closed()].sum())
+    return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 
 
 def reached_rows(evidence: Evidence) -> BoolArray:

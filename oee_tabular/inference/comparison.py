@@ -12,11 +12,11 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, gather, simulated_rows, unseen_time
+from oee_tabular.exact import occupancy, policy_value, transition_gradient
+from oee_tabular.inference.ambiguity import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.sampled import sampling_margin
-from oee_tabular.inference.strays import stray_share, stray_swing
+from oee_tabular.inference.strays import stray_swing
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 
@@ -33,8 +33,8 @@ class Comparison:
     lower, upper : (k, k) intervals for the differences, at ``confidence``
     probability_best : (k,) how often each has the largest value under the values' joint distribution
     covariance : (k, k) of the values
-    unseen_share : (k,) of each policy's discounted time in states that can be left, that in rows of several next states that
-        the log has never seen, or in moves that were dropped
+    unseen_share : (k,) in [0, 1], of each policy's discounted time in states that can be left (as a dropped move shows, too),
+        that in rows of several next states that the log has never seen, or in moves that were dropped
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -97,8 +97,7 @@ class Comparison:
 
 def _shares_of_the_best(draws: Array) -> Array:
     """(k,) how often each column is the largest of its row; those that are as large, but for rounding, share the row."""
-    largest = draws.max(axis=1, keepdims=True)
-    top = draws >= largest - 1e-12 * np.abs(largest)
+    top = draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
     return np.asarray(np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws))
 
 
@@ -152,6 +151,7 @@ def compare_policies(
     _checks.one_of(method, "method", ("delta", "bootstrap"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     named = several_policies(policies, problem.simulator)
+    require_squares(problem.model)
     _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(named), "n_draws", n_draws)
     parts = {name: gather(problem, policy) for name, policy in named.items()}
     names, evidences = list(parts), list(parts.values())
@@ -194,8 +194,11 @@ def compare_policies(
 
 
 def _unknown_time(problem: Problem, evidence: Evidence) -> float:
-    share, alive = unseen_time(evidence)
-    return (share + stray_share(problem, evidence)) / max(alive, 1e-300)
+    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+    dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
+    unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
+    left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
+    return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
 
 
 def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
@@ -236,5 +239,7 @@ def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:
 
 
 def _root(covariance: Array) -> Array:
+    """B with B B^T = covariance; what of it is rounding, whose root is not, is left out: equal rows stay equal."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(vectors * np.sqrt(np.where(real, values, 0.0)))

@@ -14,7 +14,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, unseen_time
+from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, require_squares, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.likelihood import ProfileEnd, profile_end
 from oee_tabular.inference.robust import Extreme, contradicted_rows, describe_rows, extreme_value, radii
@@ -198,6 +198,7 @@ def interval(
         return _varied(told(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
         return told(*_likeliest(reached, level))
+    require_squares(problem.model)
     low_end, high_end = _guaranteed(reached, level, kind, ball)
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
@@ -254,4 +255,4 @@ def _varied(found: Interval, evidence: Evidence) -> Interval:
 def _coverage(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
     reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
-    return {"unvisited_share": unseen_time(evidence)[0], "unvisited_rows": int(reached.sum())}
+    return {"unvisited_share": unseen_time(evidence), "unvisited_rows": int(reached.sum())}

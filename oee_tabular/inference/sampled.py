@@ -1,7 +1,7 @@
 """What the simulator's own sampling adds to an interval, where it was made of samples (``FiniteMDP.from_env``, ``from_log``).
 
 To first order, at the maximum-likelihood model, D_sa the discounted time in (s, a), m samples of the simulator, n of the
-log (with a horizon V has all its steps to go, whatever the step of a move):
+log (with a horizon the last sum goes over steps too, V having those that are left):
 
     variance        Var_mu(V) / m_starts + sum_x,s' (D_x p_xs')^2 Var(mean reward of the move)
     what may lie beyond the sampled support, each way
@@ -22,8 +22,9 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy, policy_value, state_values
+from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
 from oee_tabular.inference.ambiguity import Evidence
+from oee_tabular.mdp.horizons import steps_of
 
 
 class Margin(NamedTuple):
@@ -56,9 +57,27 @@ def sampling_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     if sampling.reward_error is not None:
         each, _ = align(sampling.reward_error, model.transitions)
         error = float((time[evidence.rows] * evidence.phat) ** 2 @ each)
-    down, up = (float(time @ (unmet * _beyond(evidence, values, sign))) for sign in (-1.0, 1.0))
+    down, up = (
+        (float(time @ (unmet * _beyond(evidence, values, sign))) for sign in (-1.0, 1.0))
+        if horizon is None
+        else _step_by_step(evidence, fitted, unmet, horizon)
+    )
     share = float(time @ unmet) / _steps(model.discount, horizon)
     return Margin(policy_value(fitted, policy, horizon=horizon), start + error, down, up, share)
+
+
+def _step_by_step(evidence: Evidence, fitted: ReweightedModel, unmet: Array, horizon: int) -> tuple[float, float]:
+    """What may lie beyond, down and up, each step's with the V of the steps that are left."""
+    policy, gamma = evidence.policy, fitted.discount
+    values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
+    for _ in range(steps_of(horizon, fitted)):
+        each = np.column_stack([unmet * _beyond(evidence, values, sign) for sign in (-1.0, 1.0)])
+        ahead = (each + gamma * (fitted.transitions @ beyond)).reshape(*policy.shape, 2)
+        beyond = np.einsum("sa,sak->sk", policy, ahead)
+        worth = fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape)
+        values = (policy * worth).sum(axis=1)
+    down, up = evidence.model.initial @ beyond
+    return float(down), float(up)
 
 
 def _unmet(evidence: Evidence, pairs: Array) -> Array:

@@ -28,6 +28,7 @@ from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_va
 from oee_tabular.inference.ambiguity import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.horizons import steps_of
 
 ROUNDS = 20  # of improving u; it stays after two or three
 ALLOWED = 0.5  # probability of the stray moves in the model whose support the counts need; no value depends on it
@@ -106,7 +107,7 @@ def _step_by_step(problem: Problem, evidence: Evidence, horizon: int, sign: floa
     model, policy, gamma = evidence.with_rows(evidence.phat), evidence.policy, evidence.model.discount
     rows, values = np.flatnonzero(problem.dropped), np.zeros(len(evidence.policy))
     share = (problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0))[rows]
-    for _ in range(horizon):
+    for _ in range(steps_of(horizon, model)):
         worth = model.rewards.reshape(-1) + gamma * (model.transitions @ values)
         _, led = _extremes(problem.model, rows, gamma * values[None, :], np.ones(len(rows)), sign)
         worth[rows] = (1.0 - share) * worth[rows] + share * led
@@ -152,13 +153,14 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
     chain = model.transitions
     pay = (policy * model.rewards).sum(axis=1)
     mixed = canonical(_averaging(policy) @ chain, drop_zeros=False)
-    _checks.require_memory(8.0 * (horizon + len(states)) * n_states, "horizon", horizon)
-    values = np.zeros((horizon, n_states))  # after step t
-    for t in range(horizon - 2, -1, -1):
+    steps = steps_of(horizon, model)
+    _checks.require_memory(float(steps * n_states + len(states) * (steps + n_states)), "horizon", horizon)
+    values = np.zeros((steps, n_states))  # after step t
+    for t in range(steps - 2, -1, -1):
         values[t] = pay + gamma * (mixed @ values[t + 1])
-    there = np.zeros((len(states), horizon))
+    there = np.zeros((len(states), steps))
     law = np.array(model.initial)
-    for t in range(horizon):
+    for t in range(steps):
         there[:, t] = law[states] * gamma**t
         law = law @ mixed
     there[there.sum(axis=1) == 0.0, 0] = 1.0

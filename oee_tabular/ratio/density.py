@@ -192,12 +192,13 @@ def density_ratio(
     else:
         g, m, (below, above) = _solve(program, box, normalized, solver)
     gap = _gap(program, g, m if normalized else None, box)
-    if not (np.all(np.isfinite(g)) and np.isfinite(gap)):
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = dual.objective(g, program)
+    if not np.isfinite([*g, gap, value]).all():
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
             f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
         )
-    value = dual.objective(g, program)
     default = min(max(1.0 if toward is None else center, box.lower), box.upper)
 
     def full(values: Array) -> Array:

@@ -125,11 +125,6 @@ class Joint(Method):
             # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a bound
             signs = (point, point._replace(theta=-point.theta))
             gap = min(float(joint_gaps(program, each).sum()) for each in signs)
-        if not np.isfinite(gap):
-            raise ValueError(
-                "lower, upper, ratio_lower, ratio_upper and ridge must make a program that double precision holds; they are "
-                f"{box.lower:g}, {box.upper:g}, {ratio_box.lower:g}, {ratio_box.upper:g}, {lam:g}"
-            )
         known = rows.spread((share > 0) & (point.pairs > 0))
         zeta = np.where(known, point.moves / np.where(known, rows.spread(point.pairs), 1.0), 1.0)
         details = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -156,7 +156,19 @@ class Method:
             behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
             **beside,
         )
-        return self._fit(given)
+        found = self._fit(given)
+        if not found.finite:
+            raise ValueError(
+                f"the options of method {self._name!r} must make a program that double precision holds; they are "
+                f"{self._numbers()}"
+            )
+        return found
+
+    def _numbers(self) -> str:
+        """The options that may be too large, as an error lists them."""
+        numbers = {option.name: getattr(self, option.name) for option in fields(self)}  # type: ignore[arg-type]
+        given = {name: x for name, x in numbers.items() if isinstance(x, int | float) or callable(x)}
+        return ", ".join(f"{name} {x:g}" if isinstance(x, int | float) else name for name, x in given.items())
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """zeta as the number of moves grows, recorded as ``population`` says."""

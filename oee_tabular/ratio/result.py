@@ -114,6 +114,15 @@ class TransitionRatio:
         self.on(simulator)  # or an error
         return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
 
+    @property
+    def finite(self) -> bool:
+        """Whether zeta, its gap and what its errors are computed from are finite numbers."""
+        known = [self.values.data, np.asarray(self.gap)]
+        if self._influence is not None:
+            tables = [part.information for part in self._influence.parts if part.information is not None]
+            known += [self._influence.curvature, *(x.data if sparse.issparse(x) else np.asarray(x) for x in tables)]
+        return all(np.isfinite(x).all() for x in known)
+
     @one_thread
     def log_standard_error(self, gradient: Array) -> float | None:
         """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.

@@ -287,6 +287,7 @@ def test_chance_gives_quantiles():
     assert [draw.mean() for draw in drawn] == pytest.approx([2.0, 3.0, 1.0], abs=0.05)
     assert (drawn[0].min() >= 1.0, drawn[0].max() < 3.0, np.unique(drawn[1]).tolist()) == (True, True, [2, 3, 4])
     assert Chance(xi).uniform([0.0, 1.0], [1.0, 2.0]).shape == (2,)
+    assert Chance(np.array([9.0])).uniform(np.float32(-1.0), np.float32(1.0)) < 1.0  # as in double precision
     with pytest.raises(IndexError, match="at most 1 random numbers"):
         Chance(xi[:1]).normal(size=2)
 

@@ -144,7 +144,14 @@ def estimator_of(value, error=None):
 
 @pytest.mark.parametrize(
     ("value", "error", "found"),
-    [(5.0, None, 5.0), (10.5, None, np.nan), (10.5, 0.1, np.nan), (10.5, 0.4, 10.0), (-0.1, 0.01, np.nan)],
+    [
+        (5.0, None, 5.0),
+        (10.5, None, np.nan),
+        (10.5, 0.1, np.nan),
+        (10.5, 0.4, 10.0),
+        (10.5, 0.253, np.nan),
+        (-0.1, 0.01, np.nan),
+    ],
 )
 def test_values_that_cannot_be_are_refused(value, error, found):
     estimate = Possible(estimator_of(value, error), 0.0, 10.0)(_Fixed(), None)
@@ -193,6 +200,12 @@ def test_a_linear_model_is_least_squares_with_the_log_s_residuals():
         for task in (CartPole(15.0), model, CartPole(10.0))
     )
     assert abs(found - truth) < 0.3 * abs(before - truth)
+
+
+def test_a_resample_of_a_short_log_has_rows():
+    model = LinearModel(CartPole(10.0), log_of(CartPole(15.0), 2))
+    for seed in range(30):
+        assert np.abs(model.resampled(seed).coefficients).max() > 0
 
 
 def test_rewards_that_are_not_the_task_s_are_told():

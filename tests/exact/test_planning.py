@@ -39,6 +39,14 @@ def test_of_equal_actions_the_first_is_taken():
     assert oee.optimal_policy(mdp).tolist() == [[0.0, 1.0, 0.0]]
 
 
+@pytest.mark.parametrize(("left", "less"), [(1e-4, 1e-6), (1e-6, 1e-5), (1e-8, 1e-5), (1e-9, 1e-4)])
+def test_near_discount_one_an_action_that_pays_less_is_no_equal(left, less):
+    """Its loss in every step adds up to less / left."""
+    rows = np.full((2, 3, 2), 0.5)
+    mdp = oee.FiniteMDP(rows, [[1.0 - less, 1.0, 1.0], [5.0, 5.0, 5.0 - less]], [0.5, 0.5], 1.0 - left)
+    assert oee.optimal_policy(mdp).argmax(axis=1).tolist() == [1, 0]
+
+
 def test_discount_one_on_frozen_lake():
     """The best chance of reaching the goal on the 4 x 4 map is 14/17 (Gymnasium's documentation: 0.82)."""
     lake = oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", discount=1.0)

@@ -438,3 +438,14 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
     assert norm <= bound * (1 + 1e-12)
     if 0.9 * kernel.sum(axis=1).max() > 1:
         assert_allclose(bound, norm, rtol=1e-6)
+
+
+@pytest.mark.parametrize("entries", [5, 200])
+def test_near_discount_one_occupancies_sum_to_one(entries):
+    """Up to the rounding of the rows' own sums, eps / (1 - discount); with that of the bound on them 1e-8 and 3e-7."""
+    rng = np.random.default_rng(0)
+    weights, columns = rng.dirichlet(np.ones(entries), size=200), rng.integers(200, size=200 * entries)
+    rows = sparse.coo_array((weights.ravel(), (np.repeat(np.arange(200), entries), columns)), shape=(200, 200))
+    mdp = oee.FiniteMDP(rows.tocsr(), np.ones(200), np.eye(200)[0], 1.0 - 1e-7)
+    assert oee.exact.evaluate_policy(mdp, np.ones((200, 1))).method == "value iteration"
+    assert abs(oee.occupancy(mdp, np.ones((200, 1))).sum() - 1.0) < 4e-9

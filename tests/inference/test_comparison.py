@@ -46,6 +46,26 @@ def test_one_policy_under_two_names_is_as_probably_the_best_under_either(method)
     assert_allclose(sum(best.values()), 1.0)
 
 
+@pytest.mark.parametrize("twins", [2, 4])
+def test_policies_that_do_the_same_share_the_probability(twins):
+    """To the last digits: what tells their rows of the covariance apart is rounding."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        same = rng.dirichlet(np.ones(4), size=16)
+        named = {f"same {i}": same for i in range(twins)} | {"other": rng.dirichlet(np.ones(4), size=16)}
+        found = compare_policies(problem(60, seed), named, n_draws=500)
+        shares = [share for name, share in zip(found.names, found.probability_best, strict=True) if "same" in name]
+        assert_allclose(shares, shares[0], rtol=1e-12)
+
+
+def test_where_nothing_is_paid_all_are_the_best():
+    nothing = SIMULATOR.with_rewards(np.zeros(16))
+    found = compare_policies(
+        oee.Problem(nothing, problem(50, 0).log), {"one": [0] * 16, "other": POLICIES["delta=0.4"]}
+    )
+    assert found.probability_best.tolist() == [0.5, 0.5]
+
+
 def test_the_intervals_of_differences_cover():
     truth = oee.policy_value(TARGET, POLICIES["delta=0.5"]) - oee.policy_value(TARGET, POLICIES["delta=0.4"])
     inside = 0

@@ -82,6 +82,41 @@ def test_moves_met_once_may_lead_anywhere():
     assert sampling_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
 
 
+def swayed(simulator, problem, horizon, sign, share):
+    """J where a share of each row's unmet moves goes, step by step, to where it is worth most (sign -1: least)."""
+    evidence = gather(problem, PI)
+    p = np.zeros((8, 4))
+    p[evidence.rows, simulator.transitions.indices] = evidence.phat
+    pays = np.zeros((8, 4))
+    pays[evidence.rows, simulator.transitions.indices] = simulator.reward_data
+    counts = np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None]) + problem.counts.toarray()
+    total = counts.sum(axis=1)
+    unmet = np.where(total > 0, (counts == 1).sum(axis=1) / np.maximum(total, 1), 1.0)
+    plain, value = np.zeros(4), np.zeros(4)
+    for _ in range(horizon):
+        far = sign * max(sign * simulator.reward_data) + 0.8 * sign * max(sign * plain)
+        place = np.argmax(sign * plain)
+        far += 0.8 * (value[place] - plain[place])
+        q = (p * (pays + 0.8 * value)).sum(axis=1)
+        value = 0.5 * (q + share * unmet * (far - q)).reshape(4, 2).sum(axis=1)
+        plain = 0.5 * (p * (pays + 0.8 * plain)).sum(axis=1).reshape(4, 2).sum(axis=1)
+    return simulator.initial @ value
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 7])
+def test_with_a_horizon_unmet_moves_lead_to_the_extreme_of_the_steps_that_are_left(horizon):
+    log = oee.sample_episodes(SIMULATOR, PI, 4, 5, seed=2)
+    with pytest.warns(UserWarning, match="filled in"):
+        simulator = oee.FiniteMDP.from_log(oee.Transitions(**log.columns()), discount=0.8, n_states=4)
+    recorded = oee.sample_episodes(simulator, PI, 2, 5, seed=3)
+    problem = oee.Problem(simulator, recorded, horizon=horizon)
+    found = sampling_margin(problem, gather(problem, PI))
+    assert found.up > 0.0
+    for sign, size in ((1.0, found.up), (-1.0, -found.down)):
+        rise = (swayed(simulator, problem, horizon, sign, 1e-6) - swayed(simulator, problem, horizon, sign, 0.0)) / 1e-6
+        assert_allclose(rise, size, rtol=1e-4)
+
+
 def test_a_row_that_was_filled_in_may_lead_anywhere():
     with pytest.warns(UserWarning, match="filled in"):
         simulator = oee.FiniteMDP.from_log(oee.Transitions([0, 0, 1], [0, 0, 0], [0, 0, 1], [0, 0, 9.0]), n_actions=2)

@@ -13,7 +13,7 @@ from oee_tabular.inference import compare_policies
 from oee_tabular.inference.ambiguity import evidence_of, gather
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.robust import extreme_value, radii
-from oee_tabular.inference.strays import stray_swing
+from oee_tabular.inference.strays import _ahead, stray_swing
 
 S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 
@@ -160,3 +160,33 @@ def test_a_problem_drops_what_it_says():
         oee.Problem(simulator, log, impossible="allow")
     with pytest.raises(ValueError, match=r"none is left where impossible is 'drop'$"):
         oee.Problem(simulator, oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]), impossible="drop")
+
+
+@pytest.mark.filterwarnings("ignore:horizon .* is followed to step")
+def test_a_horizon_is_followed_as_far_as_the_discount_shows():
+    simulator = oee.FiniteMDP([[[1, 0]], [[0.5, 0.5]]], [0, 1.0], [1, 0], 0.5)
+    log = oee.Transitions([0, 0], [0, 0], [1, 0])
+    endless, long = (oee.Problem(simulator, log, impossible="drop", horizon=T) for T in (10**12, 100))
+    for sign, found in zip((-1, 1), stray_swing(endless, gather(endless, [0, 0])), strict=True):
+        assert found == pytest.approx(stray_swing(long, gather(long, [0, 0]))[sign > 0], abs=1e-12)
+    rows = np.array([0])
+    ways = [_ahead(gather(p, [0, 0]).model, np.ones((2, 1)), rows, p.horizon) for p in (endless, long)]
+    for one, other in zip(*ways, strict=True):
+        assert_allclose(one, other, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("state", "action", "following", "share"),
+    [
+        ([0, 1], [0, 0], [1, 2], 1.0),  # all that is known of (0, 0) is a move that was dropped
+        ([0, 0], [0, 0], [1, 0], 0.5),
+        ([0, 1, 1], [0, 0, 0], [0, 2, 0], 0.0),  # dropped where the policy never is
+    ],
+)
+def test_what_is_unseen_is_a_share(state, action, following, share):
+    """State 0 is never left, so that its time counts once a dropped move shows that it can be."""
+    rows = [[[1.0, 0, 0]], [[0, 0.5, 0.5]], [[0, 0, 1.0]]]
+    simulator = oee.FiniteMDP(rows, [0, 1.0, 2.0], [1.0, 0, 0], 0.9)
+    problem = oee.Problem(simulator, oee.Transitions(state, action, following), impossible="drop")
+    found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
+    assert_allclose(found.unseen_share, share, rtol=1e-12)

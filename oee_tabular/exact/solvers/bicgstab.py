@@ -37,7 +37,7 @@ class BiCGStab:
         """The reduced system and its factors."""
         kernel, transpose = system.kernel, system.transpose
         if self.plain:
-            carried = kernel.discount * system.largest
+            carried = kernel.discount * system.mass
             even = system.largest - system.smallest <= 1e-8 and carried < 1.0 - 1e-9
             return partial(_krylov.solve, kernel, carried if even else 0.0, transpose)
         # weight 1 keeps row sums, which counts near discount 1; a little below it the iteration is steadier in a drift

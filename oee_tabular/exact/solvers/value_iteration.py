@@ -26,4 +26,4 @@ class ValueIteration:
 
     def prepare(self, system: System) -> Solve:
         """Nothing is worked out before."""
-        return partial(_value_iteration.sweeps, system.kernel, system.largest, system.transpose)
+        return partial(_value_iteration.sweeps, system.kernel, system.mass, system.transpose)
