@@ -438,3 +438,21 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
     assert norm <= bound * (1 + 1e-12)
     if 0.9 * kernel.sum(axis=1).max() > 1:
         assert_allclose(bound, norm, rtol=1e-6)
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_correction_leaves_its_share(name, transpose):
+    """Of what a vector near by misses; where all that are asked give up, the answer is exact."""
+    system = System.of(STRUCTURES[name], 0.95, transpose)
+    b = np.random.default_rng(1).normal(size=len(system.kernel.indptr) - 1)
+    exact_one = solvers.answer(system, b)
+    near = exact_one.x * (1.0 + 0.01 * np.random.default_rng(2).normal(size=len(b)))
+    missed = np.abs(b - (system.matrix() @ near)).max()
+    found = solvers.corrected(system, b, near, 1e-3)
+    assert_allclose(found.missed, b - system.matrix() @ found.x, rtol=0, atol=1e-13 * np.abs(found.x).max())
+    assert found.largest <= 1e-2 * missed
+    unable = solvers.corrected(system, b, near, 1e-3, [Stub("unable", lambda b, relative: None)])
+    assert_array_equal(unable.x, exact_one.x)
+    unmoved = solvers.corrected(system, b, exact_one.x, 1e-3, [Stub("never asked", None)])
+    assert unmoved.largest > unmoved.rounding or unmoved.x is exact_one.x
