@@ -5,8 +5,7 @@ Without a horizon V and d are those of the last rows, corrected by some steps of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -14,7 +13,6 @@ import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import solvers
-from oee_tabular.exact.solvers import SOLVERS, Solver
 from oee_tabular.exact.system import Kernel, System, readable
 from oee_tabular.inference.ambiguity import Evidence, reached_rows
 from oee_tabular.mdp.horizons import optional_steps
@@ -66,7 +64,6 @@ class Taken:
     entries: IntArray
     chain: Chain
     steps: int | None
-    _solvers: list[Sequence[Solver]] = field(default_factory=lambda: [SOLVERS, SOLVERS])  # that serve, for V and for d
 
     @classmethod
     def of(cls, evidence: Evidence) -> Taken:
@@ -125,9 +122,7 @@ class Taken:
         indptr, columns, shares, paid = kernel.kernel_of(self.chain, p)
         rows = Kernel(readable(indptr), readable(columns), readable(shares), self.discount)
         system = System(rows, 1.0, 1.0 + 1e-12, transpose)
-        known = self._solvers[transpose]
-        found = solvers.corrected(system, self.chain.initial if transpose else paid, near, left, known)
-        self._solvers[transpose] = known[[solver.name for solver in known].index(found.method) :]
+        found = solvers.corrected(system, self.chain.initial if transpose else paid, near, left)
         return found.x, found.missed
 
     def _dense(self, p: Array, transpose: bool) -> Array:

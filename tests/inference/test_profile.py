@@ -118,17 +118,6 @@ def test_a_value_near_by_costs_a_step_and_errs_to_second_order():
     assert abs(near.value - truth.value) < 0.1 * abs(uncorrected - truth.value)
 
 
-def test_solvers_that_gave_up_are_not_asked_again():
-    """A cycle of 200 states does not mix: sweeps are given up for good; where a chain mixes they stay."""
-    for rows, discount in ((np.roll(np.eye(200), 1, axis=1), 0.999), (np.full((200, 200), 0.005), 0.5)):
-        simulator = oee.FiniteMDP(rows[:, None], np.arange(200.0), np.eye(200)[0], discount)
-        problem = oee.Problem(simulator, oee.Transitions([0], [0], [1]))
-        taken = Taken.of(gather(problem, np.ones((200, 1))))
-        point = taken.valued(simulator.transitions.data, None, 1e-12)
-        assert ("value iteration" in [solver.name for solver in taken._solvers[0]]) == (discount == 0.5)
-        assert_allclose(point.values, oee.state_values(simulator, np.ones((200, 1))), rtol=1e-9)
-
-
 @pytest.mark.parametrize("u", [0.0, 1e-8, 0.5, 30.0])
 def test_the_root_of_a_row(u):
     """Two states at frequency .5 with u and -u: x = 1 + e solves x^2 - x = u^2."""
