@@ -101,10 +101,10 @@ def answer(system: System, b: Array) -> Answer:
 
 
 def corrected(system: System, b: Array, near: Array, share: float) -> Answer:
-    """``near`` and one step, that leaves about ``share`` of what ``near`` misses, by the first of ``STEADY`` that has one.
+    """``near`` and one step that leaves about ``share`` of what it misses, by the first of ``STEADY`` that has one.
 
-    Where none leaves a tenth or less, ``answer``. For systems that change a little from one to the next: a share of .001 takes .3 of the
-    time that an exact solution takes on grids of 100 x 100.
+    Where none leaves a tenth or less, ``answer``. For systems that change a little from one to the next: on grids of 100 x
+    100 a share of .001 takes .3 of an exact solution's time.
     """
     before = _answered(system, b, near, "none")
     if before.largest <= before.rounding:
