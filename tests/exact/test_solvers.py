@@ -455,3 +455,8 @@ def test_a_correction_leaves_its_share(name, transpose, monkeypatch):
     for poor in (lambda b, relative: None, lambda b, relative: 0.5 * b):
         monkeypatch.setattr(solvers, "STEADY", [Stub("poor", poor)])
         assert_array_equal(solvers.corrected(system, b, near, 1e-3).x, exact_one.x)
+    asked = []
+    monkeypatch.setattr(solvers, "STEADY", [Stub("told", lambda b, relative: asked.append((b, relative)))])
+    solvers.corrected(system, b, near, 1e-3)
+    assert_allclose(asked[0][0], b - system.matrix() @ near, rtol=0, atol=1e-13 * np.abs(near).max())
+    assert asked[0][1] == 1e-3
