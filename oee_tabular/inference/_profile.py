@@ -9,92 +9,34 @@ pi(a | s).
     KL_r    = sum_i phat_i log(1 + e_r - u_i)
 """
 
-from math import log, log1p
+from math import log1p
 
 import numpy as np
 
-from oee_tabular._kernels import njit, put
-
-PATIENCE = 16  # sweeps between looks at how many more it takes
+from oee_tabular._kernels import njit
 
 
 @njit(cache=True, error_model="numpy")
 def kernel_of(chain, p):
-    """P_pi without its zeros (a next state may come several times), and r_pi."""
+    """P_pi as CSR without its zeros, and r_pi."""
     n = len(chain.initial)
-    indptr, column, value = np.zeros(n + 1, np.int64), np.empty(len(p), np.int32), np.empty(len(p))
-    paid, k = np.zeros(n), 0
+    indptr, column, value = np.zeros(n + 1, np.uint32), np.empty(len(p), np.uint32), np.empty(len(p))
+    paid, sums, mark, kept = np.zeros(n), np.zeros(n), np.full(n, -1, np.int64), 0
     for s in range(n):
+        begin = kept
         for r in range(chain.first[s], chain.first[s + 1]):
             for i in range(chain.indptr[r], chain.indptr[r + 1]):
                 if p[i] > 0.0:
-                    column[k], value[k] = chain.column[i], chain.weight[r] * p[i]
-                    paid[s] += value[k] * chain.pay[i]
-                    k += 1
-        indptr[s + 1] = k
-    return indptr, column[:k], value[:k], paid
-
-
-@njit(cache=True, error_model="numpy")
-def hopeless(sweep, change, last, tolerance, most):
-    """Whether the change, ``PATIENCE`` sweeps after ``last``, will not be below the tolerance in ``most`` sweeps."""
-    if not change < last:
-        return True
-    return sweep + PATIENCE * log(change / tolerance) / log(last / change) > most
-
-
-@njit(cache=True, error_model="numpy")
-def sweep_values(indptr, column, value, paid, gamma, values, tolerance, most):
-    """V by sweeps from ``values``, to ``tolerance``; False where that takes more than ``most`` of them.
-
-    The middle of McQueen's bounds: where chains mix, changes become alike in all states long before they are small.
-    """
-    other = np.empty_like(values)
-    last, enough = np.inf, 2.0 * (1.0 - gamma) / gamma * tolerance
-    for k in range(1, most + 1):
-        low, high = np.inf, -np.inf
-        for s in range(len(values)):
-            total = 0.0
-            for i in range(indptr[s], indptr[s + 1]):
-                total += value[i] * values[column[i]]
-            other[s] = paid[s] + gamma * total
-            change = other[s] - values[s]
-            low, high = min(low, change), max(high, change)
-        put(other, values)
-        if high - low <= enough:
-            shift = 0.5 * gamma / (1.0 - gamma) * (low + high)
-            for s in range(len(values)):
-                values[s] += shift
-            return True
-        if k % PATIENCE == 0:
-            if hopeless(k, high - low, last, enough, most):
-                return False
-            last = high - low
-    return False
-
-
-@njit(cache=True, error_model="numpy")
-def sweep_visits(indptr, column, value, initial, gamma, visits, tolerance, most):
-    """d by sweeps from ``visits``, whose total must be 1 / (1 - gamma), as long as one moves more than ``tolerance`` of it."""
-    other = np.empty_like(visits)
-    last, enough = np.inf, tolerance / (1.0 - gamma)
-    for k in range(1, most + 1):
-        put(initial, other)
-        for s in range(len(visits)):
-            share = gamma * visits[s]
-            for i in range(indptr[s], indptr[s + 1]):
-                other[column[i]] += share * value[i]
-        change = 0.0
-        for s in range(len(visits)):
-            change += abs(other[s] - visits[s])
-        put(other, visits)
-        if change <= enough:
-            return True
-        if k % PATIENCE == 0:
-            if hopeless(k, change, last, enough, most):
-                return False
-            last = change
-    return False
+                    j, share = chain.column[i], chain.weight[r] * p[i]
+                    if mark[j] != s:
+                        mark[j], sums[j], column[kept] = s, 0.0, j
+                        kept += 1
+                    sums[j] += share
+                    paid[s] += share * chain.pay[i]
+        for k in range(begin, kept):
+            value[k] = sums[column[k]]
+        indptr[s + 1] = kept
+    return indptr, column[:kept], value[:kept], paid
 
 
 @njit(cache=True, error_model="numpy")

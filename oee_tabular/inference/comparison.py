@@ -12,7 +12,8 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import occupancy, policy_value, transition_gradient
+from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.ambiguity import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.sampled import sampling_margin
@@ -194,7 +195,7 @@ def compare_policies(
 
 
 def _unknown_time(problem: Problem, evidence: Evidence) -> float:
-    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+    time = time_in_pairs(evidence.with_rows(evidence.phat), evidence.policy, evidence.horizon)
     dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
     unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
     left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)

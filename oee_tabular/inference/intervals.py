@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, require_squares, unseen_time
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
-from oee_tabular.inference.likelihood import ProfileEnd, profile_end
+from oee_tabular.inference.likelihood import ProfileEnd, Start, profile_end
 from oee_tabular.inference.robust import Extreme, contradicted_rows, describe_rows, extreme_value, radii
 from oee_tabular.inference.sampled import sampling_margin
 from oee_tabular.inference.strays import Found, stray_end, stray_share
@@ -215,7 +215,8 @@ def _likeliest(
     reached: Callable[[float, Callable[[Evidence], ProfileEnd]], ProfileEnd], level: float
 ) -> tuple[float, float, dict[str, Any]]:
     """The ends of the profile likelihood, and what they say of themselves."""
-    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign)) for sign in (-1.0, 1.0))
+    start = cache(Start.of)  # of both ends
+    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign, start=start)) for sign in (-1.0, 1.0))
     added = {
         "divergence": max(low.divergence, high.divergence),
         "iterations": max(low.iterations, high.iterations),

@@ -1,24 +1,25 @@
 """The rows that a policy takes, cut out of an Evidence: their values, occupancy and gradient, from those of rows near by.
 
-Without a horizon V and d are swept from the last ones, which suffices where the chain mixes; else they are solved for.
+Without a horizon V and d are those of the last rows, corrected by some steps of a solver.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.exact import solve_policy_system
+from oee_tabular.exact import solvers
+from oee_tabular.exact.system import Kernel, System, readable
 from oee_tabular.inference.ambiguity import Evidence, reached_rows
 from oee_tabular.mdp.horizons import optional_steps
 
 DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms), and needs no compiling
-SWEEPS = 300  # at most: an exact solve costs about as much (random graphs of 10 000 states)
+LEFT = 1e-3  # of what the last V and d miss in new rows: what is left of it
+FINE = 1e-9  # the same, where nothing is near
 
 
 class Chain(NamedTuple):
@@ -63,7 +64,6 @@ class Taken:
     entries: IntArray
     chain: Chain
     steps: int | None
-    _mixes: list[bool] = field(default_factory=lambda: [True, True])  # whether sweeps suffice for V, for d
 
     @classmethod
     def of(cls, evidence: Evidence) -> Taken:
@@ -102,11 +102,6 @@ class Taken:
         return self.evidence.model.discount
 
     @cached_property
-    def finest(self) -> float:
-        """Of V: what sweeps can reach at all."""
-        return float(1e-13 * np.abs(self.chain.pay).max(initial=0.0) / (1.0 - self.discount))
-
-    @cached_property
     def metric(self) -> Array:
         """(entries,) by which steps of a direction are weighed: how far the rows follow them."""
         return np.asarray(
@@ -118,23 +113,17 @@ class Taken:
         """(entries,) those of rows with data."""
         return np.repeat(self.chain.n > 0, np.diff(self.chain.indptr))
 
-    def _solved(self, p: Array, near: Array, tolerance: float, transpose: bool) -> Array:
-        """V, or transposed d, by sweeps from one near by; exactly once those have failed, and where states are few."""
+    def _solved(self, p: Array, near: Array, left: float, transpose: bool) -> tuple[Array, Array]:
+        """V, or transposed d, corrected until ``left`` of what the one near by misses is missed, and that."""
         from oee_tabular.inference import _profile as kernel
 
-        gamma, n = self.discount, len(self.chain.initial)
-        if n <= DENSE:
-            return self._dense(p, transpose)
-        indptr, column, value, paid = kernel.kernel_of(self.chain, p)
-        b = self.chain.initial if transpose else paid
-        if self._mixes[transpose]:
-            found, sweeps = near.copy(), kernel.sweep_visits if transpose else kernel.sweep_values
-            self._mixes[transpose] = bool(sweeps(indptr, column, value, b, gamma, found, tolerance, SWEEPS))
-            if self._mixes[transpose]:
-                return found
-        matrix = sparse.csr_array((value, column, indptr), shape=(n, n))
-        matrix.sum_duplicates()
-        return np.asarray(solve_policy_system(matrix, b, gamma, transpose=transpose).x)
+        if len(near) <= DENSE:
+            return self._dense(p, transpose), np.zeros(len(near))
+        indptr, columns, shares, paid = kernel.kernel_of(self.chain, p)
+        rows = Kernel(readable(indptr), readable(columns), readable(shares), self.discount)
+        system = System(rows, 1.0, 1.0 + 1e-12, transpose)
+        found = solvers.corrected(system, self.chain.initial if transpose else paid, near, left)
+        return found.x, found.missed
 
     def _dense(self, p: Array, transpose: bool) -> Array:
         """V, or transposed d, by LAPACK."""
@@ -152,8 +141,11 @@ class Taken:
         state = np.repeat(np.arange(n), np.diff(self.chain.first))
         return np.repeat(state, np.diff(self.chain.indptr)) * n + self.chain.column
 
-    def valued(self, p: Array, near: Point | None, tolerance: float = 0.0) -> Point:
-        """J, and V from that of a point near by, to ``tolerance``; without a horizon d is left to ``direction``."""
+    def valued(self, p: Array, near: Point | None, left: float = LEFT) -> Point:
+        """J, and V from that of a point near by; without a horizon d is left to ``direction``.
+
+        V is solved for only as far as its gradient needs; J = mu V + d (what V misses) is then far closer, for a d near by.
+        """
         from oee_tabular.inference import _profile as kernel
 
         chain, gamma, n = self.chain, self.discount, len(self.chain.initial)
@@ -161,11 +153,11 @@ class Taken:
             to_go, gradient = np.empty((self.steps + 1, n)), np.empty(len(p))
             kernel.flows(chain, p, gamma, self.steps, to_go, gradient)
             return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient)
-        values = self._solved(p, np.zeros(n) if near is None else near.values, max(tolerance, self.finest), False)
-        visits = np.full(n, 1.0 / ((1.0 - gamma) * n)) if near is None else near.visits
-        return Point(p, float(chain.initial @ values), values, visits, np.zeros(0))
+        before, visits = (np.zeros(n), np.full(n, 1.0 / ((1.0 - gamma) * n))) if near is None else near[2:4]
+        values, missed = self._solved(p, before, left, False)
+        return Point(p, float(chain.initial @ values + visits @ missed), values, visits, np.zeros(0))
 
-    def direction(self, point: Point, sign: float, tolerance: float) -> tuple[Point, Direction]:
+    def direction(self, point: Point, sign: float, left: float = LEFT) -> tuple[Point, Direction]:
         """Where J rises (sign 1) or falls (-1) at the point, which is returned with its d."""
         chain, gamma = self.chain, self.discount
         ahead = chain.pay + gamma * point.values[chain.column]
@@ -174,7 +166,7 @@ class Taken:
             flat = np.maximum.reduceat(point.gradient, starts) == np.minimum.reduceat(point.gradient, starts)
             order = np.where(np.repeat(flat, np.diff(chain.indptr)), ahead, point.gradient)
             return point, Direction(sign * point.gradient, sign * order)
-        visits = self._solved(point.p, point.visits, tolerance, True)
+        visits, _ = self._solved(point.p, point.visits, left, True)
         weight = np.repeat(np.maximum(visits, 0.0), np.diff(chain.first)) * chain.weight
         starts, lengths = chain.indptr[:-1], np.diff(chain.indptr)
         ahead -= np.repeat(

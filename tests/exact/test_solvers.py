@@ -449,3 +449,25 @@ def test_near_discount_one_occupancies_sum_to_one(entries):
     mdp = oee.FiniteMDP(rows.tocsr(), np.ones(200), np.eye(200)[0], 1.0 - 1e-7)
     assert oee.exact.evaluate_policy(mdp, np.ones((200, 1))).method == "value iteration"
     assert abs(oee.occupancy(mdp, np.ones((200, 1))).sum() - 1.0) < 4e-9
+
+
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_correction_leaves_its_share(name, transpose, monkeypatch):
+    """Of what a vector near by misses; where all that are asked give up, or leave too much, the answer is exact."""
+    system = System.of(STRUCTURES[name], 0.95, transpose)
+    b = np.random.default_rng(1).normal(size=len(system.kernel.indptr) - 1)
+    exact_one = solvers.answer(system, b)
+    near = exact_one.x * (1.0 + 0.01 * np.random.default_rng(2).normal(size=len(b)))
+    missed = np.abs(b - (system.matrix() @ near)).max()
+    found = solvers.corrected(system, b, near, 1e-3)
+    assert_allclose(found.missed, b - system.matrix() @ found.x, rtol=0, atol=1e-13 * np.abs(found.x).max())
+    assert found.largest <= 1e-2 * missed
+    for poor in (lambda b, relative: None, lambda b, relative: 0.5 * b):
+        monkeypatch.setattr(solvers, "STEADY", [Stub("poor", poor)])
+        assert_array_equal(solvers.corrected(system, b, near, 1e-3).x, exact_one.x)
+    asked = []
+    monkeypatch.setattr(solvers, "STEADY", [Stub("told", lambda b, relative: asked.append((b, relative)))])
+    solvers.corrected(system, b, near, 1e-3)
+    assert_allclose(asked[0][0], b - system.matrix() @ near, rtol=0, atol=1e-13 * np.abs(near).max())
+    assert asked[0][1] == 1e-3

