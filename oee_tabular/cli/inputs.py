@@ -138,7 +138,7 @@ def _moves(log: Transitions | TransitionCounts, simulator: FiniteMDP) -> Any:
 def _log_of(path: Path) -> Transitions | TransitionCounts:
     """A log, or the counts of one."""
     from oee_tabular.data import TransitionCounts, Transitions
-    from oee_tabular.data.streaming import holds_counts
+    from oee_tabular.data.counted import holds_counts
 
     return TransitionCounts.load(path) if holds_counts(path) else Transitions.load(path)
 

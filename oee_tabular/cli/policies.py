@@ -27,7 +27,6 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import policy_array
     from oee_tabular.mdp.policy_tables import by_state
-    from oee_tabular.testing.command import own_modules, own_object
 
     _progress.doing(f"reading the policy {spec}")
     if spec == "uniform":
@@ -44,6 +43,8 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
         return mix(check_policy(task.expert(), task.mdp), uniform_policy(task.mdp), weight)
     suffix = Path(spec).suffix.lower()
     if suffix not in (".npy", ".npz", ".csv") and is_own(spec):
+        from oee_tabular.testing.command import own_modules, own_object
+
         with own_modules():
             return check_policy(own_object(spec, name, "my_package.mine:policy"), task.mdp, name=f"{name} {spec!r}")
     if suffix not in (".npy", ".npz", ".csv"):

@@ -42,14 +42,14 @@ def task_of(spec: str, discount: float | None, initial: str | None = None, sampl
 
 def is_own(spec: str) -> bool:
     """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
-    from oee_tabular.continuous.names import CONTINUOUS
     from oee_tabular.tasks.arguments import arguments
 
     module, colon, rest = spec.partition(":")
-    named = (
-        module != "gridworld" and module not in CONTINUOUS and all(part.isidentifier() for part in module.split("."))
-    )
-    if not colon or not named:
+    if not colon or module == "gridworld" or not all(part.isidentifier() for part in module.split(".")):
+        return False
+    from oee_tabular.continuous.names import CONTINUOUS
+
+    if module in CONTINUOUS:
         return False
     first = rest.split(",")[0]
     return bool(first) and "=" not in first and isinstance(arguments(first)[0][0], str)

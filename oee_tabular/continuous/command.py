@@ -32,9 +32,13 @@ EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; 
 
 def is_continuous(spec: str | None) -> bool:
     """Whether ``spec`` names a continuous task."""
+    from oee_tabular.tasks.specs import is_numbered
+
+    if spec is None or is_numbered(spec):
+        return False
     from oee_tabular.continuous import names
 
-    return spec is not None and names.is_continuous(spec)
+    return names.is_continuous(spec)
 
 
 def actions_of(text: str | None) -> Any:

@@ -211,6 +211,11 @@ class TransitionCounts:
             return from_arrays(unsealed(arrays))
 
 
+def holds_counts(path: str | os.PathLike[str]) -> bool:
+    """Whether a file holds counts. Reads the name of its kind alone."""
+    return _files.kind_of(path) == KIND
+
+
 def to_arrays(log: TransitionCounts) -> dict[str, Column]:
     """The parts of counts as arrays."""
     arrays: dict[str, Column] = log.columns() | {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from oee_tabular import _files
 from oee_tabular._checks import Column
-from oee_tabular.data.tables import csv_frame, parquet_frame, require_columns, require_module, warn_left_out
+from oee_tabular.data.tables import csv_frame, parquet_frame, plain_csv, require_columns, require_module, warn_left_out
 from oee_tabular.mdp.naming import from_text, to_text
 
 TABLES = (".csv", ".parquet")
@@ -30,6 +30,8 @@ COLUMNS = (
     "timestep",
     "behavior_probability",
 )
+FLAG = "U6"  # True, False, 0 or 1, and a letter that would be too many
+TYPES = dict(zip(COLUMNS, ("i8", "i8", "i8", "f8", FLAG, FLAG, "i8", "i8", "f8"), strict=True))
 Columns = dict[str, Column]
 
 
@@ -114,6 +116,8 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
         labels = list(columns)
         with _files.parts_of(name, "a log"):
             columns = form.read({column: columns[column] for column in labels if column in COLUMNS})
+    elif suffix == ".csv" and (plain := plain_csv(name, TYPES)):
+        columns, labels = form.gathered(plain, name), list(plain)
     elif suffix in TABLES:
         frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, form.known)
         flat = {str(label): frame[label].to_numpy() for label in frame.columns if form.known(str(label))}

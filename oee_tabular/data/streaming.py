@@ -23,7 +23,7 @@ from oee_tabular import _checks, _files, _workers
 from oee_tabular._checks import Column
 from oee_tabular.data import parts as files
 from oee_tabular.data import tally
-from oee_tabular.data.counted import KIND, Recording, TransitionCounts, sealed, unsealed
+from oee_tabular.data.counted import Recording, TransitionCounts, holds_counts, sealed, unsealed
 from oee_tabular.data.readers import LARGEST, Limits
 from oee_tabular.data.sampling import Sample
 from oee_tabular.data.tally import Counted
@@ -92,11 +92,6 @@ def _sizes(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | N
 def _drops(bad_rows: str) -> bool:
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
     return bad_rows == "drop"
-
-
-def holds_counts(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds counts. Reads the name of its kind alone."""
-    return _files.kind_of(path) == KIND
 
 
 def _shown(results: Iterator[Any], total: int, done: int, progress: bool) -> Iterator[Any]:

@@ -67,7 +67,7 @@ def solve_policy_system(
 
     Notes
     -----
-    Cost: O(S^3) up to 64 states; one pass where no more than some states can reach each other (layered models); else a few
+    Cost: O(S^3) up to 100 states; one pass where no more than some states can reach each other (layered models); else a few
     dozen sparse sweeps. Certified 1.5 to 2 times that.
 
     Examples

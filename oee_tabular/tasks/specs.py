@@ -1,6 +1,6 @@
 """Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``.
 
-Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.names``, which is imported where one is named.
+Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.names``, which is imported where one may be named.
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ class NamedTask:
     discretization: Any = None
 
 
+def is_numbered(spec: str) -> bool:
+    """Whether ``spec`` is a file's name or a gridworld: of numbered states, whatever Gymnasium knows, which is slow to ask."""
+    return Path(spec).suffix.lower() == ".npz" or spec.partition(":")[0] == "gridworld"
+
+
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """The task that ``spec`` names.
 
@@ -81,25 +86,29 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         mdp = mdp if discount is None else mdp.with_discount(discount)
         return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
     name, _, rest = spec.partition(":")
+    positional, keywords = arguments(rest)
+    if discount is not None:
+        keywords["discount"] = discount
+    if name == "gridworld":
+        return _gridworld(spec, positional, keywords)
     names = importlib.import_module("oee_tabular.continuous.names")
     if names.is_continuous(spec):
         found = names.continuous_simulator(spec)
         model = found.build(discount=0.99 if discount is None else discount)
         expert = lambda: model.policy(found.policy("expert"))  # noqa: E731
         return NamedTask(spec, model.mdp, expert, continuous=found, discretization=model)
-    positional, keywords = arguments(rest)
-    if discount is not None:
-        keywords["discount"] = discount
-    if name == "gridworld":
-        try:
-            bound = inspect.signature(gridworld).bind(*positional, **keywords)
-        except TypeError as error:
-            raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
-        size = bound.arguments["size"]
-        return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
     environment_exists(name, ("gridworld", *names.CONTINUOUS))
     if positional:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
     gamma = keywords.pop("discount", 0.99)
     mdp = toy_text(name, discount=gamma, **keywords)
     return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))
+
+
+def _gridworld(spec: str, positional: list[Any], keywords: dict[str, Any]) -> NamedTask:
+    try:
+        bound = inspect.signature(gridworld).bind(*positional, **keywords)
+    except TypeError as error:
+        raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
+    size = bound.arguments["size"]
+    return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)

@@ -33,6 +33,29 @@ def test_importing_the_package_is_light():
     assert done.stdout.strip() == "[]"
 
 
+def test_own_files_import_nothing_that_they_do_not_need(tmp_path):
+    """The command's warm start: neither pandas nor Gymnasium, nor the wing, nor what users' own modules take."""
+    grid = oee.tasks.gridworld(4, 0.1)
+    grid.save(tmp_path / "s.npz")
+    oee.sample_episodes(grid, oee.uniform_policy(grid), 5, 20, seed=0).save(tmp_path / "log.csv")
+    np.save(tmp_path / "p.npy", oee.uniform_policy(grid))
+    words = ["evaluate", "--simulator", "s.npz", "--log", "log.csv", "--policy", "p.npy"]
+    script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
+    slow = {
+        "cvxpy",
+        "pandas",
+        "pyarrow",
+        "gymnasium",
+        "matplotlib",
+        "oee_tabular.testing",
+        "oee_tabular.data.streaming",
+    }
+    script += f"print(sorted({slow | {'oee_tabular.continuous.names'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert "likelihood interval" in done.stdout
+    assert done.stdout.strip().endswith("[]")
+
+
 def test_without_arguments_it_runs_the_paper_s_grid(capsys, tmp_path):
     out = run(capsys, "evaluate", "--output", tmp_path / "out")
     for word in (

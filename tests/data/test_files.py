@@ -9,6 +9,7 @@ from numpy.testing import assert_array_equal
 import oee_tabular as oee
 from oee_tabular import Transitions, _files
 from oee_tabular._files import save_npz
+from oee_tabular.data import files, tables
 
 FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
 
@@ -109,6 +110,69 @@ def test_a_csv_written_by_hand(tmp_path):
     assert_array_equal(log.reward, [0.5, 1, 0])
     assert_array_equal(log.terminated, [False, True, False])
     assert_array_equal(log.truncated, [False, False, True])
+
+
+HEAD = "state,action,next_state,reward,terminated\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        (HEAD + "0,1,2,0.1,False\n\n2,0,3,1e-3,True\n", True),
+        ("\ufeff\r\n" + HEAD + "0,1,2,-.5,0\r\n+2,0,03,7.000000000000001,1\r\n", True),
+        ('"state","action","next_state"\n 0,1 ,2\n', True),
+        (HEAD, False),
+        (HEAD + "0,1,2,0.5,yes\n", False),
+        (HEAD + "0,1,2,0.5,Falsely\n", False),
+        (HEAD + "0,1,2,0.5,True\n0,1,2,0.5,1\n", False),
+        (HEAD + "0,1,2,nan,False\n", False),
+        (HEAD + "0,1,2,inf,False\n", False),
+        (HEAD + "0,1,2,,False\n", False),
+        (HEAD + "0,1,2.0,1,False\n", False),
+        (HEAD + "0,1,2.5,1,False\n", False),
+        (HEAD + "0,1,1_0,1,False\n", False),
+        (HEAD + "0,1,9223372036854775808,1,False\n", False),
+        (HEAD + "-1,1,2,1,False\n", True),
+        (HEAD + "0,1,2,1,False,5\n", False),
+        (HEAD + "0,1,2\n", False),
+        (HEAD + "a,1,b,1,False\n", False),
+        (HEAD + "# 0,1,2,1,False\n", False),
+        (HEAD + '0,"1",2,1,False\n', False),
+        ("state,action,next_state,state\n0,1,2,3\n", False),
+        ("state,action,next_state,battery\n0,1,2,3\n", False),
+        ("state,action\n0,1\n", True),
+        ("", False),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:columns of")
+def test_numpy_and_pandas_read_the_same_csv(tmp_path, monkeypatch, text, plain):
+    """The same columns, to the last bit, or the same error; what is not plain is pandas' alone."""
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode())
+    assert (tables.plain_csv(str(path), files.TYPES) is not None) == plain
+    found = []
+    for read in (tables.plain_csv, lambda *_: None):
+        monkeypatch.setattr(files, "plain_csv", read)
+        try:
+            found.append(Transitions.load(path).columns())
+        except ValueError as error:
+            found.append(str(error))
+    assert type(found[0]) is type(found[1])
+    if isinstance(found[0], str):
+        assert found[0] == found[1]
+    else:
+        assert list(found[0]) == list(found[1])
+        for name, column in found[0].items():
+            assert column.dtype == found[1][name].dtype
+            assert_array_equal(column, found[1][name])
+
+
+def test_a_long_csv_is_pandas_own(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    path.write_text(HEAD + "0,1,2,0.1,False\n" * 20)
+    monkeypatch.setattr(tables, "PLAIN", 100)
+    assert tables.plain_csv(str(path), files.TYPES) is None
+    assert len(Transitions.load(path)) == 20
 
 
 def test_columns_that_a_log_does_not_know_are_named(tmp_path):

@@ -6,6 +6,7 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
+from oee_tabular._checks import SUM_TOLERANCE
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.policies import check_policies
 
@@ -191,3 +192,33 @@ def test_lists_of_actions_as_many_as_states():
     """Three policies of three states: not rows, since there are two actions."""
     assert list(check_policies([[0, 1, 1]] * 3, NAMED)) == ["policy 0", "policy 1", "policy 2"]
     assert list(check_policies([[1, 0]] * 3, NAMED)) == ["policy"]
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (0.0, None),
+        (0.9 * SUM_TOLERANCE, None),
+        (-0.999 * SUM_TOLERANCE, None),
+        (1.1 * SUM_TOLERANCE, "must sum to 1"),
+        (-1.1 * SUM_TOLERANCE, "must sum to 1"),
+        (-1.5, "must be nonnegative; it is -1"),
+        (np.nan, "must be finite; it is nan"),
+        (np.inf, "must be finite; it is inf"),
+    ],
+)
+def test_the_last_entry_is_looked_at(change, words, order):
+    """Within the tolerance as it is, else refused by its place."""
+    given = np.full((PLAIN.n_states, PLAIN.n_actions), 1.0 / PLAIN.n_actions, order=order)
+    given[-1, -1] += change
+    if words is None:
+        assert_array_equal(check_policy(given, PLAIN), given)
+    else:
+        with pytest.raises(ValueError, match=rf"policy\[{PLAIN.n_states - 1}.*{words}"):
+            check_policy(given, PLAIN)
+
+
+def test_a_negative_weight_that_another_makes_good_is_refused():
+    with pytest.raises(ValueError, match=r"must be nonnegative; it is -0\.5"):
+        check_policy([[1.5, -0.5]] * PLAIN.n_states, PLAIN)

@@ -1,7 +1,7 @@
 """Solvers of M x = b, M = I - gamma K, one a file, and the choice among them: the first that suits and does not give up.
 
 ========================  ==============================================================================================
-``DenseLU``               up to 64 states: without pivoting (an M-matrix needs none)
+``LAPACK``                up to 100 states: dense
 ``ComponentLU``           small communicating sets, one after the other: layered models, whatever the order of their states
 ``ValueIteration``        rows of one sum that mix: the common change summed, while four sweeps halve the spread
 ``BiCGStab(plain=True)``  graphs where a few steps lead everywhere: constants taken out, no preconditioner
@@ -29,8 +29,8 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.elimination import ComponentLU, DenseLU
-from oee_tabular.exact.solvers.library import LAPACK, SuperLU
+from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU
+from oee_tabular.exact.solvers.library import SuperLU
 from oee_tabular.exact.solvers.value_iteration import ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
@@ -54,7 +54,7 @@ class Solver(Protocol):
 
 
 SOLVERS: tuple[Solver, ...] = (
-    DenseLU(),
+    LAPACK(up_to=100, expanders=0),
     ComponentLU(),
     ValueIteration(),
     BiCGStab(plain=True),

@@ -1,4 +1,4 @@
-"""M = I - gamma K with a nonnegative K, by LU without pivoting: dense, or one strongly connected component after the other.
+"""M = I - gamma K with a nonnegative K, by LU without pivoting, one strongly connected component after the other; or dense.
 
     L_ik = M_ik / M_kk,  M_ij <- M_ij - L_ik M_kj  (i, j > k);    M_kk > 0 always, else M is no M-matrix: rho(gamma K) >= 1.
 
@@ -58,24 +58,14 @@ def substitute(a, x, transpose):
 
 
 @njit(cache=True)
-def factorised(kernel):
-    """The factors of the whole, dense; whether it is an M-matrix."""
+def dense(kernel):
+    """(n, n): M for a library's solver."""
     indptr, indices, data, discount = kernel
     a = np.eye(len(indptr) - 1)
     for i in range(len(a)):
         for k in range(indptr[i], indptr[i + 1]):
             a[i, indices[k]] -= discount * data[k]
-    return a, factor(a)
-
-
-@njit(cache=True)
-def solve_dense(a, regular, transpose, b, relative):
-    """x by these factors."""
-    x = np.full(len(b), np.nan)
-    if regular:
-        x[:] = b
-        substitute(a, x, transpose)
-    return x
+    return a
 
 
 @njit(cache=True)

@@ -1,42 +1,18 @@
-"""LU with pivoting, from LAPACK and SuperLU: the last resort, where the graph of a system lets them finish.
-
-A direct solver is the last resort because it fills in on expanders: of these no more than 3000 states are given to one.
-"""
+"""LU with pivoting, from SuperLU: the last resort, where the graph of a system lets it finish."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse import linalg as sparse_linalg
 
+from oee_tabular._checks import Array
 from oee_tabular.exact.system import Solve, System
 
 DENSE_LIMIT = 400
-DENSE_EXPANDERS = 3000  # 72 MB and a second
-
-
-@dataclass(frozen=True)
-class LAPACK:
-    """Dense: up to 400 states, and for expanders up to 3000."""
-
-    name: str = "dense LU"
-    direct: bool = True
-
-    def suits(self, system: System) -> bool:
-        """By the number of states, and by the graph where it is asked."""
-        n = len(system.kernel.indptr) - 1
-        return n <= DENSE_LIMIT or (n <= DENSE_EXPANDERS and expands(system.csr()))
-
-    def prepare(self, system: System) -> Solve:
-        """Nan for a singular system."""
-        getrf, getrs = linalg.get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
-        dense, place, singular = getrf(system.matrix().toarray())
-        if singular:
-            return lambda b, relative: np.full(len(b), np.nan)
-        return lambda b, relative: np.asarray(getrs(dense, place, b)[0])
 
 
 @dataclass(frozen=True)
@@ -55,8 +31,13 @@ class SuperLU:
         try:
             factors = sparse_linalg.splu(system.matrix(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         except RuntimeError:  # singular
-            return lambda b, relative: np.full(len(b), np.nan)
+            return nothing
         return lambda b, relative: np.asarray(factors.solve(b))
+
+
+def nothing(b: Array, relative: float) -> Array:
+    """Of a singular system."""
+    return np.full(len(b), np.nan)
 
 
 def expands(kernel: sparse.csr_array) -> bool:
