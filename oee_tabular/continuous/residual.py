@@ -259,6 +259,7 @@ class ResidualSimulator(ContinuousTask):
         self._paid = np.concatenate([paid, own.reward])
         self._places = self.task.smooth(every)
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
+        self._trees: dict[bool | None, tuple[IntArray, cKDTree]] = {}
         if self._learns_reward:  # is drawn from the log all the same
             spread[-1] = _rms(
                 np.where(scattered.terminated == own.terminated[some], scattered.reward - own.reward[some], 0.0)
@@ -322,11 +323,14 @@ class ResidualSimulator(ContinuousTask):
             return own
         if self._knows_ends:
             return self.task.terminated(following)
-        return np.asarray(self._ends[self._nearest(following, np.arange(len(self._ends)))])
+        return np.asarray(self._ends[self._nearest(following)])
 
-    def _nearest(self, following: Array, among: IntArray) -> IntArray:
-        """Of the known next states ``among``, the nearest to each."""
-        tree = cKDTree(self._places[among] / self._unit)
+    def _nearest(self, following: Array, end: bool | None = None) -> IntArray:
+        """The nearest known next state to each; among those only that end so, where ``end`` is given."""
+        if end not in self._trees:
+            among = np.flatnonzero(self._ends == end) if end is not None else np.arange(len(self._ends))
+            self._trees[end] = among, cKDTree(self._places[among] / self._unit)
+        among, tree = self._trees[end]
         return np.asarray(among[tree.query(self.task.smooth(following) / self._unit)[1]])
 
     def _reward(
@@ -337,9 +341,9 @@ class ResidualSimulator(ContinuousTask):
             return between
         paid = own.reward + (added[:, -1] if self._learns_reward else 0.0)
         for end in (False, True):  # a step that ends otherwise than the simulator's is paid as the nearest that ends so
-            rows, among = np.flatnonzero((over == end) & (over != own.terminated)), np.flatnonzero(self._ends == end)
-            if len(rows) and len(among):
-                paid[rows] = self._paid[self._nearest(following[rows], among)]
+            rows = np.flatnonzero((over == end) & (over != own.terminated))
+            if len(rows) and (self._ends == end).any():
+                paid[rows] = self._paid[self._nearest(following[rows], end)]
         return np.asarray(paid)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
