@@ -31,6 +31,7 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
 from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.units import other_units
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
@@ -100,6 +101,8 @@ class ResidualSimulator(ContinuousTask):
     coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
     fits : g of each of them; see ``regression.Fit``
     residuals, left_over : (n, k) s' - f(s, a) of the log's rows, and what g leaves of it
+    paid : the least and the largest reward of the log and of the simulator's own steps from its rows
+    units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
 
     Raises
     ------
@@ -150,6 +153,9 @@ class ResidualSimulator(ContinuousTask):
         actions = log.action_numbers(task.actions)
         own = task.moves(log.state, actions, np.zeros((len(log), task.n_disturbances)))
         self._periods = self._turns(own.next_state)
+        features = task.features(log.state)
+        self._seen = features.min(axis=0), features.max(axis=0)
+        self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
         self.residuals = self._differences(log, own)
         self._fit(log, actions, own, rng)
         self._after(log, actions, own, rng)
@@ -257,6 +263,7 @@ class ResidualSimulator(ContinuousTask):
         self._ends = np.concatenate([log.terminated, own.terminated])
         paid = own.reward if log.reward is None else log.reward
         self._paid = np.concatenate([paid, own.reward])
+        self.paid = float(self._paid.min()), float(self._paid.max())
         self._places = self.task.smooth(every)
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
         self._trees: dict[bool | None, tuple[IntArray, cKDTree]] = {}
@@ -283,6 +290,11 @@ class ResidualSimulator(ContinuousTask):
         again._use(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.weighted(weights[self.group])
         return again
+
+    def beyond(self, states: Array) -> BoolArray:
+        """(n,) states with a feature outside the range of the log's: what g is there nobody has seen."""
+        features = self.task.features(states)
+        return np.asarray(((features < self._seen[0]) | (features > self._seen[1])).any(axis=1))
 
     # ---- the task ------------------------------------------------------------------------------------------------------
 

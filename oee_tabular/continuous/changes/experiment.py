@@ -133,8 +133,8 @@ CHANGES = Experiment(
         "CartPole: times (1 - discount), six policies, 100 steps; Pendulum, MountainCar, Acrobot: two policies, 200 "
         "and 500 steps; Reacher, paid by the target's fingertip: five; Kinova: the stand-in, 50 runs; Chain: masses "
         "on springs, eight coordinates. One setting of ResidualSimulator for all. linear model: least squares for each "
-        "action. grid: zeta on 32 x 32 to 41 x 41 vertices, moves without support left out, for the first log; calibrated: times the "
-        "simulator's rollouts / its value on the grid. hidden: share of the logs of which it is said that the state is "
-        "not Markov; differs: that the target is another."
+        "action. grid: zeta on 32 x 32 to 41 x 41 vertices, moves without support left out, for the first log; calibrated: "
+        "times the simulator's rollouts / its value on the grid. hidden: share of the logs of which it is said that the "
+        "state is not Markov; differs: that the target is another."
     ),
 )
