@@ -19,6 +19,7 @@ _MODULES = {
     "cartpole.expert": ("cartpole_policy", "train_expert"),
     "cartpole.experiment": ("CARTPOLE_CHOICE", "CARTPOLE_DATA", "FIGURE_2", "RESOLUTION"),
     "cells": ("VisitedCells", "visited_states"),
+    "changes.coverage": ("RESIDUAL_COVERAGE",),
     "changes.experiment": ("CHANGES",),
     "closure": ("Closure",),
     "support": ("defensive_mixture",),

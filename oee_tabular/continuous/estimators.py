@@ -19,6 +19,7 @@ from oee_tabular.estimators.findings import Finding, uncovered
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 
+BEYOND = 0.02  # share of a policy's moves beyond the log's range: it is said
 QUANTILE = 1.96  # of the intervals that estimators set themselves
 
 
@@ -117,16 +118,42 @@ class Residual(Refitted):
     def __call__(self, problem: Problem, policy: object, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         found = Refitted.__call__(self, problem, policy, seed=seed)
+        share = self._beyond(self.value.functions[np.asarray(policy).tobytes()])
         hidden = [c for c in self.learned.coordinates if c.hidden]
         told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
-        basis = replace(found.basis, corrected=not hidden)
+        status = _wrong(hidden, self.learned.units)
+        basis = replace(found.basis, corrected=status == "ok")
+        facts = found.diagnostics | {"explained": told, "beyond_log": share}
         return replace(
-            found, diagnostics=found.diagnostics | {"explained": told}, status=_not_markov(hidden), basis=basis
+            found, diagnostics=facts, status=status, basis=basis, findings=(*found.findings, *beyond_log(share))
         )
 
+    def _beyond(self, function: StatePolicy) -> float:
+        """Share of the policy's moves, of 200 episodes, that begin beyond what the log has seen."""
+        counted = np.zeros(2)
 
-def _not_markov(hidden: list[Any]) -> str:
-    """What is wrong where history tells of the residuals; "ok" where it does not."""
+        def watched(states: Array) -> Array:
+            counted[:] += self.learned.beyond(states).sum(), len(states)
+            return function(states)
+
+        seed = np.random.SeedSequence(self.value.seed.entropy, spawn_key=(*self.value.seed.spawn_key, 3))
+        paired_returns(self.learned, watched, min(200, self.paths), self.value.horizon, discount=1.0, seed=seed)
+        return float(counted[0] / counted[1])
+
+
+def beyond_log(share: float) -> tuple[Finding, ...]:
+    """``share`` of the policy's moves begin where the correction was never fitted."""
+    text = (
+        "{} of the policy's moves begin beyond what the log has seen (a feature of the state outside its range): what the "
+        "correction adds there is a guess, and no interval covers it."
+    )
+    return (Finding("beyond", share, text, f"{share:.0%}"),) if share > BEYOND else ()
+
+
+def _wrong(hidden: list[Any], units: str) -> str:
+    """What is wrong where columns are in other units, or history tells of the residuals; "ok" where all is well."""
+    if units:
+        return f"the log's columns seem to be in another unit than the simulator's: {units}"
     if not hidden:
         return "ok"
     told = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
@@ -255,7 +282,7 @@ class Possible:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's, or no value."""
         found = self.estimator(problem, policy, seed=seed)
-        room = 1e-9 * max(1.0, abs(self.lowest), abs(self.highest))
+        room = 1e-9 * max(1.0, *(abs(bound) for bound in (self.lowest, self.highest) if np.isfinite(bound)))
         nearest = float(np.clip(found.value, self.lowest, self.highest))
         if not np.isfinite(found.value) or abs(nearest - found.value) <= room:
             return found

@@ -128,7 +128,7 @@ def evaluate_continuous(
     wanted, left_out = _wanted(problem, estimators, made)
     scale = 1.0 - discount if options.get("normalized") else 1.0
     learned = _Learned.of(given, numbered, seed)
-    bounds = (-np.inf, np.inf) if made is None else reward_bounds(problem, numbered, steps)
+    bounds = _signs(learned.corrected) if made is None else reward_bounds(problem, numbered, steps)
     rows = _rows(wanted, made, mc, learned, kind, bounds, scale)
     if estimators is None:
         rows = _with_linear(rows, learned, mc, bounds, scale)
@@ -227,7 +227,11 @@ def _rows(
 ) -> dict[str, Estimator]:
     """The estimators by the names of their rows, in the order of what they may be trusted for."""
     oee = [name for name, estimator in wanted.items() if estimator == OffEnvironment()]
-    rows = _residual_rows(learned, mc) if oee else {}
+    rows: dict[str, Estimator] = {}
+    if oee:
+        rows |= {
+            name: Possible(row, *_signs(learned.corrected), scale) for name, row in _residual_rows(learned, mc).items()
+        }
     if oee and made is not None and kind != "none":
         rows["oee (calibrated)"] = made.calibrated(mc, kind, bounds, scale)
     rows |= {name: estimator for name, estimator in wanted.items() if isinstance(estimator, ImportanceSampling)}
@@ -250,6 +254,12 @@ def _with_linear(
     ahead = [name for name in rows if name.startswith("oee (")]
     first = {name: rows[name] for name in ahead}
     return first | {LINEAR: Possible(row, *bounds, scale)} | {name: rows[name] for name in rows if name not in ahead}
+
+
+def _signs(corrected: ResidualSimulator) -> tuple[float, float]:
+    """Bounds of a value where rewards have one sign, in the log and of the simulator's own steps from there."""
+    low, high = corrected.paid
+    return (0.0 if low >= 0.0 else -np.inf), (0.0 if high <= 0.0 else np.inf)
 
 
 def _residual_rows(learned: _Learned, mc: MonteCarloValue) -> dict[str, Estimator]:

@@ -31,6 +31,7 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
+from oee_tabular.continuous.units import other_units
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
@@ -54,6 +55,8 @@ class ResidualSimulator(DerivedTask):
     coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
     fits : g of each of them; see ``regression.Fit``
     residuals, left_over : (n, k) s' - f(s, a) of the log's rows, and what g leaves of it
+    paid : the least and the largest reward of the log and of the simulator's own steps from its rows
+    units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
 
     Raises
     ------
@@ -93,6 +96,9 @@ class ResidualSimulator(DerivedTask):
         actions = log.action_numbers(task.actions)
         own = task.moves(log.state, actions, np.zeros((len(log), task.n_disturbances)))
         self._periods = self._turns(own.next_state)
+        features = task.features(log.state)
+        self._seen = features.min(axis=0), features.max(axis=0)
+        self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
         self.residuals = self._differences(log, own)
         self._fit(log, actions, own, rng)
         self._after(log, actions, own, rng)
@@ -200,8 +206,10 @@ class ResidualSimulator(DerivedTask):
         self._ends = np.concatenate([log.terminated, own.terminated])
         paid = own.reward if log.reward is None else log.reward
         self._paid = np.concatenate([paid, own.reward])
+        self.paid = float(self._paid.min()), float(self._paid.max())
         self._places = self.task.smooth(every)
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
+        self._trees: dict[bool | None, tuple[IntArray, cKDTree]] = {}
         if self._learns_reward:  # is drawn from the log all the same
             spread[-1] = _rms(
                 np.where(scattered.terminated == own.terminated[some], scattered.reward - own.reward[some], 0.0)
@@ -225,6 +233,11 @@ class ResidualSimulator(DerivedTask):
         again._use(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.weighted(weights[self.group])
         return again
+
+    def beyond(self, states: Array) -> BoolArray:
+        """(n,) states with a feature outside the range of the log's: what g is there nobody has seen."""
+        features = self.task.features(states)
+        return np.asarray(((features < self._seen[0]) | (features > self._seen[1])).any(axis=1))
 
     # ---- the task ------------------------------------------------------------------------------------------------------
 
@@ -265,11 +278,14 @@ class ResidualSimulator(DerivedTask):
             return own
         if self._knows_ends:
             return self.task.terminated(following)
-        return np.asarray(self._ends[self._nearest(following, np.arange(len(self._ends)))])
+        return np.asarray(self._ends[self._nearest(following)])
 
-    def _nearest(self, following: Array, among: IntArray) -> IntArray:
-        """Of the known next states ``among``, the nearest to each."""
-        tree = cKDTree(self._places[among] / self._unit)
+    def _nearest(self, following: Array, end: bool | None = None) -> IntArray:
+        """The nearest known next state to each; among those only that end so, where ``end`` is given."""
+        if end not in self._trees:
+            among = np.flatnonzero(self._ends == end) if end is not None else np.arange(len(self._ends))
+            self._trees[end] = among, cKDTree(self._places[among] / self._unit)
+        among, tree = self._trees[end]
         return np.asarray(among[tree.query(self.task.smooth(following) / self._unit)[1]])
 
     def _reward(
@@ -280,9 +296,9 @@ class ResidualSimulator(DerivedTask):
             return between
         paid = own.reward + (added[:, -1] if self._learns_reward else 0.0)
         for end in (False, True):  # a step that ends otherwise than the simulator's is paid as the nearest that ends so
-            rows, among = np.flatnonzero((over == end) & (over != own.terminated)), np.flatnonzero(self._ends == end)
-            if len(rows) and len(among):
-                paid[rows] = self._paid[self._nearest(following[rows], among)]
+            rows = np.flatnonzero((over == end) & (over != own.terminated))
+            if len(rows) and (self._ends == end).any():
+                paid[rows] = self._paid[self._nearest(following[rows], end)]
         return np.asarray(paid)
 
     def parameters(self) -> dict[str, Any]:

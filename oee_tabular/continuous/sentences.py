@@ -47,6 +47,8 @@ def difference(corrected: ResidualSimulator) -> str:
         for c in changed
     )
     said = f"The target's steps differ from the simulator's in {told}."
+    if corrected.units:
+        return f"The log's columns seem to be in another unit than the simulator's: {corrected.units}. {said}"
     if hidden:
         names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
         said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.changes import classic, experiment
+from oee_tabular.continuous.changes import classic, coverage, experiment
 from oee_tabular.continuous.changes.cases import CASES, Delayed, towards
 from oee_tabular.continuous.changes.chain import Chain
 from oee_tabular.continuous.kinova.hand import ideal_hand
@@ -211,6 +211,30 @@ def test_every_case_is_a_change_but_one():
 
 
 # ---------------------------------------------------------------- a value and how sure it is
+
+
+def test_a_small_coverage(monkeypatch):
+    """Six logs of 1000 moves: of their intervals at least five hold the truth, by the log's part alone as well."""
+    monkeypatch.setattr(coverage, "N", 1000)
+    monkeypatch.setattr(coverage, "EPISODES", 200)
+    monkeypatch.setattr(coverage, "PATHS", 50)
+    monkeypatch.setattr(coverage, "TRUTH", 20_000)
+    name = "CartPole, gravity 12.5"
+    coverage.truth.cache_clear()
+    coverage.pair.cache_clear()
+    table = coverage.RESIDUAL_COVERAGE.table(case=name, repetitions=6)
+    coverage.truth.cache_clear()
+    coverage.pair.cache_clear()
+    assert table.covered.sum() >= 5
+    assert table.covered_paired.sum() >= 5
+    held = (table.lower <= table.truth) & (table.truth <= table.upper)
+    assert_array_equal(table.covered, held)
+    apart = table.error.abs() / np.hypot(table.error_of_log, table.noise)
+    assert_array_equal(table.covered_paired == 1.0, apart <= 2.262)  # Student's t, 9 degrees of freedom
+    assert table.error_of_log.mean() < 0.1 * (table.upper - table.lower).mean()  # the rollouts' part is most
+    figure = Figure()
+    coverage.draw(table, summary_of(coverage.RESIDUAL_COVERAGE, table), figure)
+    assert [ax.get_title() for ax in figure.axes] == [name]
 
 
 def test_a_corrected_value_holds_the_truth():

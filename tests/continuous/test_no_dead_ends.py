@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from oee_tabular.continuous.changes import classic
 from oee_tabular.continuous.estimators import Calibrated, Possible
 from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.sentences import difference
 from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
@@ -16,7 +18,9 @@ from oee_tabular.tasks import (
     CartPole,
     GridInterpolation,
     LinearModel,
+    ResidualSimulator,
     cartpole_policy,
+    corrected_value,
     gymnasium_simulator,
     monte_carlo_value,
     record,
@@ -221,3 +225,77 @@ def test_rewards_that_are_not_the_task_s_are_told():
     assert any(
         "rewards contradict the simulator's r(s, a, s') in 3 of 400 moves; row 0 pays 2" in text for text in said
     )
+
+
+# ---------------------------------------------------------------- units, and places that the log has not seen
+
+
+def in_units(log, columns, factor):
+    given = log.columns()
+    for name in ("state", "next_state"):
+        given[name] = given[name].copy()
+        given[name][:, list(columns)] *= factor
+    return ContinuousTransitions(**given)
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "said"),
+    [
+        ((), 1.0, ""),
+        ((2,), 180 / np.pi, "theta (degrees for radians)"),
+        ((2, 3), 180 / np.pi, "theta and theta_dot (degrees for radians)"),
+        ((0,), 1e3, "x (mm for m)"),
+        ((0, 1), 1e2, "x and x_dot (cm for m)"),
+    ],
+)
+@pytest.mark.parametrize("gusts", [0.0, 0.1])
+def test_columns_in_another_unit(columns, factor, said, gusts):
+    """Whatever else has changed: gravity, and gusts as large as a push."""
+    log = in_units(log_of(Windy(15.0, gusts=gusts), 1000), columns, factor)
+    assert ResidualSimulator(CartPole(10.0), log, seed=0).units == said
+
+
+def test_another_unit_is_no_hidden_state():
+    """An angle in degrees: told of with the unit, in the first sentence and in the row's status."""
+    task = classic.Acrobot()
+    log = in_units(record(task, classic.pumping(0.3), n_transitions=3000, max_steps=500, seed=0), (1,), 180 / np.pi)
+    corrected = ResidualSimulator(task, log, seed=0)
+    assert any(c.hidden for c in corrected.coordinates)
+    told = "The log's columns seem to be in another unit than the simulator's: angle_2 (degrees for radians)"
+    assert difference(corrected).startswith(told)
+    assert "Hidden state" not in difference(corrected)
+    found = corrected_value(corrected, classic.pumping(0.1), 20, 20, refits=2, paths=10, seed=0)
+    assert "degrees for radians" in found.status
+    assert "hidden state" not in found.status
+
+
+def test_a_policy_beyond_the_log_is_told():
+    """The log's cart is pushed at random from the middle; a policy that always pushes right is soon where it never was."""
+    log = record(CartPole(15.0), cartpole_policy(1.0), n_transitions=2000, max_steps=8, seed=0)
+    corrected = ResidualSimulator(CartPole(10.0), log, seed=0)
+    away = np.array([log.state[5], 2.0 * log.state.max(axis=0)])
+    assert corrected.beyond(away).tolist() == [False, True]
+    far, near = (
+        corrected_value(corrected, cartpole_policy(1.0), 300, steps, refits=2, paths=100, seed=0) for steps in (60, 5)
+    )
+    assert far.diagnostics["beyond_log"] > 0.04
+    assert near.diagnostics["beyond_log"] < 0.01
+    assert [finding.kind for finding in far.findings] == ["beyond"]
+    assert not near.findings
+    assert "begin beyond what the log has seen" in str(far.findings[0])
+
+
+def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
+    """Rewards are at most 0, in the log and in the simulator: no value above 0 stands."""
+    log = record(classic.MountainCar(force=0.0012), classic.rocking(0.3), n_transitions=600, max_steps=200, seed=0)
+    monkeypatch.setattr(ResidualSimulator, "_reward", lambda self, states, *rest: np.ones(len(states)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report = evaluate_continuous(
+            classic.MountainCar(), log, {"mixed": classic.rocking(0.4)}, settings=Settings(grid=(), episodes=50),
+            horizon=20, seed=0, estimators=["oee"],
+        )  # fmt: skip
+    residual = report.results[0]
+    assert residual.estimator == "oee (residual)"
+    assert np.isnan(residual.estimate.value)
+    assert "cannot be: what 20 rewards pay is between -inf and 0" in residual.estimate.status

@@ -148,7 +148,7 @@ def _arm(name: str) -> Case:
     target = kinova.KinovaArm(**TARGETS[name])  # type: ignore[arg-type]
     return Arm(
         "Kinova", kinova.KinovaArm(), target, functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
-        deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=20,
+        deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=100,
     )  # fmt: skip
 
 
@@ -164,7 +164,7 @@ CASES: dict[str, Case] = {
     "CartPole, unchanged": _cartpole(),
     "CartPole, noise 0.03": _noisy(gusts=0.03),
     "CartPole, all at once": _noisy(gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
-    "CartPole, delay": replace(_CARTPOLE, target=Delayed(CartPole(10.0)), episodes=10_000),
+    "CartPole, delay": replace(_CARTPOLE, target=Delayed(CartPole(10.0))),
     "Pendulum, mass, gravity": replace(_PENDULUM, target=classic.Pendulum(mass=1.2, gravity=11.0)),
     "Pendulum, length": replace(_PENDULUM, target=classic.Pendulum(length=1.15)),
     "Pendulum, friction, torque": replace(_PENDULUM, target=classic.Pendulum(friction=0.1, torque=0.8)),
