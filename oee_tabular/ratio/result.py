@@ -120,7 +120,7 @@ class TransitionRatio:
         known = [self.values.data, np.asarray(self.gap)]
         if self._influence is not None:
             tables = [part.information for part in self._influence.parts if part.information is not None]
-            known += [self._influence.curvature, *(x.data if sparse.issparse(x) else np.asarray(x) for x in tables)]
+            known += [x.data if sparse.issparse(x) else np.asarray(x) for x in tables]
         return all(np.isfinite(x).all() for x in known)
 
     @one_thread

@@ -190,3 +190,10 @@ def test_what_is_unseen_is_a_share(state, action, following, share):
     problem = oee.Problem(simulator, oee.Transitions(state, action, following), impossible="drop")
     found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
     assert_allclose(found.unseen_share, share, rtol=1e-12)
+
+
+def test_rows_that_were_never_recorded_count_in_full():
+    simulator = oee.FiniteMDP([[[0, 0.5, 0.5]], [[0, 0, 1.0]], [[0, 0, 1.0]]], [0, 1.0, 0], [1.0, 0, 0], 0.5)
+    problem = oee.Problem(simulator, oee.Transitions([1], [0], [2]))
+    found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
+    assert_allclose(found.unseen_share, 0.8, rtol=1e-12)  # 1 of 1 + .25, in state 1, the time in 2 left out
