@@ -71,7 +71,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Errors against the standard errors that the log's refits told."""
     names = list(summary.case)
-    for ax, name in zip(panels(figure, names, size=(10.0, 3.4)), names, strict=True):
+    for ax, name in zip(panels(figure, names, size=(4.2, 3.4)), names, strict=True):
         part = table[table.case == name]
         ax.plot(np.hypot(part.error_of_log, part.noise), np.abs(part.error), "o", ms=3)
         most = float(max(np.hypot(part.error_of_log, part.noise).max(), 1e-12))
