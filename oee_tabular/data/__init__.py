@@ -50,7 +50,7 @@ def _open(path: Paths, **options: Any) -> TransitionCounts:
     >>> for k in range(2):
     ...     Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]).save(folder / f"part-{k}.csv")
     >>> Transitions.open(folder)
-    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 to 2 steps: 0 terminated, 2 truncated;
+    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps: 0 terminated, 2 truncated;
                      states 0..2, actions 0..0; 2 whole episodes kept)
     """
     from oee_tabular.data.streaming import count_log

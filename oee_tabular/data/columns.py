@@ -219,6 +219,12 @@ def _numbered(episode: Any) -> Any:
     return np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64)
 
 
+def spans(episodes: int, shortest: int, longest: int) -> str:
+    """So many episodes of such lengths, in words."""
+    steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
+    return f"{episodes} episode{'s' * (episodes > 1)} of {steps}"
+
+
 def booleans(value: object, name: str) -> BoolArray:
     """A column of booleans, of 0 and 1, or of their words; ValueError with the row and the value found."""
     array = _checks.as_array(value, name)

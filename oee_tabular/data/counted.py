@@ -17,7 +17,7 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
 from oee_tabular._sparse import canonical, checked, row_of_entry
-from oee_tabular.data.columns import booleans, integers
+from oee_tabular.data.columns import booleans, integers, spans
 from oee_tabular.data.moves import Moves, counts_of
 from oee_tabular.data.transitions import Transitions
 
@@ -188,7 +188,7 @@ class TransitionCounts:
         if facts["files"]:
             text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
         if facts["episodes"]:
-            text += f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
+            text += f" in {spans(facts['episodes'], facts['episode_length_min'], facts['episode_length_max'])}"
         text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
         text += f"; states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}"
         if self.reward_sum is not None:

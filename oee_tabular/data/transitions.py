@@ -18,7 +18,7 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
-from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.columns import Log, integers, spans
 from oee_tabular.data.frames import as_objects, coded, episode_columns, frame_columns, is_frame
 from oee_tabular.data.moves import Moves, counts_of, distinct, numbered_pairs
 from oee_tabular.mdp import FiniteMDP
@@ -176,7 +176,7 @@ class Transitions(Log):
         Examples
         --------
         >>> Transitions.from_episodes([[("hall", "go", -1.0), ("door", "go", 5.0), ("dock", True)]])
-        Transitions(2 transitions in 1 episodes of 2 to 2 steps: 1 terminated, 0 truncated;
+        Transitions(2 transitions in 1 episode of 2 steps: 1 terminated, 0 truncated;
                     3 named states, 1 named actions; rewards -1 to 5)
         """
         log = cls(**episode_columns(episodes))
@@ -269,7 +269,7 @@ class Transitions(Log):
         facts = self._printed()
         text = f"{facts['transitions']} transitions"
         if facts["episodes"] is not None:
-            text += f" in {facts['episodes']} episodes of {facts['episode_length_min']} to {facts['episode_length_max']} steps"
+            text += f" in {spans(facts['episodes'], facts['episode_length_min'], facts['episode_length_max'])}"
         text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
         called = (("states", self.state_names, "largest_state"), ("actions", self.action_names, "largest_action"))
         text += "; " + ", ".join(

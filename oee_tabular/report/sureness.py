@@ -22,6 +22,7 @@ SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
     "moves, are left out."
 )
+OVERLAP = " Their intervals overlap, but differences are surer: the same moves count for both."
 ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
 
 
@@ -122,16 +123,22 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     leader = max(finite, key=lambda name: values[name])
     best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
     if len(best) == 1:
-        return replace(sure, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.")
+        alone = all(_apart(sure, leader, name) for name in values if name != leader)
+        why = "" if alone else OVERLAP
+        return replace(sure, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}")
     names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
     rest = len(values) - len(best)
     less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""
     return replace(sure, ranking=f"The log cannot say which of {names} is worth most in the target{less}.")
 
 
-def _better(sure: Sureness, one: str, other: str) -> bool:
+def _apart(sure: Sureness, one: str, other: str) -> bool:
     ours, theirs = (sure.intervals.get(name, {}).get("likelihood") for name in (one, other))
-    if ours is not None and theirs is not None and ours.lower > theirs.upper:
+    return ours is not None and theirs is not None and ours.lower > theirs.upper
+
+
+def _better(sure: Sureness, one: str, other: str) -> bool:
+    if _apart(sure, one, other):
         return True
     found = sure.comparison
     if found is None:

@@ -206,7 +206,7 @@ def test_the_horizon_ends_episodes_that_would_not(capsys, tmp_path):
     up[:, 0] = 1.0
     np.save(tmp_path / "up.npy", up)
     arguments = ["sample", "CliffWalking-v1", "--policy", tmp_path / "up.npy", "--episodes", 2, "--horizon", 7]
-    assert "14 transitions in 2 episodes of 7 to 7 steps" in run(capsys, *arguments, "--output", tmp_path / "l.npz")
+    assert "14 transitions in 2 episodes of 7 steps" in run(capsys, *arguments, "--output", tmp_path / "l.npz")
 
 
 def test_action_noise_is_part_of_what_is_reported(capsys, tmp_path):
