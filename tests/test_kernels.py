@@ -16,6 +16,7 @@ from oee_tabular.exact import _finite
 from oee_tabular.exact.solvers._value_iteration import sweeps
 from oee_tabular.exact.system import Kernel as KernelOfRows
 from oee_tabular.exact.system import policy_system
+from oee_tabular.inference import _profile
 from oee_tabular.simulate import _rollout
 
 Pair = namedtuple("Pair", "one two")
@@ -156,6 +157,24 @@ def test_so_have_finite_sweeps_by_numpy(paid_by_entry):
         function(kernel, rewards, rewards, out, np.uint64(3), np.uint64(20))
     assert_array_equal(*ends)
     assert_array_equal(ends[0][[0, 2, 20]], 7.0)
+
+
+def test_so_have_moments_of_rows():
+    """Several entries of a row are the largest: the first counts. Rows without entries are left to the compiled loop."""
+    rng = np.random.default_rng(3)
+    sizes = rng.integers(1, 9, 200)
+    indptr = np.concatenate([[0], np.cumsum(sizes)])
+    phat, v = rng.random(indptr[-1]), np.round(rng.normal(size=indptr[-1]), 1) / 3.0
+    found = []
+    for function in (_profile.moments_of_rows.interpreted, _profile.moments_of_rows.compiled):
+        mean, spread, best = np.empty(200), np.empty(200), np.empty(200, np.int64)
+        found.append((function(indptr, phat, v, mean, best, spread), mean, spread, best))
+    for one, other in zip(*found, strict=True):
+        assert_array_equal(one, other)
+    _profile.moments_of_rows.patience = 60.0
+    parts = np.empty(3), np.empty(3, np.int64), np.empty(3)
+    _profile.moments_of_rows(np.array([0, 2, 2, 3]), phat[:3], v[:3], *parts)
+    assert_array_equal(parts[0], [phat[0] * v[0] + phat[1] * v[1], 0.0, phat[2] * v[2]])
 
 
 def policy_kernel(matrix, rate):
