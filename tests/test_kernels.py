@@ -45,7 +45,7 @@ def square_of_sum(x):
     total = 0.0
     for i in range(len(x)):
         total += x[i]
-    return squared(total)
+    return total * total
 
 
 def meanwhile():
@@ -174,6 +174,7 @@ def test_so_have_moments_of_rows():
     _profile.moments_of_rows.patience = 60.0
     parts = np.empty(3), np.empty(3, np.int64), np.empty(3)
     _profile.moments_of_rows(np.array([0, 2, 2, 3]), phat[:3], v[:3], *parts)
+    assert parts[2][1] == -np.inf
     assert_array_equal(parts[0], [phat[0] * v[0] + phat[1] * v[1], 0.0, phat[2] * v[2]])
 
 
@@ -188,8 +189,9 @@ def test_what_numpy_does_may_be_larger_and_is_watched_too(monkeypatch):
         assert compiled(square_of_sum) is by_numba
     square_of_sum.patience = None
     monkeypatch.setattr(_kernels, "PATIENCE", 1e-12)
+    square_of_sum.compiled = type(square_of_sum.compiled)(square_of_sum.py_func)
     assert square_of_sum(np.ones(2)) == 4.0
-    assert square_of_sum.patience == 0.0
+    assert compiled(square_of_sum)  # numpy's run was given up in the kernel that it calls
 
 
 def test_small_calls_are_pythons_and_large_ones_compiled():
