@@ -26,8 +26,10 @@ from oee_tabular._kernels import Kernel
 _turns = threading.Lock()
 
 
-def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
+def threads_share(function: Callable[..., Any], python: Callable[..., Any] | None = None) -> Callable[..., Any]:
     """A kernel, its ``prange`` shared among threads once it is compiled; in a forked process, one thread does all of it.
+
+    ``python``: what Python runs instead while it is not (``_kernels.Kernel``).
 
     Costs a microsecond a call, and in the first call of a forked process the seconds of another compilation (which is cached).
     """
@@ -42,7 +44,7 @@ def threads_share(function: Callable[..., Any]) -> Callable[..., Any]:
             return shared(*arguments)
 
     run._cache = getattr(shared, "_cache", None)  # type: ignore[attr-defined]
-    return run if config.DISABLE_JIT else Kernel(function, run, ["over"])  # type: ignore[attr-defined]
+    return run if config.DISABLE_JIT else Kernel(function, run, ["over"], python)  # type: ignore[attr-defined]
 
 
 def _another(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -12,8 +12,12 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import _kernels, _progress
 from oee_tabular._kernels import Kernel, njit
+from oee_tabular.exact import _finite
 from oee_tabular.exact.solvers._value_iteration import sweeps
+from oee_tabular.exact.system import Kernel as KernelOfRows
 from oee_tabular.exact.system import policy_system
+from oee_tabular.inference import _profile
+from oee_tabular.simulate import _rollout
 
 Pair = namedtuple("Pair", "one two")
 
@@ -30,6 +34,18 @@ def summed(pair, out):
         out[i] += squared(pair.one[i])
         total += out[i] / pair.two[i]
     return total, len(out)
+
+
+def by_numpy(x):
+    return squared(x.sum())
+
+
+@njit(python=by_numpy)
+def square_of_sum(x):
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i]
+    return total * total
 
 
 def meanwhile():
@@ -52,7 +68,7 @@ def compiled(kernel):
 
 @pytest.fixture(autouse=True)
 def _anew():
-    for kernel in (squared, summed):
+    for kernel in (squared, summed, square_of_sum):
         kernel.patience = None
 
 
@@ -91,6 +107,91 @@ def test_so_have_the_transposed_sweeps_of_occupancies():
     for _ in range(5):
         given = (system.kernel, system.largest, True, rng.uniform(size=300), 1e-4)
         assert_array_equal(sweeps.interpreted(*given), sweeps.compiled(*given))
+
+
+def running(weights, axis=None):
+    weights[weights < 0.3] = 0.0
+    weights[..., 0] += 0.1
+    return np.cumsum(weights / weights.sum(axis=axis, keepdims=True), axis=axis)
+
+
+@pytest.mark.parametrize("share_over", [0.0, 0.02])
+def test_so_have_episodes_that_python_walks(share_over):
+    """More of them, and longer ones, than numbers are drawn at once for; rows of 1 to 5 entries, zeros among them."""
+    rng = np.random.default_rng(1)
+    n, n_actions, key = 40, 3, np.uint64(2**63 + 5)
+    indptr = np.concatenate([[0], np.cumsum(rng.integers(1, 6, n * n_actions))])
+    cumulative = np.concatenate([running(rng.random(k)) for k in np.diff(indptr)])
+    indices, over = rng.integers(0, n, indptr[-1]), rng.random(n) < share_over
+    tables = running(rng.random(n)), running(rng.random((n, n_actions)), 1), indptr, indices, cumulative
+    for horizon in (1, 64, 65, 150):
+        given = (key, 70, horizon, *tables, over)
+        lengths = _rollout.episode_lengths.compiled(*given)
+        assert_array_equal(_rollout.episode_lengths.interpreted(*given), lengths)
+        given = (key, np.concatenate([[0], np.cumsum(lengths)]), *tables)
+        assert_array_equal(_rollout.episodes.interpreted(*given), _rollout.episodes.compiled(*given))
+    given = (key, 5000, running(rng.random(n * n_actions)), indptr, cumulative)
+    assert_array_equal(_rollout.transitions.interpreted(*given), _rollout.transitions.compiled(*given))
+
+
+@pytest.mark.parametrize("paid_by_entry", [False, True])
+def test_so_have_finite_sweeps_by_numpy(paid_by_entry):
+    """Rows without entries, actions without weight; a part of the rows leaves the others alone."""
+    rng = np.random.default_rng(2)
+    n, n_actions, steps = 30, 3, 12
+    rows = sparse.random_array((n * n_actions, n), density=0.3, rng=rng, format="csr")
+    policy = rng.random((n, n_actions)) * (rng.random((n, n_actions)) < 0.6)
+    sums = sparse.csr_array(np.einsum("sa,sat->st", policy, rows.toarray().reshape(n, n_actions, n)))
+    kernel, back = (policy_kernel(matrix, rate) for matrix, rate in ((sums, 0.97), (sums.T.tocsr(), 1.0)))
+    rewards, initial = rng.normal(size=n), rng.random(n) * (rng.random(n) < 0.3)
+    pay = rng.normal(size=rows.nnz if paid_by_entry else 0)
+    found = []
+    for function in (_finite.gradient_flows.interpreted, _finite.gradient_flows.compiled):
+        to_go, total = np.zeros((steps + 1, n)), np.full(rows.nnz, 0.1)
+        function(kernel, rewards, to_go, back, initial, (rows.indptr, rows.indices, rows.data), policy, pay, total)
+        found.append((to_go, total))
+    for one, other in zip(*found, strict=True):
+        assert_array_equal(one, other)
+    ends = [np.full(n, 7.0), np.full(n, 7.0)]
+    for function, out in zip((_finite.backup.interpreted, _finite.backup.compiled), ends, strict=True):
+        function(kernel, rewards, rewards, out, np.uint64(3), np.uint64(20))
+    assert_array_equal(*ends)
+    assert_array_equal(ends[0][[0, 2, 20]], 7.0)
+
+
+def test_so_have_moments_of_rows():
+    """Several entries of a row are the largest: the first counts. Rows without entries are left to the compiled loop."""
+    rng = np.random.default_rng(3)
+    sizes = rng.integers(1, 9, 200)
+    indptr = np.concatenate([[0], np.cumsum(sizes)])
+    phat, v = rng.random(indptr[-1]), np.round(rng.normal(size=indptr[-1]), 1) / 3.0
+    found = []
+    for function in (_profile.moments_of_rows.interpreted, _profile.moments_of_rows.compiled):
+        mean, spread, best = np.empty(200), np.empty(200), np.empty(200, np.int64)
+        found.append((function(indptr, phat, v, mean, best, spread), mean, spread, best))
+    for one, other in zip(*found, strict=True):
+        assert_array_equal(one, other)
+    _profile.moments_of_rows.patience = 60.0
+    parts = np.empty(3), np.empty(3, np.int64), np.empty(3)
+    _profile.moments_of_rows(np.array([0, 2, 2, 3]), phat[:3], v[:3], *parts)
+    assert parts[2][1] == -np.inf
+    assert_array_equal(parts[0], [phat[0] * v[0] + phat[1] * v[1], 0.0, phat[2] * v[2]])
+
+
+def policy_kernel(matrix, rate):
+    return KernelOfRows(matrix.indptr.astype(np.uint32), matrix.indices.astype(np.uint32), matrix.data, rate)
+
+
+def test_what_numpy_does_may_be_larger_and_is_watched_too(monkeypatch):
+    square_of_sum.compiled = type(square_of_sum.compiled)(square_of_sum.py_func)
+    for n, by_numba in ((_kernels.SMALL + 1, False), (_kernels.WHOLE + 1, True)):
+        assert square_of_sum(np.ones(n)) == n * n
+        assert compiled(square_of_sum) is by_numba
+    square_of_sum.patience = None
+    monkeypatch.setattr(_kernels, "PATIENCE", 1e-12)
+    square_of_sum.compiled = type(square_of_sum.compiled)(square_of_sum.py_func)
+    assert square_of_sum(np.ones(2)) == 4.0
+    assert compiled(square_of_sum)  # numpy's run was given up in the kernel that it calls
 
 
 def test_small_calls_are_pythons_and_large_ones_compiled():

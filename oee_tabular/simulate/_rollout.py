@@ -4,8 +4,13 @@ Philox4x32-10 [1] keyed by the seed, its counter made of (trajectory, step): the
 any order of work. Each call gives 128 bits: two uniform numbers of 53 bits, which invert running sums, for logs; four words
 of 32 bits for ``lanes``.
 
+Until the loops are compiled, Python walks the same episodes, with the numbers of many steps drawn at once by numpy.
+
 Reference: [1] Salmon, Moraes, Dror and Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
+
+import functools
+from bisect import bisect_right
 
 import numpy as np
 from numba import prange
@@ -19,6 +24,7 @@ _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _UNIT = 1.0 / 9007199254740992.0  # 2**-53
 _DROP = np.uint64(11)
+_BLOCK = 64  # episodes, and steps of them, whose numbers numpy draws at once
 
 
 # inlined by numba: a call inside the loop over lanes would keep LLVM from vectorising it (3 ns instead of 10)
@@ -67,7 +73,76 @@ def pick(cumulative, low, high, u):
     return low
 
 
-@threads_share
+def _first_above(sums, low, high, u):
+    """``pick`` from a list."""
+    return bisect_right(sums, u * sums[high - 1], low, high - 1)
+
+
+def _block(key, begin, most, initial, policy, indptr, indices, cumulative, over):
+    """The entries that some episodes take, a list each: ``begin`` and those behind it, of at most ``most`` steps each.
+
+    All but ``key`` and ``begin`` are lists; an episode ends where ``over`` is true.
+    """
+    n_actions = len(policy) // len(initial)
+    who = np.arange(begin, begin + len(most))
+    state = [_first_above(initial, 0, len(initial), u) for u in uniforms.watched(key, who, 0)[0].tolist()]
+    paths = [[] for _ in most]
+    going, t = [i for i, steps in enumerate(most) if steps > 0], 0
+    while going:
+        drawn = uniforms.watched(key, who[going][:, None], np.arange(t + 1, t + 1 + _BLOCK))
+        on = []
+        for i, *numbers in zip(going, *(part.tolist() for part in drawn), strict=True):
+            s, path = state[i], paths[i]
+            for u, v in zip(*numbers, strict=True):
+                row = _first_above(policy, s * n_actions, (s + 1) * n_actions, u)
+                path.append(_first_above(cumulative, indptr[row], indptr[row + 1], v))
+                s = indices[path[-1]]
+                if len(path) == most[i] or over[s]:
+                    break
+            else:
+                on.append(i)
+            state[i] = s
+        going, t = on, t + _BLOCK
+    return paths
+
+
+def _walked(key, most, over, initial, *tables):
+    """The paths of all episodes."""
+    lists = [initial.tolist(), *(table.reshape(-1).tolist() for table in tables), over.tolist()]
+    for begin in range(0, len(most), _BLOCK):
+        yield from _block(key, begin, most[begin : begin + _BLOCK].tolist(), *lists)
+
+
+def _episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulative, over):
+    """``episode_lengths`` by Python."""
+    most = np.full(n, horizon)
+    return np.array([len(path) for path in _walked(key, most, over, initial, policy, indptr, indices, cumulative)])
+
+
+def _episodes(key, starts, initial, policy, indptr, indices, cumulative):
+    """``episodes`` by Python."""
+    over = np.zeros(len(initial), dtype=np.bool_)
+    paths = _walked(key, np.diff(starts), over, initial, policy, indptr, indices, cumulative)
+    entries = np.array([entry for path in paths for entry in path], dtype=np.int64)
+    return np.searchsorted(indptr, entries, side="right") - 1, entries
+
+
+def _transitions(key, n, distribution, indptr, cumulative):
+    """``transitions`` by Python."""
+    ends, sums = indptr.tolist(), cumulative.tolist()
+    rows, entries = np.empty((2, n), dtype=np.int64)
+    for begin in range(0, n, _BLOCK * _BLOCK):
+        who = np.arange(begin, min(n, begin + _BLOCK * _BLOCK))
+        u, v = uniforms(key, who, 0)
+        rows[who] = np.minimum(np.searchsorted(distribution, u * distribution[-1], side="right"), len(distribution) - 1)
+        entries[who] = [
+            _first_above(sums, ends[row], ends[row + 1], x)
+            for row, x in zip(rows[who].tolist(), v.tolist(), strict=True)
+        ]
+    return rows, entries
+
+
+@functools.partial(threads_share, python=_episode_lengths)
 def episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulative, over):
     """The number of steps of each of n episodes: up to the horizon, or to the first state that is over."""
     n_states, n_actions = policy.shape
@@ -88,7 +163,7 @@ def episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulativ
     return lengths
 
 
-@threads_share
+@functools.partial(threads_share, python=_episodes)
 def episodes(key, starts, initial, policy, indptr, indices, cumulative):
     """The same episodes, written out: row and entry of each move, in the ragged places that ``starts`` gives."""
     n_states, n_actions = policy.shape
@@ -108,7 +183,7 @@ def episodes(key, starts, initial, policy, indptr, indices, cumulative):
     return rows, entries
 
 
-@threads_share
+@functools.partial(threads_share, python=_transitions)
 def transitions(key, n, distribution, indptr, cumulative):
     """n independent moves: a row from ``distribution`` (running sums), then a stored entry of the row."""
     rows = np.empty(n, dtype=np.int64)
