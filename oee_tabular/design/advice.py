@@ -12,7 +12,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.design.costs import row_costs
 from oee_tabular.estimators import Problem
 from oee_tabular.mdp.naming import Names
-from oee_tabular.ratio import transition_ratio
+from oee_tabular.ratio import Conditional
 
 NOTHING = "More moves would not narrow it."
 
@@ -63,7 +63,7 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     mdp = problem.model
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
-    model = transition_ratio(problem.observed, problem.simulator).target_model(mdp)
+    model = Conditional().fit(problem.observed, problem.simulator, made=problem.made).target_model(mdp)
     costs = row_costs(
         mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
         optimistic=True,

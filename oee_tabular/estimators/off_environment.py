@@ -141,6 +141,7 @@ class OffEnvironment(ExactLimit):
             simulator_data=problem.simulator_data,
             behavior_policy=problem.behavior_policy,
             seed=generator,
+            made=problem.made,
         )
 
     @property

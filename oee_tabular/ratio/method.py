@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -41,6 +42,14 @@ class Given:
     simulator_data: SimulatorData = None
     behavior_policy: Array | None = None
     seed: Seed = None
+    made: dict[Any, Any] = field(default_factory=dict)
+
+    def once(self, make: Callable[..., Any], *arguments: Any) -> Any:
+        """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""
+        key = (make, *arguments)
+        if key not in self.made:
+            self.made[key] = make(self, *arguments)
+        return self.made[key]
 
     def ratio(
         self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None
@@ -132,7 +141,8 @@ class Method:
     ) -> TransitionRatio:
         """zeta from a log of the target, or from counts, csr (S*A, S).
 
-        ``beside`` the log: discount, values_of, horizon, simulator_data, behavior_policy, seed, as in ``transition_ratio``.
+        ``beside`` the log: discount, values_of, horizon, simulator_data, behavior_policy, seed, as in ``transition_ratio``; and
+        ``made``, a dict for fits to one log and simulator: what does not depend on the rest is made once.
         What the method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")

@@ -194,6 +194,22 @@ def test_graphs_that_expand_are_solved_without_a_preconditioner(discount, transp
     assert solver.suits(System.of(random, discount))
 
 
+@pytest.mark.parametrize("discount", [0.99, 0.99999])
+def test_an_even_start_does_not_end_the_plain_iteration(discount):
+    """Ones are an eigenvector of what the transposed residuals are held against: a Krylov space of one dimension."""
+    n, rng = 2000, np.random.default_rng(3)
+    weights, ahead = rng.dirichlet(np.ones(2), n).reshape(-1), rng.integers(n, size=2 * n)
+    kernel = sparse.csr_array((weights, (np.repeat(np.arange(n), 2), ahead)), (n, n))
+    system, solver, b = System.of(kernel, discount, True), BiCGStab(plain=True), np.full(n, (1 - discount) / n)
+    assert _value_iteration.sweeps(system.kernel, system.largest, True, b, 0.0) is None
+    found = refine(system, b, solver.prepare(system), solver.name)
+    assert found is not None
+    assert found.largest <= found.rounding
+    truth = np.linalg.solve(system.matrix().toarray(), b)
+    assert_allclose(found.x, truth, rtol=0, atol=1e-14 / (1 - discount) * found.x.max())
+    assert solve_policy_system(kernel, b, discount, transpose=True).method == "BiCGSTAB"
+
+
 def test_rounding_of_long_rows_does_not_stop_the_sweeps():
     rng = np.random.default_rng(0)
     rows = rng.random((600, 600))

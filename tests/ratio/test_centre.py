@@ -1,5 +1,6 @@
 """The averaged centre: its weights, its evidence, its limits, its invariances, what it finds, and its standard error."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio import conditional
 from oee_tabular.ratio.prior import centre
 from oee_tabular.ratio.prior.centre import fit_centre
 from oee_tabular.ratio.prior.library import columns_of, library, values_in
@@ -614,3 +616,15 @@ def test_the_gap_is_that_of_the_worst_program(monkeypatch):
     parts = tuple(oee.ratio.result.Part("simulator", 0.5, 0.0, rows, gap=gap) for gap in (0.25, 0.125))
     monkeypatch.setattr("oee_tabular.ratio.conditional.fit_centre", lambda *args, **options: parts)
     assert oee.transition_ratio(LOG, SIMULATOR).gap == 0.25
+
+
+def test_what_no_policy_changes_is_made_once_for_a_problem(monkeypatch):
+    simulator = oee.tasks.gridworld(4, 0.2)
+    log = oee.sample_episodes(oee.tasks.gridworld(4, 0.4), oee.uniform_policy(simulator), 40, 30, seed=0)
+    problem, policies = oee.Problem(simulator, log), [oee.uniform_policy(simulator), oee.tasks.gridworld_expert(4)]
+    alone = [oee.estimators.OffEnvironment()(oee.Problem(simulator, log), policy).value for policy in policies]
+    calls, whole = [], conditional._tilt
+    monkeypatch.setattr(conditional, "_tilt", lambda *given: calls.append(given) or whole(*given))
+    assert [oee.estimators.OffEnvironment()(problem, policy).value for policy in policies] == alone
+    assert len(calls) == 1
+    assert not pickle.loads(pickle.dumps(problem)).made

@@ -6,7 +6,7 @@ from helpers import random_mdp, rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp.rows import Rows, distinct
 
 
 def by_hand(simulator, chosen):
@@ -71,3 +71,12 @@ def test_the_mean_of_centred_values_is_zero_in_each_row(d):
     rows = Rows.of(random_mdp(rng, n_states=6, n_actions=3))
     values = rng.normal(size=(len(rows.arrival), d))
     assert_allclose(rows.sums(rows.weights[:, None] * rows.centred(values)), 0.0, atol=1e-14)
+
+
+@given(rngs)
+def test_distinct_rows_are_numpys(rng):
+    table = rng.integers(-2, 2, size=(rng.integers(1, 40), rng.integers(1, 4))) / 3
+    kinds, kind = distinct(table)
+    expected, place = np.unique(table, axis=0, return_inverse=True)
+    assert_array_equal(kinds, expected)
+    assert_array_equal(kind, place.reshape(-1))

@@ -2,8 +2,10 @@
 
     M' = M + c 11^T / n,    c = gamma s:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
 
-M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not matter. The vector updates and dot products
-of a step ride on four passes; the sum of a vector is taken where it is made.
+M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not matter. 1^T M'^T = 1^T: transposed
+systems begin with y = b, whose residual has the sum 0. (Residuals begin as the vector that later ones are held against; an
+eigenvector there, as an even b is, would end the iteration.) The vector updates and dot products of a step ride on four
+passes; the sum of a vector is taken where it is made.
 
 Reference: [1] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
 """
@@ -60,16 +62,20 @@ def product(kernel, transpose, constant, p, first, out):
 
 
 @njit(cache=True)
-def bicgstab(kernel, transpose, shared, first, relative):
+def bicgstab(kernel, transpose, shared, b, relative):
     """y, its residual below ``relative`` times b's or the floor; None where it does not fall to a tenth in 40 steps."""
-    n = len(first)
-    x, r, p, v, w = np.zeros(n), first.copy(), first.copy(), np.empty(n), np.empty(n)
-    rho, size, sum_p, part = 0.0, 0.0, 0.0, shared / n
+    n, part = len(b), shared / len(b)
+    x, first, v, w = np.zeros(n), b.copy(), np.empty(n), np.empty(n)
+    if transpose:
+        product(kernel, transpose, part * b.sum(), b, first, v)
+        x, first = first, b - v
+    r, p, sum_p = first.copy(), first.copy(), first.sum()
+    rho, goal, largest, largest_x, allowed, steps = 0.0, 0.0, 0.0, 0.0, np.inf, 0
     for i in range(n):
         rho += r[i] * r[i]
-        sum_p += p[i]
-        size = max(size, abs(r[i]))
-    goal, largest, largest_x, allowed, steps = relative * size, size, 0.0, np.inf, 0
+        goal = max(goal, relative * abs(b[i]))
+        largest = max(largest, abs(r[i]))
+        largest_x = max(largest_x, abs(x[i]))
     while largest > max(goal, FLOOR * largest_x):
         if steps % WINDOW == 0:
             if not largest <= allowed:

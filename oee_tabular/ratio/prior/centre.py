@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ def fit_centre(
     *,
     time: Array | None = None,
     solver: str = "dual",
+    log: Log | None = None,
 ) -> tuple[Part, ...]:
     """The parts of the centre, the heaviest first, for counts on the simulator's entries.
 
@@ -57,27 +59,26 @@ def fit_centre(
     time : (S*A,) the policies' time in the simulator, None: every row matters alike
     tilt : by log P, of all rows; ``tilt_evidence`` : integral of its likelihood over its parameters, as a logarithm
     solver : "dual", or a cvxpy solver for theta along given features
+    log : ``Log.of(observed, simulator, tilt)``, where it is known
 
     Notes
     -----
     Cost: a few dozen passes over the visited rows with the library's columns, some 20 numbers an entry.
     """
-    whole = Rows.of(simulator)
-    is_open = np.diff(whole.indptr) > 1
-    visited = (whole.sums(observed) > 0) & is_open
-    if not visited.any():
+    whole, log = Rows.of(simulator), Log.of(observed, simulator, tilt) if log is None else log
+    if log is None:
         return (Part("simulator", 1.0, 0.0, whole.weights),)
-    rows = Rows.of(simulator, visited)
-    counts = observed[rows.entries]
-    log = _Log(rows, counts, kinds_of_rows(counts, rows))
+    rows, is_open = log.rows, np.diff(whole.indptr) > 1
+    visited = np.zeros(len(whole), dtype=np.bool_)
+    visited[rows.number] = True
     matters = np.where(is_open, 1.0 if time is None else time, 0.0)
     unseen = UNSEEN * float(matters[~visited].sum()) / max(float(matters.sum()), 1e-300)
-    likelihood = _likelihood(counts, tilt.ratio[rows.entries])
+    likelihood = _likelihood(log.counts, tilt.ratio[rows.entries])
     candidates = [
-        _Candidate("simulator", rows.weights, 0.0, lambda: (whole.weights, None, None)),
+        _Candidate("simulator", rows.weights, 0.0, lambda: (whole.weights, None, None), score=log.simulator.score),
         _Candidate(
-            "tilt by log P", rows.weights * tilt.ratio[rows.entries], likelihood - tilt_evidence + EXPECTED + unseen,
-            lambda: (whole.weights * tilt.ratio, tilt.scores, tilt.information), gap=tilt.gap,
+            "tilt by log P", log.tilted, likelihood - tilt_evidence + EXPECTED + unseen,
+            lambda: (whole.weights * tilt.ratio, tilt.scores, tilt.information), gap=tilt.gap, score=log.tilt_score,
         ),
         *_along_features(log, library(simulator, values, rows), simulator, whole, unseen, solver),
     ]  # fmt: skip
@@ -85,21 +86,43 @@ def fit_centre(
 
 
 @dataclass(frozen=True, eq=False)
-class _Log:
-    """The visited open rows, their counts and kinds."""
+class Log:
+    """The visited open rows, their counts and kinds, and their rows under the tilt of all: the same for every policy."""
 
     rows: Rows
     counts: Array
     kind: IntArray
+    tilted: Array
+
+    @classmethod
+    def of(cls, observed: Array, simulator: FiniteMDP, tilt: Tilt | LocalTilt) -> Log | None:
+        """None where no open row was visited."""
+        whole = Rows.of(simulator)
+        visited = (whole.sums(observed) > 0) & (np.diff(whole.indptr) > 1)
+        if not visited.any():
+            return None
+        rows = Rows.of(simulator, visited)
+        counts = observed[rows.entries]
+        return cls(rows, counts, kinds_of_rows(counts, rows), rows.weights * tilt.ratio[rows.entries])
 
     def strength(self, model: Array) -> StrengthChoice:
         """kappa around the rows ``model``."""
         return choose_strength(self.counts, model, self.rows, kind=self.kind)
 
+    @cached_property
+    def simulator(self) -> StrengthChoice:
+        """kappa around the simulator."""
+        return self.strength(self.rows.weights)
+
+    @cached_property
+    def tilt_score(self) -> float:
+        """The evidence of kappa around the tilt."""
+        return self.strength(self.tilted).score
+
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Rows where the log has been, what the parameters cost (nats), and how all rows are made with scores and information."""
+    """Rows where the log has been, what the parameters cost (nats), how all rows are made; the evidence, where known."""
 
     name: str
     model: Array
@@ -108,6 +131,7 @@ class _Candidate:
     theta: dict[str, float] = field(default_factory=dict)
     gap: float = 0.0
     counted: Array | None = None
+    score: float | None = None
 
 
 def _likelihood(counts: Array, ratio: Array) -> float:
@@ -117,12 +141,12 @@ def _likelihood(counts: Array, ratio: Array) -> float:
 
 
 def _along_features(
-    log: _Log, features: list[Feature], simulator: FiniteMDP, whole: Rows, unseen: float, solver: str
+    log: Log, features: list[Feature], simulator: FiniteMDP, whole: Rows, unseen: float, solver: str
 ) -> list[_Candidate]:
     """The tilts along V, along log P and V, and along the features found one after the other."""
     base = np.column_stack([feature.column(log.rows) for feature in features])
     selection = Selection(log.rows, log.counts, base, by_action(features, simulator.n_actions))
-    start = log.strength(log.rows.weights).by_row
+    start = log.simulator.by_row
     found = []
     numbers = {feature.name: j for j, feature in enumerate(features)}
     values = [j for name, j in numbers.items() if name.startswith("V") and not features[j].by_deviation]
@@ -165,11 +189,12 @@ def _of_features(
     return _Candidate(" + ".join(names), fitted.model, cost, everywhere, theta, fitted.gap, counted)
 
 
-def _averaged(candidates: list[_Candidate], log: _Log) -> tuple[Part, ...]:
+def _averaged(candidates: list[_Candidate], log: Log) -> tuple[Part, ...]:
     """The average by evidence to the power ``TEMPER``; the same features in another order count once."""
     first = {frozenset(c.theta) or c.name: c for c in reversed(candidates)}
     distinct = {c.name: c for c in reversed(first.values())}
-    evidence = {name: log.strength(c.model).score - c.cost for name, c in distinct.items()}
+    scores = {name: log.strength(c.model).score if c.score is None else c.score for name, c in distinct.items()}
+    evidence = {name: scores[name] - c.cost for name, c in distinct.items()}
     evidence = {name: e for name, e in evidence.items() if np.isfinite(e)}  # not so of a fit that rounding has broken
     best = max(evidence.values())
     weights = {name: float(np.exp(TEMPER * (e - best))) for name, e in evidence.items()}

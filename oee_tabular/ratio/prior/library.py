@@ -28,7 +28,7 @@ from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.layout import DIGITS
-from oee_tabular.mdp.rows import Rows
+from oee_tabular.mdp.rows import Rows, distinct
 from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 SMOOTH, MOVES = 3, 8  # functions on the graph, displacements
@@ -129,8 +129,8 @@ def _ahead(simulator: FiniteMDP, level: Array) -> Callable[[Rows], Array]:
 def _displacements(simulator: FiniteMDP, rows: Rows) -> list[Feature]:
     """Indicators of the most frequent displacements that some row can choose against another."""
     places = _places(simulator)
-    kinds, kind = np.unique(_steps(places, rows), axis=0, return_inverse=True)
-    mass = np.bincount(kind.reshape(-1), weights=rows.weights) / max(len(rows), 1)
+    kinds, kind = distinct(_steps(places, rows))
+    mass = np.bincount(kind, weights=rows.weights) / max(len(rows), 1)
     order = np.argsort(-np.round(mass, 12), kind="stable")[:MOVES]
     return [
         Feature(f"move {_words(kinds[k])}", _indicator(places, kinds[k]))
