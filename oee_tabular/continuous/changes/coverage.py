@@ -85,7 +85,9 @@ def finding(table: pd.DataFrame) -> str:
     """In what share of the logs of each case the interval holds the truth, and how often without the rollouts' noise."""
     held = table.groupby("case")[["covered", "covered_paired"]].mean()
     whole, paired = (reach(held[name], percent) for name in held)
-    return f"The 95% interval holds the truth in {whole} of the logs; without the rollouts' noise, drawn here, in {paired}"
+    return (
+        f"The 95% interval holds the truth in {whole} of the logs; without the rollouts' noise, drawn here, in {paired}"
+    )
 
 
 RESIDUAL_COVERAGE = Experiment(
