@@ -27,6 +27,7 @@ myst_heading_anchors = 2
 html_theme = "pydata_sphinx_theme"
 html_title = "oee_tabular"
 html_show_sourcelink = False
+html_sidebars = {"*": []}  # pages that have none below them: the room is the code's
 html_context = {"default_mode": "auto"}
 html_theme_options = {"show_prev_next": True, "navigation_depth": 2, "header_links_before_dropdown": 4}
 nb_execution_mode = "cache"
@@ -49,6 +50,13 @@ SILENT = 'console.log = (log => (...words) => String(words[0]).startsWith("[PST]
 def plain_docstrings(app, what, name, obj, options, lines):
     """Before napoleon reads them."""
     lines[:] = docstrings.plain(lines)
+
+
+def nest_modules(app, page, template, context, doctree):
+    """Sphinx's list of sources has lists between its items; they belong to the item before."""
+    if page == "_modules/index":
+        body = context["body"].replace("</li>\n<ul>", "\n<ul>")
+        context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace("</ul></ul>", "</ul></li></ul>")
 
 
 def write_api(app):
@@ -117,4 +125,5 @@ def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
     app.connect("autodoc-process-docstring", plain_docstrings, priority=100)
+    app.connect("html-page-context", nest_modules)
     app.add_js_file(None, body=SILENT)

@@ -23,9 +23,9 @@ def command(line):
     assert not ended.value.code, line
 
 
-def run(text, capsys):
+def run(text, capsys, **names):
     """Every block in turn, in one name space; each text must be what the last line before it printed."""
-    names, printed = {}, ""
+    printed = ""
     for kind, block in BLOCK.findall(text):
         if kind == "text":
             assert printed.split() == block.split()

@@ -46,13 +46,23 @@ def sentence(
     state, action = pairs[0]
     n, why = counts[state, action], "never recorded"
     if optimistic[state, action]:
-        why = f"{n:.4g} moves so far; the model holds its outcome for certain"
+        why = f"{_so_far(n)}; the model holds its outcome for certain"
     elif n > 0:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
         share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
-        why = f"{n:.4g} moves so far, {share:.0%} of the variance"
-    return f"What would help most: moves of action {names.action(action)} in state {names.state(state)} ({why})."
+        why = f"{_so_far(n)}, {share:.0%} of the variance"
+    where = f"action {_set_off(names.action(action))} in state {_set_off(names.state(state))}"
+    return f"What would help most: moves of {where} ({why})."
+
+
+def _so_far(n: float) -> str:
+    return f"{n:.4g} {'move' if n == 1 else 'moves'} so far"
+
+
+def _set_off(name: str) -> str:
+    """A name of several words in quotation marks, so that one sees where it ends; coordinates have their brackets."""
+    return f"“{name}”" if " " in name and not name.startswith("(") else name
 
 
 def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -> str:

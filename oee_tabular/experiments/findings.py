@@ -12,14 +12,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGEST = 12.0  # points
-WIDTH = 0.53  # of a letter, in its own height
+SHARE = 0.98  # of the figure's width
 
 
 def entitle(figure: Figure, text: str) -> None:
     """The title of a whole figure: one line, in letters small enough for its width."""
     if text:
-        title = figure.suptitle(text, fontsize=min(LARGEST, 72.0 * figure.get_figwidth() / (WIDTH * len(text))))
+        title = figure.suptitle(text, fontsize=LARGEST)
         title.set_parse_math(False)
+        title.set_fontsize(LARGEST * min(1.0, SHARE * figure.bbox.width / title.get_window_extent().width))
 
 
 def number(x: float) -> str:

@@ -105,3 +105,12 @@ def test_an_experiment_without_a_finding_has_no_title():
     figure = Figure()
     entitle(figure, "")
     assert figure._suptitle is None
+
+
+@pytest.mark.parametrize("text", ["MMMM 0.059 " * 20, "illi, " * 30, "$x^2$, " * 20])
+def test_a_title_of_any_letters_fits(text):
+    figure = Figure(figsize=(9.0, 3.0))
+    entitle(figure, text)
+    box = figure._suptitle.get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.x1

@@ -214,6 +214,16 @@ def test_a_name_is_found_without_looking_through_all():
 # ---------------------------------------------------------------- sentences
 
 
+def test_advice_sets_names_of_several_words_off():
+    mdp = oee.FiniteMDP(
+        np.full((2, 1, 2), 0.5), [0, 1], 0, 0.9, state_names=["day shift", "night"], action_names=["call in"]
+    )
+    report = oee.evaluate(oee.Problem(mdp, oee.Transitions(*np.array([[1, 0, 0]] * 9).T)), [0, 0], estimators=["oee"])
+    assert (
+        report.sureness.next == "What would help most: moves of action “call in” in state “day shift” (never recorded)."
+    )
+
+
 def test_sentences_speak_names():
     mdp = three()
     moves = [("hall", "go", ("room", 1))] * 6 + [(("room", 1), "go", "dock")] * 3 + [("hall", "go", "hall")] * 4

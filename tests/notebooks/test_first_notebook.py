@@ -7,6 +7,9 @@ import nbformat
 import numpy as np
 import pytest
 from saved_notebook import FIRST, run, texts
+from test_pages import run as run_blocks
+
+import oee_tabular as oee
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -38,3 +41,12 @@ def test_the_stored_outputs_are_those_of_running_it(stored):
         assert NUMBER.sub("#", found) == NUMBER.sub("#", kept)
         numbers = [np.array(NUMBER.findall(text), dtype=float) for text in (found, kept)]
         np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-6)
+
+
+def test_the_commands_for_own_files_run(stored, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (text,) = [cell.source for cell in stored.cells if "## With your own files" in cell.source]
+    P, policy = np.full((2, 2, 2), 0.5), np.full((2, 2), 0.5)
+    oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("log.csv")
+    run_blocks(text, capsys, oee=oee, np=np, P=P, r=[[0, 1], [1, 0]], initial=0, discount=0.9, policy=policy)
+    assert (tmp_path / "answer.html").stat().st_size

@@ -72,7 +72,7 @@ def test_a_certain_simulator_has_nothing_to_learn():
     sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).sureness.sentences
     assert sentences[0] == "The log has no move that could tell the target from the simulator."
     assert sentences[2] == (
-        "What would help most: moves of action 0 in state 0 (1 moves so far; the model holds its outcome for certain)."
+        "What would help most: moves of action 0 in state 0 (1 move so far; the model holds its outcome for certain)."
     )
     over = oee.Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
     assert oee.evaluate(over, {"only": [0]}, estimators=["oee"]).sureness.next == "More moves would not narrow it."

@@ -13,6 +13,7 @@ from oee_tabular.continuous.changes.cases import CASES, DISCOUNT, Case
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.residual_value import corrected_value
+from oee_tabular.experiments.findings import percent, reach
 from oee_tabular.experiments.panels import panels
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Stream
 
@@ -56,14 +57,14 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     apart = case.returns(corrected, POLICIES[name]) - there
     error, noise = float(apart.mean()), float(apart.std() / np.sqrt(apart.size))
     of_log = float(found.diagnostics["standard_error_of_the_log"])
-    reach = float(stats.t.ppf(0.975, REFITS - 1))
+    margin = float(stats.t.ppf(0.975, REFITS - 1))
     known = truth(name)
     return [
         {
             "value": found.value, "lower": low, "upper": high, "truth": known.value,
             "truth_standard_error": known.standard_error, "error": error, "noise": noise, "error_of_log": of_log,
             "covered": float(low <= known.value <= high),
-            "covered_paired": float(abs(error) <= reach * np.hypot(of_log, noise)),
+            "covered_paired": float(abs(error) <= margin * np.hypot(of_log, noise)),
         }
     ]  # fmt: skip
 
@@ -80,6 +81,15 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         ax.set_ylabel("|error|")
 
 
+def finding(table: pd.DataFrame) -> str:
+    """In what share of the logs of each case the interval holds the truth, and how often without the rollouts' noise."""
+    held = table.groupby("case")[["covered", "covered_paired"]].mean()
+    whole, paired = (reach(held[name], percent) for name in held)
+    return (
+        f"The 95% interval holds the truth in {whole} of the logs; without the rollouts' noise, drawn here, in {paired}"
+    )
+
+
 RESIDUAL_COVERAGE = Experiment(
     id="residual_coverage",
     title="How often the interval of the residual row holds the truth",
@@ -90,6 +100,7 @@ RESIDUAL_COVERAGE = Experiment(
     keys=("case",),
     measures=("covered", "covered_paired", "error", "noise", "error_of_log"),
     draw=draw,
+    finding=finding,
     group="continuous",
     caption=(
         "Logs of 20 000 moves, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by "
