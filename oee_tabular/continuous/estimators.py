@@ -282,7 +282,7 @@ class Possible:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's, or no value."""
         found = self.estimator(problem, policy, seed=seed)
-        room = 1e-9 * max(1.0, *(abs(bound) for bound in (self.lowest, self.highest) if np.isfinite(bound)))
+        room = 1e-9 * max([1.0, *(abs(bound) for bound in (self.lowest, self.highest) if np.isfinite(bound))])
         nearest = float(np.clip(found.value, self.lowest, self.highest))
         if not np.isfinite(found.value) or abs(nearest - found.value) <= room:
             return found

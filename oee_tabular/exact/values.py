@@ -105,8 +105,8 @@ def evaluate_policy(
         found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     else:
         found = infinite_values(model, pi, certify)
-    square = found.values.dot(found.values)  # quicker to make than to look at each; it may overflow where no value does
-    return found if isfinite(square) or np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+    total = found.values.sum()  # quicker to make than to look at each; it may overflow where no value does
+    return found if isfinite(total) or np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
 
 
 def infinite_values(model: Model, policy: Array, certify: bool = False, shift: int = 0) -> PolicyValues:

@@ -121,7 +121,7 @@ class Taken:
             return self._dense(p, transpose), np.zeros(len(near))
         indptr, columns, shares, paid = kernel.kernel_of(self.chain, p)
         rows = Kernel(readable(indptr), readable(columns), readable(shares), self.discount)
-        system = System(rows, 1.0, 1.0 + 1e-12, transpose)
+        system = System(rows, 1.0, 1.0 + 1e-12, 1.0, transpose)
         found = solvers.corrected(system, self.chain.initial if transpose else paid, near, left)
         return found.x, found.missed
 

@@ -165,6 +165,10 @@ def test_values_that_cannot_be_are_refused(value, error, found):
         assert estimate.interval is None
 
 
+def test_rewards_without_bounds_refuse_no_value():
+    assert Possible(estimator_of(1e9, 1.0), -np.inf, np.inf)(_Fixed(), None).value == 1e9
+
+
 class _Simulated:
     value, standard_error = 9.0, 0.0
 

@@ -67,6 +67,7 @@ def kinova_model(
 
     Examples
     --------
+    >>> from oee_tabular.continuous.kinova.hand import ideal_hand
     >>> model = kinova_model(ideal_hand(), spacing=2 * STEP)
     >>> model.mdp.n_states, box_policy(model, 0).shape, round(float(goal_costs(model, 0).max()), 3)
     (1859, (1859, 27), -0.026)
