@@ -18,11 +18,10 @@ def lone(weights):
 
 
 @njit(cache=True)
-def average_rows(rows, policy):
-    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them."""
+def averaged(rows, policy, columns, values):
+    """``average_rows`` into arrays with room for all entries."""
     indptr, indices, data = rows
     n_states, n_actions = policy.shape
-    columns, values = np.empty(len(data), dtype=np.uint32), np.empty(len(data))  # only what is filled becomes memory
     starts = np.empty(n_states + 1, dtype=np.uint32)
     starts[0] = 0
     sums, mark = np.zeros(n_states), np.zeros(n_states, dtype=np.uint32)
@@ -56,6 +55,13 @@ def average_rows(rows, policy):
                 kept += 1
         starts[state + 1] = kept
     return starts, columns[:kept], values[:kept]
+
+
+@njit(cache=True)
+def average_rows(rows, policy):
+    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them."""
+    room = len(rows[2])  # only what is filled becomes memory
+    return averaged(rows, policy, np.empty(room, dtype=np.uint32), np.empty(room))
 
 
 @njit(cache=True)

@@ -16,6 +16,10 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact.reweighted import Model
 
+LARGE = (
+    1 << 20
+)  # entries from which numpy's large pages save time: P_pi of 2000 dense rows in .4 of it (benchmarks/regimes.py)
+
 # of the right side, and of how far its residual is to fall; None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
 
@@ -122,7 +126,12 @@ def policy_system(model: Model, policy: Array) -> System:
     from oee_tabular.exact import _policy_rows
 
     rows = rows_of(model.transitions)
-    indptr, indices, data = _policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64))
+    policy, entries = np.ascontiguousarray(policy, dtype=np.float64), len(rows[2])
+    if entries < LARGE:
+        indptr, indices, data = _policy_rows.average_rows(rows, policy)
+    else:
+        room = np.empty(entries, dtype=np.uint32), np.empty(entries)
+        indptr, indices, data = _policy_rows.averaged(rows, policy, *room)
     for part in (indptr, indices, data):
         part.flags.writeable = False
     kernel = Kernel(indptr, indices, data, model.discount)

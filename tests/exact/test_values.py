@@ -372,6 +372,15 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
     assert Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
 
 
+@pytest.mark.parametrize("policy", [oee.uniform_policy, lambda mdp: np.eye(mdp.n_actions)[np.arange(mdp.n_states) % 2]])
+def test_rows_in_numpy_s_memory_are_the_same(policy, monkeypatch):
+    mdp = oee.tasks.gridworld(5, 0.3)
+    before = oee.exact.system.policy_system(mdp, policy(mdp)).kernel
+    monkeypatch.setattr(oee.exact.system, "LARGE", 0)
+    for part, own in zip(before[:3], oee.exact.system.policy_system(mdp, policy(mdp)).kernel[:3], strict=True):
+        assert part.tobytes() == own.tobytes()
+
+
 def test_the_way_of_a_value_is_short():
     """Functions of the package that one call passes, checks apart: 15 in 6 files, so that a reader can follow."""
     mdp = oee.tasks.gridworld(40, 0.3)
