@@ -129,7 +129,7 @@ def root(start, stop, phat, v, mean, slope):
     for _ in range(100):
         excess, square = 0.0, 0.0
         for i in range(start, stop):
-            x = e - slope * (v[i] - mean)
+            x = max(e - slope * (v[i] - mean), phat[i] - 1.0)  # no p is above 1, which 1 + e - u loses where u is huge
             share = phat[i] / (1.0 + x)
             excess -= share * x
             square += share / (1.0 + x)
@@ -161,7 +161,7 @@ def fill(tau, rows, scale, chain, v, mean, best, p):
         kl, mass, along, square, bent = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(start, stop):
             u = slope * (v[i] - mean[r])
-            x = e - u
+            x = max(e - u, phat[i] - 1.0)
             p[i] = phat[i] / (1.0 + x)
             kl += phat[i] * log1p(x)
             mass += p[i]

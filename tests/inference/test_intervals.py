@@ -480,6 +480,7 @@ def test_two_steps_that_never_succeeded_are_both_raised():
 
 @settings(max_examples=20)
 @given(rngs)
+@example(np.random.default_rng(395572101))  # a row whose values differ by rounding alone: u of 1e16
 def test_no_member_of_the_profile_set_is_outside(rng):
     """Sparse rewards and few moves; members on the way from the frequencies to random rows, each as far as the set goes."""
     simulator = random_mdp(rng, n_states=5, n_actions=2)
