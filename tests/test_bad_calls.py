@@ -432,6 +432,10 @@ TABLE = {
     "negative lower": (lambda: oee.density_ratio([1], [1], lower=-1), r"lower must be in \[0, inf\); it is -1"),
     "negative weights": (lambda: oee.density_ratio([1, -1], [1, 1]), r"p\[1\] must be nonnegative; it is -1"),
     "nan weights": (lambda: oee.density_ratio([1, 1], [1, np.nan]), r"q\[1\] must be finite; it is nan"),
+    "a class without room": (
+        lambda: oee.density_ratio([0, 2, 1], [1, 1, 1], features=np.arange(3.0)),
+        r"features must span a function that is above 0, with sum q g = 1; none is at all points \(a constant",
+    ),
     "all-zero p": (lambda: oee.density_ratio([0, 0], [1, 1]), r"p must have a positive, finite sum; it is 0"),
     "all-zero q": (lambda: oee.density_ratio([1, 1], [0, 0]), r"q must have a positive, finite sum; it is 0"),
     "unequal lengths": (lambda: oee.density_ratio([1], [1, 1]), r"p and q must have one length; they have 1 and 2"),
@@ -542,6 +546,10 @@ TABLE = {
     ),
     "counts for a word": (lambda: LOG.counts("3", 2), r"n_states must be a positive integer; got '3'"),
     "ragged states": (lambda: Transitions([[0], [1, 2]], [0], [1]), r"state must be a column of integers"),
+    "ragged episodes": (
+        lambda: Transitions([0, 0], [0, 0], [0, 0], episode=[[], [1]]),
+        r"episode must be a column of integers",
+    ),
     "an episode number past all integers": (
         lambda: Transitions([0], [0], [1], episode=[1e300]),
         r"episode\[0\] must be an integer; it is 1e\+300",

@@ -212,7 +212,8 @@ def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
 
 def _numbered(episode: Any) -> Any:
     """Episodes that have texts for numbers, in the order of their first rows."""
-    items = list(episode) if isinstance(episode, list | tuple | np.ndarray) and np.ndim(episode) == 1 else []
+    row = isinstance(episode, list | tuple) or (isinstance(episode, np.ndarray) and episode.ndim == 1)
+    items = list(episode) if row else []
     if not items or not all(isinstance(item, str) for item in items):
         return episode
     first: dict[str, int] = {}

@@ -92,6 +92,8 @@ def _project(features: Array, tie: Array) -> Array:
 def nearest_miss(program: LinearProgram) -> float:
     """How far the class stays from the constraints at best (largest miss of a bound, sum q g = 1 held); inf: nowhere.
 
+    Below 0 where it has room within the bounds, which an interior-point method needs.
+
     A linear program: minimise t over lower - t <= offset + Phi w <= upper + t.
     """
     n, d = program.features.shape
@@ -109,7 +111,7 @@ def nearest_miss(program: LinearProgram) -> float:
         b_ub=np.concatenate(limits),
         A_eq=equality,
         b_eq=[1.0 - float(program.q @ program.offset)] if program.normalized else None,
-        bounds=[(None, None)] * d + [(0.0, None)],
+        bounds=[(None, None)] * d + [(-1.0, None)],
     )
     return float(found.x[-1]) if found.status == 0 else np.inf
 
@@ -214,8 +216,12 @@ def _start(program: LinearProgram) -> _Point:
     return _Point(w, g, room, np.zeros(n), fill / room, 0.0)
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
-    """Differs from [2] in a line search on the residual's norm [1], and in ending at the certificate, not at the residual."""
+    """Differs from [2] in a line search on the residual's norm [1], and in ending at the certificate, not at the residual.
+
+    Where the class has no room within the bounds, the points reach one (0 / 0): none is taken from there on.
+    """
     point = _start(program)
     best = LinearSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
     stalled, local = 0, _Linearised(program, point)

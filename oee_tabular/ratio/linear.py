@@ -51,11 +51,13 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
         found = LinearSolution(weights, g, tie, eta, gap, violation, 0)
     if not found.violation <= 1e-7:
         miss = interior.nearest_miss(program)
-        if miss > 1e-9:
-            upper = f" and at most {program.upper:g}" if np.isfinite(program.upper) else ""
+        if miss > -1e-9:
+            above, below = ("at least", "at most") if miss > 1e-9 else ("above", "below")
+            upper = f" and {below} {program.upper:g}" if np.isfinite(program.upper) else ""
             one = ", with sum q g = 1" if program.normalized else ""
+            nearest = f"the nearest misses by {miss:g}" if miss > 1e-9 else "none is at all points"
             raise ValueError(
-                f"features must span a function that is at least {program.lower:g}{upper}{one}; the nearest misses by {miss:g} "
+                f"features must span a function that is {above} {program.lower:g}{upper}{one}; {nearest} "
                 "(a constant feature makes one)"
             )
         raise RuntimeError(f"the interior-point method ended {found.violation:.1e} away from the constraints")
