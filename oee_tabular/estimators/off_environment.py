@@ -34,7 +34,7 @@ from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)
-AGAINST = 5.0  # z^2 up to which the value stays at the centre (4 to 6 differ by less than the noise in `oee bench`)
+AGAINST = 8.0  # z^2 up to which the value stays at the centre (`oee bench`; notebook 05 has what 5 to 9 cost)
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
 NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
     "conditional": OF_COUNTS | {"consistent", "shift"},
@@ -65,12 +65,12 @@ class OffEnvironment(ExactLimit):
     average of the simulator and its tilts) stands in for rows never visited. ``Estimate.value`` is the exact value of zeta * P
     (``diagnostics["model_value"]``), moved towards the log where that speaks against the centre:
 
-        value + max(0, 1 - 5 / z^2) change,   z = change / its standard error,
+        value + max(0, 1 - (8 / z^2)^2) change,   z = change / its standard error,
 
     change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
     sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few moves.
     The gains over maximum likelihood come from the centre; the test bounds the harm: where the centre is b standard errors
-    of the change off, the root mean square of what is left is at most 2.0 of them (at b = 3), .13 where it is right (z
+    of the change off, the root mean square of what is left is at most 2.3 of them (at b = 3.1), .08 where it is right (z
     normal). ``diagnostics`` has both ends and the share ``moved``.
 
     ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
@@ -236,7 +236,7 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
         return exact  # rewards near the largest float
     change = 0.0 if likeliest is None else nearer(step.change, likeliest - exact.value)
     apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
-    share = max(0.0, 1.0 - AGAINST / apart**2) if apart > 0 else 0.0
+    share = max(0.0, 1.0 - (AGAINST / apart**2) ** 2) if apart > 0 else 0.0
     value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
     diagnostics = exact.diagnostics | {
         "standard_error_of": "log",

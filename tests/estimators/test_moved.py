@@ -42,7 +42,7 @@ def estimated(seed, *, size=0.5, per_row=10, horizon=None, estimator=None, skip=
 @pytest.mark.parametrize("horizon", [None, 5])
 @pytest.mark.parametrize("estimator", [OffEnvironment(), OffEnvironment(HALF)], ids=["default", "fixed"])
 def test_the_value_by_its_diagnostics(estimator, horizon):
-    """model value + max(0, 1 - AGAINST / z^2) change, change the nearer of one-step's and maximum likelihood's."""
+    """model value + max(0, 1 - (AGAINST / z^2)^2) change, change the nearer of one-step's and maximum likelihood's."""
     moved = []
     for seed in range(12):
         problem, policy, found = estimated(seed, size=0.3 * (seed % 4), horizon=horizon, estimator=estimator)
@@ -50,7 +50,7 @@ def test_the_value_by_its_diagnostics(estimator, horizon):
         changes = [facts[name] - facts["model_value"] for name in ("one_step_value", "maximum_likelihood_value")]
         change = 0.0 if changes[0] * changes[1] <= 0 else min(changes, key=abs)
         z = facts["one_step_distance"]
-        share = max(0.0, 1 - AGAINST / z**2) if z > 0 else 0.0
+        share = max(0.0, 1 - (AGAINST / z**2) ** 2) if z > 0 else 0.0
         assert_allclose(facts["moved"], share, rtol=1e-12)
         assert_allclose(found.value, facts["model_value"] + share * change, rtol=1e-12)
         assert (facts["moved"] == 0) == (z**2 <= AGAINST)
@@ -65,7 +65,7 @@ def test_the_value_by_its_diagnostics(estimator, horizon):
 
 
 def test_the_text_has_the_number():
-    assert f"value + max(0, 1 - {AGAINST:g} / z^2) change" in OffEnvironment.__doc__
+    assert f"value + max(0, 1 - ({AGAINST:g} / z^2)^2) change" in OffEnvironment.__doc__
 
 
 @pytest.mark.parametrize("per_row", [1, 10])
