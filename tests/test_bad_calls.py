@@ -407,6 +407,10 @@ TABLE = {
         lambda: oee.evaluate(Problem(GRID, LOG), UNIFORM, estimators=[]),
         r"estimators must name at least one",
     ),
+    "an estimator that returns a number": (
+        lambda: oee.evaluate(Problem(GRID, LOG), UNIFORM, estimators={"mine": lambda problem, policy, seed: 1.5}),
+        r"what estimator 'mine' returns must be an Estimate, Estimate\(value\); got float",
+    ),
     "no policies": (lambda: oee.evaluate(Problem(GRID, LOG), {}), r"policies must hold at least one; it is empty"),
     "a bad policy among several": (
         lambda: oee.evaluate(Problem(GRID, LOG), {"mine": UNIFORM * 0.9}),

@@ -60,7 +60,7 @@ class League:
         return f"League({len(self.league)} estimators, {len(self.cells)} cells, {len(self.table)} rows)"
 
     def __str__(self) -> str:
-        """The league table and what it means."""
+        """The league table, what it means, and why estimators had no value."""
         shares = ("above 1.1", "above 1.5", "coverage", "its coverage")
         league = self.league.copy()
         for column in league.columns[1:]:
@@ -69,7 +69,13 @@ class League:
                 "" if isinstance(x, float) and math.isnan(x) else form.format(x) if isinstance(x, float) else str(x)
                 for x in league[column]
             ]
-        return f"{league.set_index('estimator').T.to_string()}\n\n{EXPLAINED}"
+        failed = [f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()]
+        return "\n".join([league.set_index("estimator").T.to_string(), "", EXPLAINED, *([""] + failed if failed else [])])
+
+    def _failures(self) -> pd.DataFrame:
+        """(estimator, status, logs) of the rows without a value."""
+        lost = self.table[self.table["value"].isna()]
+        return lost.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
 
     def statement(self) -> dict[str, Any]:
         """Each estimator's numbers by group of sizes, for JSON: ratios, bounds, worst cells, coverage, width, time."""
@@ -128,8 +134,7 @@ class League:
 
     def page(self, about: Mapping[str, str], command: str) -> str:
         """The league as a page of markdown; ``about``: what the simulator of each family has wrong."""
-        failures = self.table[self.table["value"].isna()]
-        failed = failures.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
+        failed = self._failures()
         lines = ["# Estimators on families of environment shift", ""]
         lines += [f"`{command}`", ""] if command else []
         lines += [pipe_table(self.league.set_index("estimator").T.reset_index(names="measure")), "", EXPLAINED, ""]

@@ -9,7 +9,7 @@ from typing import Any
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Estimator, Problem, Simulator
+from oee_tabular.estimators import Estimate, Estimator, Problem, Simulator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
@@ -147,7 +147,9 @@ def _estimated(
         for j, estimator in enumerate(chosen):
             _progress.doing(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
             stream = _checks.seed_sequence(seed, (i, j))
-            raw.append(Result(policy, estimator, chosen[estimator](problem, policies[policy], seed=stream)))
+            found = chosen[estimator](problem, policies[policy], seed=stream)
+            _checks.instance(found, Estimate, f"what estimator {estimator!r} returns", "Estimate, Estimate(value)")
+            raw.append(Result(policy, estimator, found))
     return raw
 
 

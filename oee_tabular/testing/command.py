@@ -226,7 +226,7 @@ def _made(found: object, spec: str) -> Any:
     """The estimator itself, or what a class or factory makes."""
     if not callable(found):
         raise ValueError(
-            f"{spec!r} must be an estimator, or a class or function that makes one; it is a {type(found).__name__}"
+            f"{spec!r} must be an estimator, or a class or function that makes one; got {type(found).__name__}"
         )
     if not isinstance(found, type) and _takes(found, None, None, seed=None):
         return found

@@ -102,6 +102,8 @@ def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
     assert league.failed.to_dict() == {"maximum-likelihood": 0, "simulator": 0, "fail": 2, "nothing": 2, "silent": 2, "bare": 2,
                                        "fine": 0}  # fmt: skip
     assert "no luck" in found.page({}, "")
+    assert "fail: no value on 2 logs: RuntimeError: no luck" in str(found)
+    assert "no value" not in str(oee.bench.run("oee", families=["machine"], sizes=[3], seeds=2))
 
 
 def test_the_printed_value_and_its_interval():
