@@ -69,8 +69,12 @@ class League:
                 "" if isinstance(x, float) and math.isnan(x) else form.format(x) if isinstance(x, float) else str(x)
                 for x in league[column]
             ]
-        failed = [f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()]
-        return "\n".join([league.set_index("estimator").T.to_string(), "", EXPLAINED, *([""] + failed if failed else [])])
+        failed = [
+            f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()
+        ]
+        return "\n".join(
+            [league.set_index("estimator").T.to_string(), "", EXPLAINED, *(["", *failed] if failed else [])]
+        )
 
     def _failures(self) -> pd.DataFrame:
         """(estimator, status, logs) of the rows without a value."""

@@ -175,7 +175,7 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
     ("{}:Yours", "'{}' has no object 'Yours' (it has Fatal, Holder, Mine, "),
-    ("{}:number", "must be an estimator, or a class or function that makes one; it is a int"),
+    ("{}:number", "must be an estimator, or a class or function that makes one; got int"),
     ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
     ("{}:useless", "must make an estimator, callable as (problem, policy, *, seed=None); it makes a int"),
     ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),
