@@ -29,7 +29,7 @@ from oee_tabular.mdp import FiniteMDP
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
 _SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
-_ROUNDING = 1e-24  # of the largest cost: less is the rounding of 0
+_ROUNDING = 1e-24  # of the largest cost, and 1e-28 of what the largest may be: less is the rounding of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,8 @@ def row_costs(
         if rows.size:
             values = np.where(inside, gradient[place], gradient[place[:, :1]])
             table[k, rows] = largest_variance(values, low, high)
-        table[k, table[k] <= _ROUNDING * table[k].max(initial=0.0)] = 0.0
+        largest = max(_ROUNDING * table[k].max(initial=0.0), 1e-28 * np.abs(gradient).max(initial=0.0) ** 2)
+        table[k, table[k] <= largest] = 0.0
     return Costs(table, alone)
 
 

@@ -99,7 +99,7 @@ def infinite_visits(model: Model, policy: Array) -> Array:
     if model.discount < 1.0:
         return np.asarray(occupancy(model, policy, of="state") / (1.0 - model.discount))
     system = policy_system(model, policy)
-    over = recurrent_states(system, policy_rewards(model, policy))
+    over = recurrent_states(system, policy_rewards(model, policy), model.names)
     if over.all():
         return np.zeros(len(over))
     found = solve_policy_system(without(system, over).csr(), model.initial, 1.0, transpose=True).x

@@ -15,6 +15,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact.reweighted import Model
+from oee_tabular.mdp.naming import NAMELESS, Names
 
 LARGE = (
     1 << 20
@@ -148,7 +149,7 @@ def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
     return kernel
 
 
-def recurrent_states(system: System, rewards: Array) -> BoolArray:
+def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) -> BoolArray:
     """(S,) mask of the closed classes at discount 1, which must pay nothing; the other states are solved for."""
     kernel = system.csr()
     _, component = csgraph.connected_components(kernel, directed=True, connection="strong")
@@ -162,8 +163,8 @@ def recurrent_states(system: System, rewards: Array) -> BoolArray:
     if paying.size:
         raise DivergentKernelError(
             "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
-            f"that pay nothing; it stays for ever in {paying.size} states that do, the first: {paying[0]} "
-            f"(reward {rewards[paying[0]]:g})"
+            f"that pay nothing; it never leaves s={names.state(paying[0])}, which pays {rewards[paying[0]]:g} a step "
+            f"({paying.size} such states in all)"
         )
     return recurrent
 

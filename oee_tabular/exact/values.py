@@ -125,7 +125,7 @@ def infinite_values(model: Model, policy: Array, certify: bool = False, shift: i
             return PolicyValues(values, float(np.ldexp(found.value, shift)), bound, found.method, certified)
     system, recurrent = policy_system(model, policy), None
     if model.discount == 1.0:
-        recurrent = recurrent_states(system, rewards)
+        recurrent = recurrent_states(system, rewards, model.names)
         if recurrent.all():
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed", 1.0 if certify else None)
         system = without(system, recurrent)

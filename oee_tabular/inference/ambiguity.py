@@ -112,8 +112,8 @@ def unseen_time(evidence: Evidence) -> float:
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 
 
-def reached_rows(evidence: Evidence) -> BoolArray:
-    """(S*A,) rows that the policy can reach in some model on the simulator's support."""
+def reached_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
+    """(S*A,) rows that the policy can reach in some model on the simulator's support; with ``steps``, as one of its first."""
     model = evidence.model
     taken = evidence.policy > 0
     rows, columns = row_of_entry(model.transitions), model.transitions.indices
@@ -123,9 +123,11 @@ def reached_rows(evidence: Evidence) -> BoolArray:
     tail = np.concatenate([rows[used] // model.n_actions, np.full(len(starts), size)])
     head = np.concatenate([columns[used], starts])
     graph = sparse.csr_array((np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1))
-    order = csgraph.breadth_first_order(graph, size, return_predecessors=False)
     seen = np.zeros(size + 1, dtype=np.bool_)
-    seen[order] = True
+    if steps is None or steps >= size:
+        seen[csgraph.breadth_first_order(graph, size, return_predecessors=False)] = True
+    else:
+        seen = np.isfinite(csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps))
     return np.asarray((seen[:size, None] & taken).reshape(-1))
 
 

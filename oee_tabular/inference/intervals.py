@@ -255,5 +255,8 @@ def _varied(found: Interval, evidence: Evidence) -> Interval:
 
 def _coverage(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
-    reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence)
+    steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
+    if steps is not None and evidence.model.reward_data is None:
+        steps -= 1  # where the last step leads pays nothing more
+    reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence, steps)
     return {"unvisited_share": unseen_time(evidence), "unvisited_rows": int(reached.sum())}

@@ -217,6 +217,17 @@ def test_a_pair_never_recorded_comes_first_where_it_matters_more():
     assert next_pairs(two, counts, 2, 1, 0.95) == ((0, 0),)
 
 
+@pytest.mark.parametrize("pay", [-1.0, 0.3, 1e9])
+def test_a_value_that_no_move_changes_needs_none(pay):
+    """Every move of the first step pays the same: what is left of its variance is rounding."""
+    rows = np.full((3, 2, 3), 1 / 3)
+    simulator = oee.FiniteMDP(rows, np.full((3, 2, 3), pay), [1, 0, 0], 1.0)
+    log = oee.Transitions([0, 0, 0, 1, 2], [0, 0, 0, 1, 1], [1, 2, 2, 0, 1])
+    problem = oee.Problem(simulator, log, horizon=1)
+    policy = np.full((3, 2), 0.5)
+    assert oee.plan_data_collection(problem, policy, n=5).advice == "More moves would not narrow it."
+
+
 @given(rngs)
 @settings(max_examples=15, deadline=None)
 def test_a_report_and_a_plan_give_one_piece_of_advice(rng):

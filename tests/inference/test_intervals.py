@@ -265,6 +265,23 @@ def test_36_boxes(rng):
         assert ends[0] - slack <= truth <= ends[1] + slack
 
 
+@pytest.mark.parametrize(
+    ("horizon", "discount", "by_move", "bearing"),
+    [(1, 1.0, False, 0), (1, 1.0, True, 1), (2, 1.0, False, 1), (3, 1.0, True, 3), (9, 1.0, False, 4), (None, 0.0, True, 1),
+     (None, 0.0, False, 0), (None, 0.5, False, 4)],
+)  # fmt: skip
+def test_rows_never_recorded_are_counted_where_they_bear_on_the_value(horizon, discount, by_move, bearing):
+    """A chain of four states that stay or go on, and an end; the log has the end alone. The first T rows pay by move."""
+    rows = np.zeros((5, 1, 5))
+    for s in range(4):
+        rows[s, 0, [s, s + 1]] = 0.5
+    rows[4, 0, 4] = 1.0
+    pays = np.array([1.0, 1, 1, 1, 0])
+    rewards = np.where(rows > 0, pays, 0.0) * np.arange(5)[:, None, None] if by_move else pays
+    problem = oee.Problem(oee.FiniteMDP(rows, rewards, 0, discount), oee.Transitions([4], [0], [4]), horizon=horizon)
+    assert oee.interval(problem, np.ones((5, 1))).diagnostics["unvisited_rows"] == bearing
+
+
 def test_38_rows_never_seen_are_not_trusted():
     """The log has no move of the only row that matters: the interval holds all that the box allows, delta none."""
     rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
