@@ -163,8 +163,8 @@ def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) ->
     if paying.size:
         raise DivergentKernelError(
             "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
-            f"that pay nothing; it never leaves s={names.state(paying[0])}, which pays {rewards[paying[0]]:g} a step "
-            f"({paying.size} such states in all)"
+            f"that pay nothing; it stays for ever among states of which s={names.state(paying[0])} pays {rewards[paying[0]]:g} "
+            f"a step ({paying.size} such states in all)"
         )
     return recurrent
 
