@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -129,12 +129,20 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
     rest = len(values) - len(best)
     less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""
+    if _same(sure.comparison, best, max(abs(values[name]) for name in finite)):
+        return replace(sure, ranking=f"{names} are worth the same in the target{less}.")
     return replace(sure, ranking=f"The log cannot say which of {names} is worth most in the target{less}.")
 
 
 def _apart(sure: Sureness, one: str, other: str) -> bool:
     ours, theirs = (sure.intervals.get(name, {}).get("likelihood") for name in (one, other))
     return ours is not None and theirs is not None and ours.lower > theirs.upper
+
+
+def _same(found: Comparison, names: Sequence[str], scale: float) -> bool:
+    """Whether they do the same wherever it bears on J: no difference, and none that a move could make."""
+    rows = np.ix_(*[[found.names.index(name) for name in names]] * 2)
+    return bool(np.abs([found.lower[rows], found.upper[rows]]).max() <= 1e-12 * scale)
 
 
 def _better(sure: Sureness, one: str, other: str) -> bool:
