@@ -36,8 +36,7 @@ from oee_tabular.continuous.on_cells import (
 from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
-from oee_tabular.continuous.settings import Settings
-from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
+from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS

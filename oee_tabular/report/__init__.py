@@ -14,7 +14,7 @@ from oee_tabular.report.results import Result
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.settings import Settings
+    from oee_tabular.continuous.simulator import Settings
 
 __all__ = [
     "Contest",

@@ -73,19 +73,16 @@ def answers(report: Evaluation) -> list[Answer]:
         first = headline(own)
         best = rows[report.results.index(first)]
         alone = next((r.estimate.value * report.scale for r in own if not r.estimate.basis.log), None)
+        sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
+        unseen = 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
         found.append(
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
-                alone, best["true_value"], best.get("coverage"), _unseen(report, policy),
+                alone, best["true_value"], best.get("coverage"), unseen,
                 sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log,
             )
         )  # fmt: skip
     return found
-
-
-def _unseen(report: Evaluation, policy: str) -> int:
-    sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
-    return 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
 
 
 def sentence(text: str) -> str:
