@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from oee_tabular import _files
-from oee_tabular.cli.inputs import (
-    recorded,
-    refuse_settings,
-    write_array,
-)
+from oee_tabular.cli.inputs import recorded, refuse_settings, write_array
 from oee_tabular.cli.options import (
     INPUT,
     OUTPUT,
@@ -31,10 +27,7 @@ from oee_tabular.cli.options import (
     option,
 )
 from oee_tabular.cli.simulators import POLICY_HELP, policy_of, task_of
-from oee_tabular.continuous.command import (
-    is_continuous,
-    recorded_states,
-)
+from oee_tabular.continuous.command import is_continuous, recorded_states
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array

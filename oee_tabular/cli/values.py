@@ -48,11 +48,7 @@ from oee_tabular.cli.options import (
     option,
 )
 from oee_tabular.cli.simulators import POLICY_HELP, SIMULATOR_HELP, policies_of
-from oee_tabular.continuous.command import (
-    from_states,
-    is_continuous,
-    settings_of,
-)
+from oee_tabular.continuous.command import from_states, is_continuous, settings_of
 
 
 def evaluate(

@@ -41,8 +41,7 @@ from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_proba
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.report.evaluation import evaluate
-from oee_tabular.report.report import Report
+from oee_tabular.report.evaluation import Report, evaluate
 
 CALIBRATIONS = (*KINDS, "none")
 ON_GRID, LINEAR = "oee on the grid", "linear model of the log"
