@@ -313,7 +313,7 @@ def reprlib(read, name):
 
 def _readers():
     import oee_tabular as oee
-    from oee_tabular.cli.described import described
+    from oee_tabular.cli.files import described
     from oee_tabular.mdp import check_policy
     from oee_tabular.mdp.policies import policy_array
 

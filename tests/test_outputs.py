@@ -237,7 +237,7 @@ def holder(tmp_path):
 
 
 def reproduce(output, **options):
-    from oee_tabular.experiments.command import reproduce as run
+    from oee_tabular.experiments.catalogue import reproduce as run
 
     settings = {"everything": False, "smoke": False, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False}
     return run(["estimands"], output=output, say=lambda text: None, **(settings | options))
@@ -245,7 +245,7 @@ def reproduce(output, **options):
 
 @pytest.mark.parametrize("fresh", [False, True])
 def test_the_second_command_in_a_folder_is_refused(tmp_path, holder, monkeypatch, fresh):
-    from oee_tabular.experiments import command as commands
+    from oee_tabular.experiments import catalogue as commands
 
     monkeypatch.setattr(commands, "run_experiment", lambda *_, **__: pytest.fail("it began"))
     with pytest.raises(
@@ -314,7 +314,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.experiments.command", "numpy"])
+@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.experiments.catalogue", "numpy"])
 def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_path):
     """What is imported before the command begins, and what it imports as it goes."""
     process = subprocess.run(

@@ -256,6 +256,7 @@ def walk(following):
         (lambda ax: plots.plot_ratio([1, -1], (1, 2), ax), r"values\[1\] must be nonnegative; it is -1"),
         (lambda ax: plots.plot_coverage([1, -1], (1, 2), ax), r"counts\[1\] must be nonnegative; it is -1"),
         (lambda ax: plots.plot_coverage([1, 1], (1, 2), ax, over=[True]), "over must have 2 entries"),
+        (lambda ax: plots.plot_occupancy([1, 0], (1, 2), ax, unseen=[True]), "unseen must have 2 entries"),
         (lambda ax: plots.plot_states([1.0], [1, 2], ax), "recorded must have 1 entries, one a state; it has 2"),
         (lambda ax: plots.plot_states([1.0], [1], ax, top=0), "top must be a positive integer; it is 0"),
         (lambda ax: plots.label_ends(ax, fontsize=0), r"fontsize must be in \(0, 100\); it is 0"),

@@ -134,7 +134,8 @@ class Families(Mapping[str, Family]):
         try:
             if not inspect.signature(maker).parameters:
                 return _fixed(maker)
-            return maker(np.random.default_rng(_sequence(self.seed, name)))
+            words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")  # of the name alone
+            return maker(np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words.tolist())))
         except ValueError as error:
             raise ValueError(f"family {name!r}: {error}") from error
 
@@ -143,12 +144,6 @@ class Families(Mapping[str, Family]):
 def _fixed(maker: Callable[[], Family]) -> Family:
     """A family without random parts: made once a process, whatever the seed."""
     return maker()
-
-
-def _sequence(seed: int, name: str) -> np.random.SeedSequence:
-    """Random numbers that know the seed and the family's name alone."""
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")
-    return np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words))
 
 
 def checked_seed(seed: object) -> int:

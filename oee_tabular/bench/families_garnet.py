@@ -10,8 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
-from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Recorded, pair, scaled, spread
+from oee_tabular.bench.family import Family, Recorded, pair, scaled, spread
 from oee_tabular.exact import optimal_policy, state_values
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 

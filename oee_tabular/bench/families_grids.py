@@ -6,8 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Recorded, pair, spread
+from oee_tabular.bench.family import Family, Recorded, pair, spread
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from oee_tabular._checks import BoolArray, IntArray
-from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Moves, binomial, poisson, shifted
+from oee_tabular.bench.family import Family, Moves, binomial, poisson, shifted
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 
 MISSING_ICU = "icu_sepsis is left out: it needs the package icu-sepsis (in a clone: pip install '.[bench]')."

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.bench.family import Family
-from oee_tabular.bench.making import Moves, Recorded, model, poisson, shifted
+from oee_tabular.bench.family import Family, Moves, Recorded, model, poisson, shifted
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy
 

@@ -17,6 +17,7 @@ from oee_tabular.bench.given import LIKELIHOOD, REFERENCES
 from oee_tabular.bench.scores import coverage, geometric_mean, scored, summary, wide
 from oee_tabular.experiments.output import drawn, pipe_table
 from oee_tabular.plots.style import DIVERGING, ink, literally, series, shown
+from oee_tabular.report.results import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -156,7 +157,7 @@ class League:
             "cells.csv": _files.csv_bytes(self.cells, float_format="%.6g"),
             "league.csv": _files.csv_bytes(self.league, float_format="%.6g"),
             "league.md": self.page(about or {}, command).encode(),
-            "shown.json": (json.dumps(_plain(self.statement()), indent=1) + "\n").encode(),
+            "shown.json": (json.dumps(plain(self.statement()), indent=1) + "\n").encode(),
             "profile.png": drawn(self.profile, salt="bench", kinds=("png",))["png"],
             "heat.png": drawn(self.heat, salt="bench", kinds=("png",))["png"],
         }
@@ -242,12 +243,3 @@ def _width_over(cells: pd.DataFrame, name: str, other: str) -> dict[str, float]:
     widths = wide(cells, ["family", "size"], "width")
     ratio = (widths[name] / widths[other]).groupby(level="size").median()
     return {f"{size:g}": float(ratio[size]) for size in WIDE if size in ratio.index and not math.isnan(ratio[size])}
-
-
-def _plain(value: object) -> Any:
-    """Without nan, which is not JSON."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from oee_tabular.cli.policies import policies_of, policy_of
-from oee_tabular.cli.simulators import task_of
+from oee_tabular.cli.simulators import policies_of, policy_of, task_of
 from oee_tabular.estimators.names import names
 
 if TYPE_CHECKING:
@@ -172,7 +171,7 @@ def from_files(
     from oee_tabular.cli.entries import own_rows
     from oee_tabular.estimators.names import default_names, named_estimators
     from oee_tabular.report import evaluate as run
-    from oee_tabular.report.inputs import date_of
+    from oee_tabular.report.page import date_of
     from oee_tabular.tasks.arguments import named_specs
 
     task, problem = given_problem(simulator, log, behavior, options)

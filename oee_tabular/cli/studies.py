@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from oee_tabular.cli.answers import answer
 from oee_tabular.cli.inputs import ESTIMATORS_HELP
-from oee_tabular.cli.options import INPUT, OUTPUT, VALUE, Dask, Jobs, Seed, json_option, option
+from oee_tabular.cli.options import INPUT, OUTPUT, VALUE, Dask, Jobs, Seed, answer, json_option, option
 
 
 def reproduce(
@@ -32,8 +31,8 @@ def reproduce(
     json: Annotated[bool, json_option("reproduce")] = False,
 ) -> None:
     """The paper's figures, and more. An interrupted run goes on where it stopped."""
-    from oee_tabular.experiments.command import listing
-    from oee_tabular.experiments.command import reproduce as run
+    from oee_tabular.experiments.catalogue import listing
+    from oee_tabular.experiments.catalogue import reproduce as run
 
     lines = _Lines(json)
     if show:
@@ -73,7 +72,7 @@ def bench(
     json: Annotated[bool, json_option("bench")] = False,
 ) -> None:
     """Measure estimators on families of environment shift where the truth is exact. An interrupted run goes on."""
-    from oee_tabular.bench.command import bench as run
+    from oee_tabular.bench.run import bench as run
 
     lines = _Lines(json)
     run(estimators=estimators, sizes=sizes, seeds=seeds, seed=seed, families=families, jobs=jobs, dask=dask, output=output,

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from oee_tabular.cli.answers import answer
 from oee_tabular.cli.inputs import (
     ESTIMATORS_HELP,
     FEATURES_HELP,
@@ -19,42 +18,37 @@ from oee_tabular.cli.inputs import (
     write_array,
 )
 from oee_tabular.cli.options import (
-    CONTINUOUS,
     INPUT,
     LOG_HELP,
     OUTPUT,
     VALUE,
+    Actions,
+    Calibration,
     Confidence,
     Discount,
+    Floor,
+    Grid,
     Horizon,
     Impossible,
     Initial,
     Log,
     Noise,
+    Outside,
     Overwrite,
     Policies,
     Quick,
     Rewards,
     Seed,
+    Simulations,
     SimulatorOption,
+    State,
+    Strict,
+    answer,
     json_option,
     option,
 )
-from oee_tabular.cli.policies import POLICY_HELP, policies_of
-from oee_tabular.cli.simulators import SIMULATOR_HELP
-from oee_tabular.continuous.command import (
-    ACTIONS_HELP,
-    CALIBRATION_HELP,
-    EPISODES_HELP,
-    FLOOR_HELP,
-    GRID_HELP,
-    OUTSIDE_HELP,
-    STATE_HELP,
-    STRICT_HELP,
-    from_states,
-    is_continuous,
-    settings_of,
-)
+from oee_tabular.cli.simulators import POLICY_HELP, SIMULATOR_HELP, policies_of
+from oee_tabular.continuous.command import from_states, is_continuous, settings_of
 
 
 def evaluate(
@@ -94,14 +88,14 @@ def evaluate(
     ] = None,
     title: Annotated[str | None, option(OUTPUT, "Of the page that --report writes.", metavar="TEXT")] = None,
     json: Annotated[bool, json_option("evaluate")] = False,
-    grid: Annotated[str | None, option(CONTINUOUS, GRID_HELP, metavar="NxM")] = None,
-    outside: Annotated[str | None, option(CONTINUOUS, OUTSIDE_HELP, metavar="WORD")] = None,
-    strict: Annotated[bool, option(CONTINUOUS, STRICT_HELP, "--strict")] = False,
-    calibration: Annotated[str | None, option(CONTINUOUS, CALIBRATION_HELP, metavar="WORD")] = None,
-    floor: Annotated[float | None, option(CONTINUOUS, FLOOR_HELP, metavar="SHARE")] = None,
-    simulations: Annotated[int | None, option(CONTINUOUS, EPISODES_HELP, metavar="N")] = None,
-    state: Annotated[str | None, option(CONTINUOUS, STATE_HELP, metavar="MODULE:GET,SET")] = None,
-    actions: Annotated[str | None, option(CONTINUOUS, ACTIONS_HELP, metavar="LEVELS")] = None,
+    grid: Grid = None,
+    outside: Outside = None,
+    strict: Strict = False,
+    calibration: Calibration = None,
+    floor: Floor = None,
+    simulations: Simulations = None,
+    state: State = None,
+    actions: Actions = None,
 ) -> None:
     """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
     from oee_tabular.report import check_output, check_page

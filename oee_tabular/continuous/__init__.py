@@ -31,11 +31,10 @@ _MODULES = {
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
     "kinova.dynamics": ("KinovaArm",),
-    "kinova.expert": ("kinova_policy",),
     "kinova.experiment": ("TABLE_1",),
     "kinova.grid": ("kinova_model",),
     "kinova.hand": ("KinovaHand", "fit_hand"),
-    "kinova.logs": ("hand_log", "load_kinova_log", "record_goals"),
+    "kinova.logs": ("hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
     "history": ("HistoryTask",),
     "linear_model": ("LinearModel",),
     "log": ("ContinuousTransitions",),
@@ -44,8 +43,7 @@ _MODULES = {
     "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
     "residual": ("ResidualSimulator",),
-    "settings": ("Settings",),
-    "simulator": ("ContinuousSimulator",),
+    "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use

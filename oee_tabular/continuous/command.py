@@ -12,23 +12,6 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
 
-GRID_HELP = (
-    "Vertices along each feature of a continuous task, 60x60, or none; left out: the task's own (cartpole: 32x32)."
-)
-STATE_HELP = (
-    "MODULE:GET,SET, functions get(env) and set(env, state) of a Gymnasium environment whose state is not found."
-)
-ACTIONS_HELP = (
-    "Of a Gymnasium environment with a Box of actions: levels of each coordinate (9, or -2,0,2), or the commands."
-)
-OUTSIDE_HELP = (
-    "A continuous log's states outside the grid: error (default), drop (and any moves without support) or nearest."
-)
-STRICT_HELP = "An error, not a warning, for actions of a continuous log that are not in the task's set."
-CALIBRATION_HELP = "Of a continuous task's values: ratio, difference or none; none given: the task's own."
-FLOOR_HELP = "Share of other steps in a continuous simulator (defensive); none: the task's own."
-EPISODES_HELP = "Monte Carlo episodes of each policy in a continuous simulator; none: the task's own (cartpole: 50000)."
-
 
 def is_continuous(spec: str | None) -> bool:
     """Whether ``spec`` names a continuous task."""
@@ -99,7 +82,7 @@ def from_states(
     from oee_tabular.continuous.gymnasium_named import is_continuous_id
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
-    from oee_tabular.continuous.settings import Settings
+    from oee_tabular.continuous.simulator import Settings
 
     plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None}
     for name, plain in plains.items():

@@ -22,11 +22,7 @@ from oee_tabular.continuous import discretization_files
 from oee_tabular.continuous.closure import Closure, measure
 from oee_tabular.continuous.grid import Cells, Places
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import (
-    ContinuousTask,
-    StatePolicy,
-    check_states,
-)
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 

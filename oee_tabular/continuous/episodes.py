@@ -9,17 +9,16 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
-from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states
 from oee_tabular.mdp.horizons import followed
 
 CHUNK = 4096  # episodes of one random stream
 
 
-def _choose(probabilities: Array, rng: np.random.Generator) -> IntArray:
+def _choose(probabilities: Array, uniform: Array) -> IntArray:
     running = np.cumsum(probabilities, axis=1)
-    drawn = rng.random(len(running)) * running[:, -1]
-    return np.asarray((running[:, :-1] <= drawn[:, None]).sum(axis=1), dtype=np.int64)
+    return np.asarray((running[:, :-1] <= (uniform * running[:, -1])[:, None]).sum(axis=1), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def monte_carlo_value(
         alive = np.arange(size)
         states = task.initial_states(size, rng)
         for t in range(steps):
-            actions = _choose(check_probabilities(policy, states, task.n_actions), rng)
+            actions = _choose(check_probabilities(policy, states, task.n_actions), rng.random(len(states)))
             moved = task.step(states, actions, rng)
             total[alive] += gamma**t * moved.reward
             alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
@@ -116,8 +115,7 @@ def paired_returns(
     states, total, alive = task.initial_states(n, numbers[0]), np.zeros(n), np.arange(n)
     for t, stream in enumerate(numbers[1].spawn(horizon)):
         uniform, disturbance = stream.random(n), stream.standard_normal((task.n_disturbances, n)).T
-        running = np.cumsum(check_probabilities(policy, states, task.n_actions), axis=1)
-        actions = (running[:, :-1] <= (uniform[alive] * running[:, -1])[:, None]).sum(axis=1)
+        actions = _choose(check_probabilities(policy, states, task.n_actions), uniform[alive])
         moved = task.moves(states, actions, disturbance[alive])
         total[alive] += discount**t * moved.reward
         alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
@@ -195,7 +193,7 @@ def _episodes(
     rows: list[tuple[object, ...]] = []
     for t in range(steps):
         probabilities = check_probabilities(policy, states, task.n_actions)
-        actions = _choose(probabilities, rng)
+        actions = _choose(probabilities, rng.random(len(states)))
         moved = task.step(states, actions, rng)
         taken = probabilities[np.arange(len(alive)), actions]
         last = np.full(len(alive), t == steps - 1)
@@ -205,8 +203,7 @@ def _episodes(
         alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
         if alive.size == 0:
             break
-    names = ("state", "action", "next_state", "reward", "terminated", "truncated", "episode", "behavior_probability")
-    columns = {name: np.concatenate(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)}
+    columns = {name: np.concatenate(part) for name, part in zip(RECORDED, zip(*rows, strict=True), strict=True)}
     order = np.argsort(columns["episode"], kind="stable")
     return ContinuousTransitions(**{name: column[order] for name, column in columns.items()})
 

@@ -36,14 +36,12 @@ from oee_tabular.continuous.on_cells import (
 from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
-from oee_tabular.continuous.settings import Settings
-from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
+from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.report.evaluation import evaluate
-from oee_tabular.report.report import Report
+from oee_tabular.report.evaluation import Report, evaluate
 
 CALIBRATIONS = (*KINDS, "none")
 ON_GRID, LINEAR = "oee on the grid", "linear model of the log"

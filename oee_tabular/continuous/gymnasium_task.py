@@ -32,9 +32,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular.continuous.gymnasium_chance import Chance, draws_of
-from oee_tabular.continuous.gymnasium_steps import check_steps_of, repeats_at_once
-from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.gymnasium_steps import Chance, check_steps_of, draws_of, repeats_at_once
+from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
 
 FEWEST_AT_ONCE, MOST_AT_ONCE = 16, 4096  # states
@@ -74,9 +73,9 @@ class GymnasiumTask(ContinuousTask):
     Notes
     -----
     Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 by ``make_vector``.
-    The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_chance``), as
-    many as its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives
-    the environment its own generator, ``moves`` one of seed 0.
+    The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance
+    (``gymnasium_steps.Chance``), as many as its checked steps drew. Where it draws others, or steps are not checked, there
+    is no disturbance: ``step`` gives the environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
@@ -192,7 +191,8 @@ class GymnasiumTask(ContinuousTask):
             n = len(part)
             size = 1 << (n - 1).bit_length()
             if size not in self._vectors:
-                self._vectors[size] = self._made_vector(size)
+                assert self._make_vector is not None
+                self._vectors[size] = self._make_vector(size).unwrapped
             envs = self._vectors[size]
             more = np.resize(np.arange(n), size)
             envs.reset(seed=0)  # nothing of the step before is left
@@ -203,10 +203,6 @@ class GymnasiumTask(ContinuousTask):
             parts.append((np.array(envs.state).T[:n], np.asarray(reward)[:n], np.asarray(over)[:n]))
         following, reward, over = (np.concatenate(column) for column in zip(*parts, strict=True))
         return Moves(following.astype(np.float64), reward.astype(np.float64), over.astype(np.bool_))
-
-    def _made_vector(self, size: int) -> Any:
-        assert self._make_vector is not None
-        return self._make_vector(size).unwrapped
 
     def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
@@ -259,17 +255,17 @@ class GymnasiumTask(ContinuousTask):
         env = self._make()
         env.reset(seed=int(rng.integers(2**31)))
         inner = env.unwrapped
-        columns: list[list[object]] = [[] for _ in range(8)]
+        columns: list[list[object]] = [[] for _ in RECORDED]
         episode, t = 0, 0
         inner.reset()
         for row in range(rows):
-            state = np.array(self.read(env), dtype=np.float64)
+            state = self.read(env)
             probabilities = check_probabilities(policy, state[None], self.n_actions)[0]
             action = int(np.searchsorted(np.cumsum(probabilities), rng.random() * probabilities.sum(), side="right"))
             _, reward, over, cut, _ = inner.step(self.command(action))
             t += 1
             stop = not over and (cut or t == steps or row == rows - 1)
-            following = np.array(self.read(env), dtype=np.float64)
+            following = self.read(env)
             values = (state, action, following, reward, over, stop, episode, probabilities[action])
             for column, value in zip(columns, values, strict=True):
                 column.append(value)
@@ -277,17 +273,7 @@ class GymnasiumTask(ContinuousTask):
                 inner.reset()
                 episode, t = episode + 1, 0
         env.close()
-        names = (
-            "state",
-            "action",
-            "next_state",
-            "reward",
-            "terminated",
-            "truncated",
-            "episode",
-            "behavior_probability",
-        )
-        return ContinuousTransitions(**dict(zip(names, map(np.array, columns), strict=True)))
+        return ContinuousTransitions(**dict(zip(RECORDED, map(np.array, columns), strict=True)))
 
     def command(self, number: int) -> Any:
         """What is passed to the environment's ``step``."""

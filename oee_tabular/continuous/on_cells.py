@@ -22,8 +22,7 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.estimators import Calibrated, MonteCarloValue, Plain, Possible, Supported
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.sentences import described, left_out
-from oee_tabular.continuous.settings import Settings
-from oee_tabular.continuous.simulator import ContinuousSimulator
+from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
 from oee_tabular.continuous.support import within_support
 from oee_tabular.continuous.task import StatePolicy
 from oee_tabular.data import Transitions

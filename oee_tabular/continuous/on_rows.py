@@ -16,8 +16,8 @@ from oee_tabular.continuous.task import StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.report.evaluation import Report
 from oee_tabular.report.quoting import quoted, sentences
-from oee_tabular.report.report import Report
 from oee_tabular.report.results import Result
 from oee_tabular.report.sureness import Sureness
 

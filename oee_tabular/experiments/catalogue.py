@@ -1,14 +1,24 @@
-"""All experiments by id."""
+"""All experiments by id; ``oee reproduce``: choose, run, write."""
+
+from __future__ import annotations
 
 import importlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
+from oee_tabular import _files
+from oee_tabular.experiments import output as out
 from oee_tabular.experiments.convergence import MISSPECIFIED, RATE
 from oee_tabular.experiments.efficiency import COLLECTION, EFFICIENCY
 from oee_tabular.experiments.figure_1a import FIGURE_1A, NETWORKS
 from oee_tabular.experiments.figure_1bcd import ESTIMANDS, FIGURE_1BCD
 from oee_tabular.experiments.horizons import DATA_POLICY, HORIZON_EXPERIMENT
 from oee_tabular.experiments.programs import LAMBDA, NORMALISATION, RENYI
-from oee_tabular.experiments.registry import Registry
+from oee_tabular.experiments.registry import Experiment, Registry
+from oee_tabular.experiments.run import require_modules, run_experiment
+from oee_tabular.experiments.store import Store, alone
 from oee_tabular.experiments.sureness import COVERAGE, COVERAGE_LAKE
 from oee_tabular.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
 
@@ -22,3 +32,66 @@ EXPERIMENTS = Registry(
         WING.RESIDUAL_COVERAGE,
     ]
 )  # fmt: skip
+
+
+def listing() -> str:
+    """Ids, cells of the full sweep, and titles, by group."""
+    lines, group = [], ""
+    for experiment in EXPERIMENTS:
+        if experiment.group != group:
+            group = experiment.group
+            lines.append(f"{group}:")
+        cells = len(experiment.settings().cells())
+        lines.append(f"  {experiment.id:<14} {cells:>5} cells  {experiment.title}")
+    return "\n".join(lines)
+
+
+def reproduce(
+    names: Sequence[str],
+    *,
+    everything: bool,
+    smoke: bool,
+    seeds: int | None,
+    seed: int,
+    jobs: int,
+    dask: str | None,
+    output: Path,
+    fresh: bool,
+    say: Callable[[str], None],
+) -> None:
+    """Run the experiments one after the other; the folder's index is written last.
+
+    An experiment whose extra is not installed is left out with a sentence, and an error where nothing else was asked for.
+    Folders with other settings are refused before anything runs.
+    """
+    if seeds is not None and seeds < 1:
+        raise ValueError(f"--seeds must be at least 1; got {seeds}")
+    _files.local(output)
+    chosen: list[Experiment] = []
+    left_out: list[ImportError] = []
+    for experiment in EXPERIMENTS.choose(names, everything=everything):
+        try:
+            require_modules(experiment)
+        except ImportError as error:
+            left_out.append(error)
+        else:
+            chosen.append(experiment)
+    if left_out and not chosen:
+        raise left_out[0]
+    folder = output / "smoke" if smoke else output
+    settings = {e.id: e.settings(smoke=smoke, repetitions=seeds, seed=seed) for e in chosen}
+    if not fresh:
+        for experiment in chosen:
+            Store(folder / experiment.id, settings[experiment.id])
+    for experiment in chosen:
+        start = time.perf_counter()
+        own, asked = folder / experiment.id, settings[experiment.id]
+        with alone(own):
+            sweep = run_experiment(
+                experiment, own, asked, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty()
+            )
+            out.write(experiment, Store(own, asked))
+        say(f"{sweep} ({time.perf_counter() - start:.0f} s)")
+    say(f"Index: {out.index(folder, EXPERIMENTS)}")
+    for sentence in left_out:
+        say(f"Left out: {sentence}")

@@ -62,9 +62,9 @@ def span(table: pd.DataFrame, x: str = "n") -> str:
     return f"At {x} = {first}" if first == last else f"From {x} = {first} to {last}"
 
 
-def course(rows: pd.DataFrame, y: str = "error", x: str = "n", how: Callable[[Any], float] = np.mean) -> str:
-    """How a curve goes from its first point to its last: "falls 13 times to 0.0018"; "is 0.02", if it has only one."""
-    ends = rows.groupby(x)[y].apply(how)
+def course(rows: pd.DataFrame, how: Callable[[Any], float] = np.mean) -> str:
+    """How the error goes from the first n to the last: "falls 13 times to 0.0018"; "is 0.02", if it has only one."""
+    ends = rows.groupby("n")["error"].apply(how)
     first, last = float(ends.iloc[0]), float(ends.iloc[-1])
     if len(ends) == 1:
         return f"is {number(last)}"

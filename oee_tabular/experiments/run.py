@@ -109,13 +109,15 @@ def run_experiment(
     """
     if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
+    from tqdm import tqdm
+
     require_modules(experiment)
     with _backend(jobs, dask) as parallel:
         store = Store(folder, settings, fresh=fresh)
         store.open()
         todo = store.missing()
         total = len(settings.cells())
-        bar = _bar(experiment.id, total, total - len(todo), progress)
+        bar = tqdm(total=total, initial=total - len(todo), desc=experiment.id, unit="cell", disable=not progress)
         try:
             _compute(experiment, settings, store, todo, parallel, bar)
         finally:
@@ -203,9 +205,3 @@ def _check_workers(client: Any) -> None:
         if isinstance(found, BaseException):
             raise RuntimeError(f"the worker at {address} cannot import oee_tabular: {found}")
         refuse_other_code(found, code_version())
-
-
-def _bar(name: str, total: int, done: int, progress: bool) -> Any:
-    from tqdm import tqdm
-
-    return tqdm(total=total, initial=done, desc=name, unit="cell", disable=not progress)

@@ -4,9 +4,8 @@ Colours are Okabe and Ito's, which colour-blind readers can tell apart; markers 
 with units. ``figure_png`` and ``figure_svg`` make a file's content of what a function draws.
 """
 
-from oee_tabular.plots.curves import plot_curves, plot_errors, plot_variance_growth
+from oee_tabular.plots.curves import label_ends, plot_curves, plot_errors, plot_variance_growth
 from oee_tabular.plots.grids import plot_coverage, plot_grid, plot_occupancy, plot_ratio
-from oee_tabular.plots.labels import label_ends
 from oee_tabular.plots.maps import Map, detect_grid, map_of
 from oee_tabular.plots.style import COLORS, LINES, MARKERS, figure_png, figure_svg
 from oee_tabular.plots.values import plot_intervals, plot_states, plot_values

@@ -64,10 +64,7 @@ def plot_grid(
     ax.set_ylim(rows, 0)
     ax.set_aspect("equal")
     if crossed is not None:
-        mask = np.asarray(crossed, dtype=np.bool_).reshape(-1)
-        if mask.shape != (n_states,):
-            raise ValueError(f"crossed must have {n_states} entries, one a state; it has {mask.size}")
-        row, column = np.divmod(places.cell[mask & (places.cell >= 0)], columns)
+        row, column = np.divmod(places.cell[_mask(crossed, n_states, "crossed") & (places.cell >= 0)], columns)
         size = min(9.0, 120.0 / max(rows, columns))
         for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
             ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
@@ -152,7 +149,7 @@ def plot_coverage(
     given = _checks.float_array(counts, "counts", ndim=(1, 2))
     _checks.require_nonnegative(given, "counts")
     seen = _states(given.sum(axis=1) if given.ndim == 2 else given, n_states, "counts")
-    ended = _mask(over, n_states)
+    ended = _mask(over, n_states, "over")
     most = max(float(seen.max()), 1.0)
     top = 10.0 ** max(1.0, np.ceil(np.log10(most)))
     ticks = [10.0**k for k in range(round(np.log10(top)) + 1)]
@@ -191,10 +188,10 @@ def plot_occupancy(
 
     n_states = len(as_map(shape).cell)
     share = 100.0 * _states(time, n_states, "time")
-    ended = _mask(over, n_states)
+    ended = _mask(over, n_states, "over")
     share = np.where(ended, np.nan, share)
     most = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
-    crossed = _mask(unseen, n_states) & ~ended
+    crossed = _mask(unseen, n_states, "unseen") & ~ended
     words = ["end" if e else "" if c else _percent(s) for s, e, c in zip(share, ended, crossed, strict=True)]
     norm = PowerNorm(0.5, 0.0, most if most > 0 else 1.0)
     return plot_grid(share, shape, ax, label=label, norm=norm, text=words, crossed=crossed)
@@ -236,8 +233,8 @@ def _states(values: object, n_states: int, name: str) -> Array:
     return array
 
 
-def _mask(mask: object, n_states: int) -> Any:
+def _mask(mask: object, n_states: int, name: str) -> Any:
     found = np.zeros(n_states, dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_).reshape(-1)
     if found.size != n_states:
-        raise ValueError(f"over must have {n_states} entries, one a cell of the grid; it has {found.size}")
+        raise ValueError(f"{name} must have {n_states} entries, one a state; it has {found.size}")
     return found

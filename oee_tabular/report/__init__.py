@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _moved
 from oee_tabular.report.contest import Contest, contest
-from oee_tabular.report.evaluation import evaluate
+from oee_tabular.report.evaluation import Report, evaluate
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.report import Report
 from oee_tabular.report.results import Result
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.settings import Settings
+    from oee_tabular.continuous.simulator import Settings
 
 __all__ = [
     "Contest",

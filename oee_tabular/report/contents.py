@@ -73,19 +73,16 @@ def answers(report: Evaluation) -> list[Answer]:
         first = headline(own)
         best = rows[report.results.index(first)]
         alone = next((r.estimate.value * report.scale for r in own if not r.estimate.basis.log), None)
+        sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
+        unseen = 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
         found.append(
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
-                alone, best["true_value"], best.get("coverage"), _unseen(report, policy),
+                alone, best["true_value"], best.get("coverage"), unseen,
                 sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log,
             )
         )  # fmt: skip
     return found
-
-
-def _unseen(report: Evaluation, policy: str) -> int:
-    sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
-    return 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
 
 
 def sentence(text: str) -> str:
@@ -136,14 +133,12 @@ def method_facts(report: Evaluation) -> list[tuple[str, str]]:
     """How it was computed."""
     facts = report.facts
     names = list(dict.fromkeys(result.estimator for result in report.results))
-    found = [("A value is", f"{report.unit} ({'normalised' if report.normalized else 'not normalised'})")]
-    found.append(("Simulator", str(facts["simulator"])))
-    if "simulator_name" in facts:
-        found.append(("Simulator from", str(facts["simulator_name"])))
-    found.append(("Log of the target", str(facts["log"])))
-    if "log_name" in facts:
-        found.append(("Log from", str(facts["log_name"])))
-    found += [
+    found = [
+        ("A value is", f"{report.unit} ({'normalised' if report.normalized else 'not normalised'})"),
+        ("Simulator", facts["simulator"]),
+        ("Simulator from", facts.get("simulator_name")),
+        ("Log of the target", facts["log"]),
+        ("Log from", facts.get("log_name")),
         ("Rewards paid by models", "the log's mean where it has any" if facts.get("rewards") == "log" else "the simulator's"),
         ("Horizon", "infinite" if report.horizon is None else f"{report.horizon} rewards"),
         ("Discount", f"{report.discount:g}"),
@@ -152,9 +147,11 @@ def method_facts(report: Evaluation) -> list[tuple[str, str]]:
     ]  # fmt: skip
     if "policy_names" in facts:
         found.append(("Policies from", ", ".join(f"{name}: {spec}" for name, spec in facts["policy_names"].items())))
+    told = [(name, str(value)) for name, value in found if value is not None]
     known = {"simulator", "simulator_name", "log", "log_name", "rewards", "policy_names", "date", "discount"}
-    found += [(str(key).replace("_", " "), str(value)) for key, value in facts.items() if key not in known and value]
-    return found
+    return told + [
+        (str(key).replace("_", " "), str(value)) for key, value in facts.items() if key not in known and value
+    ]
 
 
 def seed_words(seed: object) -> str:

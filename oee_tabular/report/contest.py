@@ -15,6 +15,7 @@ from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.inference import Comparison, Interval
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.report.quoting import LIKELIHOOD, quoted
+from oee_tabular.report.results import aligned
 from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked
 
 
@@ -60,6 +61,7 @@ class Contest:
         found = self.comparison
         policies, differences = [], []
         leader = next(iter(self.values))
+        told = found.unseen_share.max() <= 1.0 - ENOUGH  # else the draws behind P(best) say nothing
         for name, value in self.values.items():
             i, ends = found.names.index(name), self._interval(name)
             policies.append(
@@ -68,7 +70,7 @@ class Contest:
                     "value": value,
                     "lower": None if ends is None else ends.lower,
                     "upper": None if ends is None else ends.upper,
-                    "probability_best": self._probability(i),
+                    "probability_best": float(found.probability_best[i]) if told else None,
                     "unseen_share": float(found.unseen_share[i]),
                 }
             )
@@ -86,15 +88,13 @@ class Contest:
     def __str__(self) -> str:
         head = ["policy", "value", f"{self.confidence:.0%} interval", "P(best)", "unseen", "less than the best by"]
         body = [self._row(record) for record in self.to_dict()["policies"]]
-        widths = [max(len(row[k]) for row in (head, *body)) for k in range(len(head))]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (head, *body)]
         told = [
             f"Values: {_printing.SUM}, as oee evaluate gives them (oee); their intervals by the likelihood, those of "
             f"differences by the log's frequencies, for all at once, at {self.confidence:.0%}. unseen: share of the policy's "
             "time of which the log says nothing"
             + ("; beyond 10% there is no P(best)." if "-" in [row[3] for row in body] else ".")
         ]
-        return "\n".join([self.sentence, "", *(line.rstrip() for line in lines), "", *told])
+        return "\n".join([self.sentence, "", *aligned([head, *body], numeric_from=len(head)), "", *told])
 
     def _row(self, record: Mapping[str, Any]) -> list[str]:
         leader, ends = next(iter(self.values)), self._interval(record["policy"])
@@ -124,11 +124,6 @@ class Contest:
     def _interval(self, name: str) -> Interval | None:
         found = self.sureness.intervals.get(name, {}).get(LIKELIHOOD)
         return found if found is not None and found.status == "ok" else None
-
-    def _probability(self, i: int) -> float | None:
-        """None where the draws behind it say nothing: some policy's time is not in the log."""
-        found = self.comparison
-        return float(found.probability_best[i]) if found.unseen_share.max() <= 1.0 - ENOUGH else None
 
 
 @one_thread

@@ -157,7 +157,7 @@ class Evaluation:
 
     def __str__(self) -> str:
         body = [self._cells(row) for row in self.records()]
-        lines = _aligned([self._header(), *body], numeric_from=2)
+        lines = aligned([self._header(), *body], numeric_from=2)
         lines.insert(1, "-" * max(len(line) for line in lines))
         text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}", "", *lines]
         if self._legend():
@@ -253,7 +253,8 @@ def diagnostic_cells(row: Mapping[str, Any]) -> list[str]:
     return ["" if row.get(key) is None else words(row[key]) for key, _, words in COLUMNS]
 
 
-def _aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
+    """The lines of a table; columns from ``numeric_from`` on stand to the right."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [
         "  ".join(

@@ -84,6 +84,7 @@ def how_sure(
         lacking = f"the reachable moves are {moves}, more than {LARGEST}"
     if lacking and guaranteed:
         raise ValueError(f"guaranteed must be False here: {lacking}")
+    methods: tuple[Literal["likelihood", "robust"], ...] = ("likelihood", "robust") if guaranteed else ("likelihood",)
     intervals: dict[str, dict[str, Interval]] = {}
     distance = [SOFT if soft else _distance(evidence)]
     if lacking and not soft:
@@ -91,7 +92,7 @@ def how_sure(
     elif not soft:
         for i, (name, policy) in enumerate(policies.items()):
             _progress.doing(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
-            intervals[name] = _intervals(problem, policy, confidence, guaranteed)
+            intervals[name] = {m: interval(problem, policy, method=m, confidence=confidence) for m in methods}
     _progress.doing("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
@@ -102,11 +103,6 @@ def how_sure(
         next="" if endless else advice(problem, policies, confidence),
         comparison=compare_policies(problem, policies, confidence=each) if several else None,
     )
-
-
-def _intervals(problem: Problem, policy: Array, confidence: float, guaranteed: bool) -> dict[str, Interval]:
-    methods: tuple[Literal["likelihood", "robust"], ...] = ("likelihood", "robust") if guaranteed else ("likelihood",)
-    return {method: interval(problem, policy, method=method, confidence=confidence) for method in methods}
 
 
 def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _moved
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert, gridworld_policy
-from oee_tabular.tasks.recording import record_episodes
 from oee_tabular.tasks.specs import NamedTask, named_task
-from oee_tabular.tasks.toy_text import make_environment, toy_text
+from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.cartpole.dynamics import CartPole
@@ -24,18 +23,16 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.history import HistoryTask
     from oee_tabular.continuous.interpolation import GridInterpolation
     from oee_tabular.continuous.kinova.dynamics import KinovaArm
-    from oee_tabular.continuous.kinova.expert import kinova_policy
     from oee_tabular.continuous.kinova.grid import kinova_model
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
-    from oee_tabular.continuous.kinova.logs import hand_log, load_kinova_log, record_goals
+    from oee_tabular.continuous.kinova.logs import hand_log, kinova_policy, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
-    from oee_tabular.continuous.settings import Settings
-    from oee_tabular.continuous.simulator import ContinuousSimulator
+    from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
     from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 

@@ -1,13 +1,19 @@
-"""Gymnasium's toy-text environments, by id and keyword arguments."""
+"""Gymnasium's toy-text environments, by id and keyword arguments; logs by stepping one through its own ``step``."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from oee_tabular import _checks
+from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.policy_forms import policy_table
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
@@ -79,3 +85,122 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> Fi
         raise ValueError(f"environment {identifier!r}{said} is no finite MDP: {error}") from None
     finally:
         env.close()
+
+
+def record_episodes(
+    env: object,
+    policy: PolicyLike,
+    *,
+    n_transitions: int | None = None,
+    n_episodes: int | None = None,
+    max_steps: int | None = None,
+    seed: Seed = None,
+) -> Transitions:
+    """Step ``env`` under ``policy`` and write down what it does.
+
+    Nothing of our own sampler is used: the log is evidence about the environment itself.
+
+    Parameters
+    ----------
+    env : Gymnasium environment with discrete observations and actions
+    policy : (S, A), or an action for each observation, a mapping, or a function of the observation (``mdp.check_policy``)
+        Rows sum to 1; S at least the number of observations (twins of a FiniteMDP may follow).
+    n_transitions, n_episodes : positive int
+        Exactly one of them. With n_transitions the last episode is truncated where the log ends.
+    max_steps : positive int, optional
+        Truncate episodes here, besides the environment's own limit (some have none).
+    seed : anything that ``numpy.random.default_rng`` takes
+        For the actions and for the first ``env.reset``.
+
+    Returns
+    -------
+    Transitions
+        With rewards, termination, truncation, episodes and the probabilities of the actions taken.
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import make_environment
+    >>> env = make_environment("FrozenLake-v1", is_slippery=False)
+    >>> record_episodes(env, np.full((16, 4), 0.25), n_episodes=3, seed=0)
+    Transitions(40 transitions in 3 episodes of 7 to 24 steps: 3 terminated, 0 truncated;
+                states 0..11, actions 0..3; rewards 0 to 0; behaviour probabilities)
+    """
+    if (n_transitions is None) == (n_episodes is None):
+        raise ValueError("one of n_transitions and n_episodes must be given")
+    limit = None if n_transitions is None else _checks.positive_integer(n_transitions, "n_transitions")
+    _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
+    episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
+    longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
+    pi = _table(policy, *_sizes(env))
+    rows = _stepped(env, pi, limit, episodes, longest, _checks.generator(seed))
+    states, actions, following_states, rewards, terminations, truncations, numbers = map(
+        np.array, zip(*rows, strict=True)
+    )
+    truncations[-1] |= not terminations[-1]
+    return Transitions(
+        states,
+        actions,
+        following_states,
+        rewards,
+        terminated=terminations,
+        truncated=truncations & ~terminations,
+        episode=numbers,
+        behavior_probability=pi[states, actions],
+    )
+
+
+def _stepped(
+    env: Any, pi: Array, limit: int | None, episodes: int | None, longest: int | None, generator: np.random.Generator
+) -> list[tuple[int, int, int, float, bool, bool, int]]:
+    """Rows s, a, s', r, terminated, truncated, episode: ``limit`` of them, or those of so many ``episodes``."""
+    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
+
+    cumulative = np.cumsum(pi, axis=1)
+    cumulative /= cumulative[:, -1:]
+    rows: list[tuple[int, int, int, float, bool, bool, int]] = []
+    episode, over, steps, state = 0, True, 0, 0
+    first_seed: int | None = int(generator.integers(2**31))
+    progress = tqdm(total=limit or episodes, desc="recording", disable=None, delay=1.0, leave=False)
+    while True:
+        if over:
+            if episodes is not None and episode == episodes:
+                break
+            state = int(env.reset(seed=first_seed)[0])
+            first_seed = None
+        action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
+        following, reward, terminated, truncated, _ = env.step(action)
+        rows.append((state, action, int(following), float(reward), bool(terminated), bool(truncated), episode))
+        over = bool(terminated or truncated)
+        steps += 1
+        if longest is not None and steps == longest and not over:
+            rows[-1] = (*rows[-1][:5], True, episode)
+            over = True
+        steps = 0 if over else steps
+        state = int(following)
+        episode += over
+        progress.update(1 if limit is not None else int(over))
+        if limit is not None and len(rows) == limit:
+            break
+    progress.close()
+    return rows
+
+
+def _table(policy: PolicyLike, n_states: int, n_actions: int) -> Array:
+    """A policy, an action for each observation, a mapping or a function of them, as (S, A); S may be more."""
+    numbered = SimpleNamespace(n_states=n_states, n_actions=n_actions, terminal_state=np.arange(n_states))
+    pi = _checks.float_array(policy_table(policy, numbered, "policy"), "policy", ndim=2)
+    if pi.shape[0] < n_states or pi.shape[1] != n_actions:
+        raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
+    _checks.require_nonnegative(pi, "policy")
+    _checks.require_sums_to_one(pi.sum(axis=1), "policy")
+    return pi
+
+
+def _sizes(env: object) -> tuple[int, int]:
+    sizes = []
+    for name in ("observation_space", "action_space"):
+        space: object = getattr(env, name, None)
+        if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
+            raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
+        sizes.append(int(space.n))
+    return sizes[0], sizes[1]

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import _progress
 from oee_tabular.cli import main
-from oee_tabular.cli.answers import SHAPES
-from oee_tabular.cli.app import app
+from oee_tabular.cli.commands import app
+from oee_tabular.cli.options import SHAPES
 
 OWN = '''
 import gymnasium, numpy as np, oee_tabular as oee

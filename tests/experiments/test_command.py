@@ -5,7 +5,7 @@ import re
 import pytest
 
 from oee_tabular.cli import main
-from oee_tabular.experiments import command
+from oee_tabular.experiments import catalogue
 from oee_tabular.experiments.catalogue import EXPERIMENTS
 from oee_tabular.experiments.registry import Experiment, Registry
 
@@ -68,13 +68,13 @@ def test_other_settings_are_refused_before_anything_runs(tmp_path, capsys):
 def test_an_experiment_without_its_extra_is_left_out_with_a_sentence_and_refused_alone(tmp_path, monkeypatch):
     known = EXPERIMENTS["estimands"]
     lacking = Experiment(**{**known.__dict__, "id": "arm", "requires": ("no_such_module",)})
-    monkeypatch.setattr(command, "EXPERIMENTS", Registry([known, lacking]))
+    monkeypatch.setattr(catalogue, "EXPERIMENTS", Registry([known, lacking]))
     told = []
     options = {"smoke": True, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False, "say": told.append}
     for names, everything in (([], True), (["estimands", "arm"], False)):
         told.clear()
-        command.reproduce(names, everything=everything, output=tmp_path, **options)
+        catalogue.reproduce(names, everything=everything, output=tmp_path, **options)
         assert (tmp_path / "smoke" / "estimands" / "summary.md").is_file()
         assert told[-1].startswith("Left out: arm needs no_such_module, which is not installed")
     with pytest.raises(ImportError, match="arm needs no_such_module"):
-        command.reproduce(["arm"], everything=False, output=tmp_path, **options)
+        catalogue.reproduce(["arm"], everything=False, output=tmp_path, **options)

@@ -11,7 +11,7 @@ import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.plots.style import COLORS, places, series
-from oee_tabular.report import inputs
+from oee_tabular.report import page
 from oee_tabular.report.contents import answers, first_words
 
 
@@ -24,33 +24,33 @@ EXPERT = {"expert": oee.tasks.gridworld_expert(3)}
 
 
 def test_the_hash_tells_inputs_apart_and_nothing_else():
-    same = inputs.fingerprint(problem(), EXPERT)
+    same = page.fingerprint(problem(), EXPERT)
     assert re.fullmatch("[0-9a-f]{8}", same)
-    assert same == inputs.fingerprint(problem(), {"expert": np.array(EXPERT["expert"])})
+    assert same == page.fingerprint(problem(), {"expert": np.array(EXPERT["expert"])})
     others = [
-        inputs.fingerprint(problem(slip=0.31), EXPERT),
-        inputs.fingerprint(problem(seed=1), EXPERT),
-        inputs.fingerprint(problem(horizon=9), EXPERT),
-        inputs.fingerprint(problem(), {"other": EXPERT["expert"]}),
-        inputs.fingerprint(problem(), {"expert": oee.tasks.gridworld_policy(3, 0.5)}),
+        page.fingerprint(problem(slip=0.31), EXPERT),
+        page.fingerprint(problem(seed=1), EXPERT),
+        page.fingerprint(problem(horizon=9), EXPERT),
+        page.fingerprint(problem(), {"other": EXPERT["expert"]}),
+        page.fingerprint(problem(), {"expert": oee.tasks.gridworld_policy(3, 0.5)}),
     ]
     assert len({same, *others}) == 6
 
 
 def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatch):
-    monkeypatch.delenv(inputs.EPOCH, raising=False)
+    monkeypatch.delenv(page.EPOCH, raising=False)
     old, new = tmp_path / "old.npz", tmp_path / "new.npz"
     for path, day in ((old, 100), (new, 365)):
         path.touch()
         os.utime(path, (day * 86400, day * 86400))
-    assert inputs.date_of([new, old, "gridworld:3"]) == "1 January 1971"
-    assert inputs.date_of(["expert"]) == ""
+    assert page.date_of([new, old, "gridworld:3"]) == "1 January 1971"
+    assert page.date_of(["expert"]) == ""
     report = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"})
-    assert inputs.date(report) == "1 January 1971"
-    monkeypatch.setenv(inputs.EPOCH, str(400 * 86400))
-    assert inputs.date(report) == "5 February 1971"
+    assert page.date(report) == "1 January 1971"
+    monkeypatch.setenv(page.EPOCH, str(400 * 86400))
+    assert page.date(report) == "5 February 1971"
     assert "5 February 1971" in report.to_html()
-    monkeypatch.setenv(inputs.EPOCH, "soon")
+    monkeypatch.setenv(page.EPOCH, "soon")
     with pytest.raises(
         ValueError, match="SOURCE_DATE_EPOCH must be a whole number of seconds since 1970; it is 'soon'"
     ):
@@ -92,9 +92,9 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypat
 
 def test_from_python_the_page_names_the_call():
     report = oee.evaluate(problem(), EXPERT, estimators=["oee"])
-    assert inputs.plan_command(report) == "oee.plan_data_collection(problem, {'expert': ...}, n=60)"
+    assert page.plan_command(report) == "oee.plan_data_collection(problem, {'expert': ...}, n=60)"
     told = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"simulator_name": "cartpole"})
-    assert inputs.plan_command(told) == ""
+    assert page.plan_command(told) == ""
 
 
 def test_a_title_needs_a_page(capsys):

@@ -90,13 +90,9 @@ class CartPole(ContinuousTask):
 
     def initial_points(self) -> tuple[Array, Array]:
         """The uniform distribution as a regular lattice: 64 midpoints in each of theta and theta' (12 each in 4-D)."""
-        if self.form == "angle":
-            line = START * ((2.0 * np.arange(64) + 1.0) / 64 - 1.0)
-            angles = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-            points = self.embed(angles)
-        else:
-            line = START * ((2.0 * np.arange(12) + 1.0) / 12 - 1.0)
-            points = np.stack(np.meshgrid(line, line, line, line, indexing="ij"), axis=-1).reshape(-1, 4)
+        k, n = len(self.feature_names), 64 if self.form == "angle" else 12
+        line = START * ((2.0 * np.arange(n) + 1.0) / n - 1.0)
+        points = self.embed(np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k))
         return points, np.full(len(points), 1.0 / len(points))
 
     def terminated(self, states: Array) -> BoolArray:

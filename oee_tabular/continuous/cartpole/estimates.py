@@ -26,7 +26,7 @@ from oee_tabular.continuous.cartpole.expert import cartpole_policy
 from oee_tabular.continuous.cartpole.truth import DELTAS, HORIZON, SIMULATED
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.gymnasium_task import GymnasiumTask
+from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
 from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import frequencies, staying
@@ -63,25 +63,9 @@ def target_log(kind: str, gravity: float, n: int, generator: np.random.Generator
     """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's noise) or "gymnasium" (stepped, no noise)."""
     policy = cartpole_policy(behavior)
     if kind == "gymnasium":
-        return gymnasium_task(gravity).record(policy, n_transitions=n, max_steps=HORIZON, seed=generator)
+        task: Any = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task
+        return task.record(policy, n_transitions=n, max_steps=HORIZON, seed=generator)
     return record(CartPole(gravity), policy, n_transitions=n, max_steps=HORIZON, seed=generator)
-
-
-def gymnasium_task(gravity: float) -> GymnasiumTask:
-    """Gymnasium's own CartPole-v1 under another gravity."""
-    import gymnasium
-
-    def make() -> Any:
-        env: Any = gymnasium.make("CartPole-v1")
-        env.unwrapped.gravity = gravity
-        return env
-
-    def write(env: Any, state: Array) -> None:
-        env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
-
-    ends = np.array([2.4, 3.0, 0.21, 3.2])
-    return GymnasiumTask(make, state_names=("x", "x_dot", "theta", "theta_dot"), actions=[0, 1], low=-ends, high=ends,
-                         get_state=lambda env: env.unwrapped.state, set_state=write)  # fmt: skip
 
 
 # ---- models of the log -----------------------------------------------------------------------------------------------------

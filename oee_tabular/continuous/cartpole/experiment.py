@@ -41,7 +41,7 @@ def rows_of(values: dict[str, Array], case: str, gravity: float, found: Correcte
     """A row for each estimator: its mean |error| over the policies, and value and truth of each."""
     truth = cartpole_truth.values(case, gravity)
     facts: Row = {f"truth_{delta:g}": value for delta, value in zip(DELTAS, truth, strict=True)}
-    facts["truth_standard_error"] = float(cartpole_truth.standard_errors(case, gravity).max())
+    facts["truth_standard_error"] = float(cartpole_truth.values(case, gravity, "standard_error").max())
     if found is not None:
         facts |= {"visited": float(found.zeta.visited.mean()), "largest_zeta": float(found.zeta.values.data.max())}
     return [

@@ -63,19 +63,10 @@ def table() -> pd.DataFrame:
         return pd.read_csv(handle)
 
 
-def values(case: str, gravity: float) -> Array:
-    """(6,) values at each of ``DELTAS``."""
-    return _column("value", case, gravity)
-
-
-def standard_errors(case: str, gravity: float) -> Array:
-    """(6,) their standard errors."""
-    return _column("standard_error", case, gravity)
-
-
-def _column(name: str, case: str, gravity: float) -> Array:
+def values(case: str, gravity: float, column: str = "value") -> Array:
+    """(6,) values at each of ``DELTAS``, or their standard errors."""
     found = table()
-    own = found[(found.case == case) & (found.gravity == gravity)].set_index("delta")[name]
+    own = found[(found.case == case) & (found.gravity == gravity)].set_index("delta")[column]
     return np.asarray(own.reindex(DELTAS), dtype=np.float64)
 
 

@@ -32,10 +32,16 @@ from oee_tabular.continuous.kinova.dynamics import (
     end_effector,
     require_mujoco,
 )
-from oee_tabular.continuous.kinova.expert import KinovaPolicy, kinova_policy
 from oee_tabular.continuous.kinova.grid import box_policy, displacement_tie, goal_costs, kinova_model, move_counts
 from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, ideal_hand
-from oee_tabular.continuous.kinova.logs import HORIZON, hand_log, load_kinova_log, record_goals
+from oee_tabular.continuous.kinova.logs import (
+    HORIZON,
+    KinovaPolicy,
+    hand_log,
+    kinova_policy,
+    load_kinova_log,
+    record_goals,
+)
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.simulator import ContinuousSimulator
 from oee_tabular.continuous.support import within_support

@@ -30,7 +30,7 @@ from oee_tabular.continuous.kinova.dynamics import (
     KinovaArm,
     goal_number,
 )
-from oee_tabular.continuous.kinova.expert import kinova_policy
+from oee_tabular.continuous.kinova.logs import kinova_policy
 from oee_tabular.continuous.task import Moves
 
 WIDER = 2.0  # its scatter beside the simulator's
