@@ -25,11 +25,10 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.design.advice import next_pairs
-from oee_tabular.design.costs import row_costs
+from oee_tabular.design.costs import next_pairs, row_costs
 from oee_tabular.design.flow import certify, collection_mdp, flow_design, policy_of
 from oee_tabular.design.plan import Outlook, Plan
-from oee_tabular.design.programs import Design, evaluate, fill, free_design
+from oee_tabular.design.programs import Design, conic_design, evaluate, fill, free_design
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
@@ -223,8 +222,6 @@ def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list
 
 
 def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
-    from oee_tabular.design.statements import conic_design
-
     q, weights = conic_design(costs, base, collection)
     if collection is not None:
         return certify(collection, costs, base, q, weights, "CLARABEL")

@@ -12,8 +12,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import EPISODES, Estimate, effective_sample_size
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators.base import EPISODES, Estimate, ExactLimit, effective_sample_size
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments

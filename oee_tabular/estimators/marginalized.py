@@ -11,8 +11,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Estimate, without_divergence
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, expected_rewards, without_divergence
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy

@@ -13,8 +13,15 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import ROUNDING, Basis, Estimate, without_divergence
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
+from oee_tabular.estimators.base import (
+    OF_COUNTS,
+    ROUNDING,
+    Basis,
+    Estimate,
+    ExactLimit,
+    expected_rewards,
+    without_divergence,
+)
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient

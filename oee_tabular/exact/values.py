@@ -144,7 +144,7 @@ def _certified(
 ) -> PolicyValues:
     """The same to the last bit, from what the rounding of the kernel and the rewards left."""
     from oee_tabular.exact import _twofold
-    from oee_tabular.exact.certified import solve_certified
+    from oee_tabular.exact.linear import solve_certified
 
     rows, largest = rows_of(model.transitions), float(np.abs(policy * paid).sum(axis=1).max())
     lost, widest = np.zeros_like(paid), 0

@@ -9,8 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular.mdp.policy_forms import are_several, is_policy_by_state, policy_table
-from oee_tabular.mdp.policy_tables import Sized
+from oee_tabular.mdp.policy_forms import Sized, are_several, is_policy_by_state, policy_table
 
 
 def require_sized(mdp: object) -> None:

@@ -29,8 +29,7 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU
-from oee_tabular.exact.solvers.library import SuperLU
+from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU, SuperLU
 from oee_tabular.exact.solvers.value_iteration import ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
