@@ -234,8 +234,7 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
         return np.zeros(problem.n_states * problem.n_actions), problem, optional_steps(horizon, problem)
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem or a FiniteMDP; got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ValueError(
             f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {horizon}"

@@ -28,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, Box
-from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums, row_variances
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
@@ -78,8 +78,7 @@ def row_costs(
     table = np.zeros((len(policies), reference.shape[0]))
     for k, policy in enumerate(policies):
         gradient = transition_gradient(padded, policy, horizon=horizon)
-        mean = row_sums(reference, probability * gradient)
-        table[k] = row_sums(reference, probability * (gradient - mean[row_of_entry(reference)]) ** 2)
+        table[k] = row_variances(reference, probability, gradient)
         if rows.size:
             values = np.where(inside, gradient[place], gradient[place[:, :1]])
             table[k, rows] = largest_variance(values, low, high)

@@ -218,7 +218,6 @@ def population(
     simulator: FiniteMDP,
     target: FiniteMDP,
     policy: PolicyLike,
-    *,
     data_distribution: ArrayLike | None = None,
     behavior_policy: PolicyLike | None = None,
     horizon: int | None = None,
@@ -270,16 +269,7 @@ class ExactLimit:
         behavior_policy : (S, A) of the log's episodes; None: one with support
         horizon : positive int or None
         """
-        return self.limit_of(
-            population(
-                simulator,
-                target,
-                policy,
-                data_distribution=data_distribution,
-                behavior_policy=behavior_policy,
-                horizon=horizon,
-            )
-        )
+        return self.limit_of(population(simulator, target, policy, data_distribution, behavior_policy, horizon))
 
     def limit_of(self, people: Population) -> float:
         """The limit in a checked population."""

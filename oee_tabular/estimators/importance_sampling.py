@@ -71,12 +71,10 @@ class ImportanceSampling(ExactLimit):
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         log = problem.recorded
+        ratio = self.ratios(problem, pi)  # or an error, without episodes
         starts, timestep = log.episode_starts, log.timestep
-        if starts is None or timestep is None:
-            raise ValueError(
-                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
-            )
-        ratio = self.ratios(problem, pi)
+        assert starts is not None
+        assert timestep is not None
         keep = np.ones(len(log), dtype=np.bool_) if problem.horizon is None else timestep < problem.horizon
         lengths = np.diff(starts) if problem.horizon is None else np.minimum(np.diff(starts), problem.horizon)
         cut = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

@@ -31,17 +31,17 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, row_of_entry
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.inference.ambiguity import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import canonical_table
-from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.mdp.horizons import steps_of, total_discount
 
 ROUNDS = 20  # of improving u; it stays after two or three
 ALLOWED = 0.5  # probability of the stray moves in the model whose support the counts need; no value depends on it
@@ -163,9 +163,8 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
     if horizon is None:
         return gamma * state_values(model, policy)[None, :], np.ones(len(states))
     n_states = len(policy)
-    chain = model.transitions
     pay = (policy * model.rewards).sum(axis=1)
-    mixed = canonical(_averaging(policy) @ chain, drop_zeros=False)
+    mixed = policy_kernel(model, policy)
     steps = steps_of(horizon, model)
     _checks.require_memory(float(steps * n_states + len(states) * (steps + n_states)), "horizon", horizon)
     values = np.zeros((steps, n_states))  # after step t
@@ -178,13 +177,6 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
         law = law @ mixed
     there[there.sum(axis=1) == 0.0, 0] = 1.0
     return gamma * (there @ values), there.sum(axis=1)
-
-
-def _averaging(policy: Array) -> sparse.csr_array:
-    """(S, S*A): the mean over a policy's actions."""
-    n_states, n_actions = policy.shape
-    rows = np.repeat(np.arange(n_states), n_actions)
-    return canonical_table(rows, np.arange(policy.size), policy.reshape(-1), (n_states, policy.size))
 
 
 def _extreme_pay(simulator: FiniteMDP, sign: float) -> float:
@@ -234,7 +226,7 @@ def sampling_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     model, policy, horizon = evidence.model, evidence.policy, evidence.horizon
     fitted = evidence.with_rows(evidence.phat)
     values = state_values(fitted, policy, horizon=horizon)
-    time = occupancy(fitted, policy, horizon=horizon).reshape(-1) * _steps(model.discount, horizon)
+    time = occupancy(fitted, policy, horizon=horizon).reshape(-1) * total_discount(model.discount, horizon)
     unmet = _unmet(evidence, sampling.pairs)
     start = max(float(model.initial @ values**2) - float(model.initial @ values) ** 2, 0.0) / sampling.starts
     error = 0.0
@@ -246,7 +238,7 @@ def sampling_margin(problem: Problem, evidence: Evidence) -> Margin | None:
         if horizon is None
         else _beyond_by_step(evidence, fitted, unmet, horizon)
     )
-    share = float(time @ unmet) / _steps(model.discount, horizon)
+    share = float(time @ unmet) / total_discount(model.discount, horizon)
     return Margin(policy_value(fitted, policy, horizon=horizon), start + error, down, up, share)
 
 
@@ -284,10 +276,3 @@ def _beyond(evidence: Evidence, values: Array, sign: float) -> Array:
     paid = np.bincount(evidence.rows, evidence.phat * model.reward_data, len(evidence.n))
     extreme += sign * float((sign * model.reward_data).max())
     return np.asarray(np.maximum(sign * (extreme - ahead - paid), 0.0))
-
-
-def _steps(discount: float, horizon: int | None) -> float:
-    """sum_t gamma^t."""
-    if horizon is None:
-        return 1.0 / (1.0 - discount)
-    return float(horizon) if discount == 1.0 else (1.0 - discount**horizon) / (1.0 - discount)

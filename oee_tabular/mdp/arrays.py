@@ -125,7 +125,7 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
     A tuple of two integers is a grid's shape: state s lies in row s // width, column s % width. Of two states it may also be
     their places, where its product is not 2.
     """
-    if isinstance(value, tuple) and len(value) == 2 and all(_is_integer(part) for part in value):
+    if isinstance(value, tuple) and len(value) == 2 and all(_checks.is_integer(part) for part in value):
         height, width = (int(part) for part in value)
         if min(height, width) > 0 and height * width == n_states:
             return _checks.freeze(np.stack(np.divmod(np.arange(n_states), width), axis=1).astype(np.float64))
@@ -140,10 +140,6 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
         )
     _checks.require_finite(array, name)
     return _checks.freeze(array.reshape(n_states, -1))
-
-
-def _is_integer(part: object) -> bool:
-    return isinstance(part, int | np.integer) and not isinstance(part, bool)
 
 
 KEY = "sampling_"

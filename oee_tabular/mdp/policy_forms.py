@@ -51,8 +51,13 @@ def by_state(frame: Any, mdp: Sized, name: str) -> dict[Any, Any]:
     """A mapping of a pandas table: state and action, a row a state; these and probability; or state and a column an action."""
     labels = list(frame.columns)
     known = numbers_of(names_of(mdp).actions or ())
-    actions = {label: _item(label) for label in labels if label != "state"}
-    wide = "action" not in labels and all(item in known or _in_range(item, mdp.n_actions) for item in actions.values())
+    numbers = range(mdp.n_actions)
+    actions = {  # a number or a name
+        label: int(label) if isinstance(label, str) and label.isdigit() else label
+        for label in labels
+        if label != "state"
+    }
+    wide = "action" not in labels and all(a in known or (isinstance(a, int) and a in numbers) for a in actions.values())
     if "state" not in labels or len(labels) < 2 or not ("action" in labels or wide) or len(frame) == 0:
         found = ", ".join(map(str, labels))
         raise ValueError(f"{name} must have {COLUMNS}, and at least one row; it has {found} and {len(frame)} rows")
@@ -80,15 +85,6 @@ def _unique(pairs: list[tuple[Any, Any]], name: str) -> dict[Any, Any]:
             raise ValueError(f"{name} must have a row for each state; state {state} has two")
         table[state] = choice
     return table
-
-
-def _item(label: object) -> Any:
-    """A column's action: a number, or a name."""
-    return int(label) if isinstance(label, str) and label.isdigit() else label
-
-
-def _in_range(item: object, n_actions: int) -> bool:
-    return isinstance(item, int) and 0 <= item < n_actions
 
 
 def _number(value: Any, name: str) -> float:
@@ -127,7 +123,7 @@ def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
     """Whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
     known = numbers_of(names_of(mdp).states or ())
     return bool(policies) and all(
-        (plain(key) in known or _is_number(key)) and not (callable(value) or _depth(value) >= 2)
+        (plain(key) in known or _checks.is_integer(key)) and not (callable(value) or _depth(value) >= 2)
         for key, value in policies.items()
     )
 
@@ -156,10 +152,6 @@ def _depth(value: Any) -> int:
         return 0
 
 
-def _is_number(key: object) -> bool:
-    return isinstance(key, int | np.integer) and not isinstance(key, bool)
-
-
 def _of_actions(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """One action a state, by number or name."""
     called, sizes = names_of(mdp).actions, (mdp.n_states, len(mdp.terminal_state))
@@ -184,9 +176,14 @@ def _of_actions(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         chosen = np.array(
             [number_of(a, called, mdp.n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(items)]
         )
-    table = np.zeros((len(items), mdp.n_actions))
-    table[np.arange(len(items)), chosen] = 1.0
-    return table
+    return deterministic_policy(chosen, mdp.n_actions)
+
+
+def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
+    """The (S, A) policy that takes ``actions[s]`` in state s."""
+    policy = np.zeros((len(actions), n_actions))
+    policy[np.arange(len(actions)), actions] = 1.0
+    return policy
 
 
 def _tuples(policy: PolicyLike, names: tuple[Name, ...] | None, n_actions: int) -> list[Any] | None:
@@ -257,7 +254,7 @@ def _row(choice: Any, mdp: Sized, names: Names, name: str) -> Array:
         for action, probability in choice.items():
             a = number_of(action, names.actions, mdp.n_actions, f"{name}'s action", "the MDP's")
             row[a] += _checks.number_in(probability, f"{name}[{action!r}]", 0.0, 1.0)
-    elif _is_number(given := plain(choice)) or (isinstance(choice, str | tuple) and _is_action(given, names)):
+    elif _checks.is_integer(given := plain(choice)) or (isinstance(choice, str | tuple) and _is_action(given, names)):
         row[number_of(given, names.actions, mdp.n_actions, name, "the MDP's")] = 1.0
     else:
         shape = np.shape(choice) if _depth(choice) else ()
