@@ -46,7 +46,9 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
         given: Any = np.array(value)
         if given.dtype.kind == "c":
             raise TypeError("complex numbers")
-        if given.dtype.kind in "USMm" or holds_words(given):
+        if given.dtype.kind in "USMm" or (
+            given.dtype.kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
+        ):
             raise TypeError("text or dates")
         if given.dtype.kind not in "biufO":
             raise TypeError(f"it holds {given.dtype}, no numbers")
@@ -58,11 +60,6 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
         rule = " or ".join(str(n) for n in allowed)
         raise ValueError(f"{name} must have {rule} dimension(s); it has shape {array.shape}")
     return array
-
-
-def holds_words(array: NDArray[Any]) -> bool:
-    """Whether an array of Python objects has words among them: "0.25" is no number."""
-    return array.dtype.kind == "O" and any(isinstance(item, str | bytes) for item in array.flat)
 
 
 def as_array(value: object, name: str) -> NDArray[Any]:
@@ -129,16 +126,25 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
 
 def distribution_pair(p: object, q: object) -> tuple[Array, Array]:
     """p and q, counts or probabilities of the same cells, each scaled to sum to 1."""
-    arrays = []
+    (p_weights, q_weights), (p_total, q_total) = weight_pair(p, q)
+    return p_weights / p_total, q_weights / q_total
+
+
+def weight_pair(p: object, q: object) -> tuple[list[Array], list[float]]:
+    """p and q, counts or probabilities of the same cells, and the sum of each."""
+    arrays, totals = [], []
     for value, name in ((p, "p"), (q, "q")):
         array = float_array(value, name, ndim=1)
         require_nonnegative(array, name)
-        if not 0.0 < array.sum() < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {array.sum():g}")
-        arrays.append(array / array.sum())
+        with np.errstate(over="ignore"):
+            total = float(array.sum())
+        if not 0.0 < total < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+        arrays.append(array)
+        totals.append(total)
     if arrays[0].shape != arrays[1].shape:
         raise ValueError(f"p and q must have one length; they have {len(arrays[0])} and {len(arrays[1])}")
-    return arrays[0], arrays[1]
+    return arrays, totals
 
 
 def number_in(
@@ -205,6 +211,11 @@ def positive_integer(value: Any, name: str) -> int:
     if number > LARGEST_INTEGER:
         raise ValueError(f"{name} must be at most 2**63 - 1; it is {number}")
     return number
+
+
+def is_integer(value: object) -> bool:
+    """Whether it is a whole number, Python's or numpy's, and no flag."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def boolean(value: object, name: str) -> bool:

@@ -12,7 +12,7 @@ import os
 import threading
 import types
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from typing import Any
 
 import numba
@@ -40,7 +40,7 @@ def threads_share(function: Callable[..., Any], python: Callable[..., Any] | Non
     def run(*arguments: object) -> Any:
         if forked():
             return alone(*arguments)
-        with _turn():
+        with _turns if _one_caller() else nullcontext():
             return shared(*arguments)
 
     run._cache = getattr(shared, "_cache", None)  # type: ignore[attr-defined]
@@ -53,10 +53,6 @@ def _another(function: Callable[..., Any]) -> Callable[..., Any]:
     copy = types.FunctionType(function.__code__, function.__globals__, f"{function.__name__}_alone")
     copy.__qualname__ = f"{function.__qualname__}_alone"
     return copy
-
-
-def _turn() -> AbstractContextManager[Any]:
-    return _turns if _one_caller() else nullcontext()
 
 
 @functools.cache

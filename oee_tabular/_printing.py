@@ -69,9 +69,9 @@ def table(
     return f"<div><table>{title}{head}<tbody>{body}</tbody></table>{sentences}</div>"
 
 
-def facts(caption: str, rows: Sequence[tuple[str, object]], *, below: Sequence[str] = ()) -> str:
+def facts(caption: str, rows: Sequence[tuple[str, object]]) -> str:
     """A table of names and values."""
-    return table([], rows, caption=caption, text_columns=2, below=below)
+    return table([], rows, caption=caption, text_columns=2)
 
 
 def text(words: object, caption: str) -> str:

@@ -157,6 +157,21 @@ def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
     return result
 
 
+def row_variances(csr: sparse.csr_array, probability: Array, values: Array) -> Array:
+    """Of each row the variance of ``values`` on its stored entries, which have these probabilities."""
+    mean = row_sums(csr, probability * values)
+    return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
+
+
+def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
+    """A ratio on the entries of ``pattern``: csr of its shape, or an object with such ``values``; 0 where it has none."""
+    values = getattr(ratio, "values", ratio)
+    if not sparse.issparse(values) or values.shape != pattern.shape:
+        found = getattr(values, "shape", type(values).__name__)
+        raise ValueError(f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}")
+    return align(canonical(checked(values, name), drop_zeros=False), pattern)[0]
+
+
 def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntArray, BoolArray]:
     """The position in ``csr.data`` of each (row, column), and whether it is stored (position 0 where it is not)."""
     keys = row_of_entry(csr) * csr.shape[1] + csr.indices

@@ -106,7 +106,7 @@ BUGS = {
     ),
     12: (
         "no union bound",
-        "inference/robust.py",
+        "inference/ambiguity.py",
         "level = (1.0 - confidence) / max(counted, 1)",
         "level = 1.0 - confidence",
         INTERVALS,
@@ -136,7 +136,7 @@ BUGS = {
     ),
     16: (
         "robust policy evaluation stopped after one sweep",
-        "inference/robust.py",
+        "inference/ambiguity.py",
         "most: int = 100",
         "most: int = 1",
         INTERVALS,

@@ -159,7 +159,7 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import policy_array
-    from oee_tabular.mdp.policy_tables import by_state
+    from oee_tabular.mdp.policy_forms import by_state
 
     _progress.doing(f"reading the policy {spec}")
     if spec == "uniform":

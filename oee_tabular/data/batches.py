@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -151,29 +151,16 @@ def _typed_csv(part: Part, *, typed: bool) -> Iterator[Batch]:
                 false_values=["false", "False", "FALSE", "0", "0.0"],
             ),
         )
-        while (block := _next(stream)) is not None:
+        for block in stream:
             yield _batch(block, table.numbers(first, block.num_rows), table.new())
             first += block.num_rows
         if table.told < len(table.lost):
-            yield _batch(block_of(labels), np.zeros(0, dtype=np.int64), table.new())
+            nothing = pa.RecordBatch.from_pydict({label: pa.array([], pa.string()) for label in labels})
+            yield _batch(nothing, np.zeros(0, dtype=np.int64), table.new())
     except (pa.ArrowException, UnicodeDecodeError, ValueError) as error:
         if typed and "conversion error" in str(error):
             raise _Mistyped from None
         raise unreadable(part, error) from None
-
-
-def _next(stream: Any) -> Any:
-    try:
-        return stream.read_next_batch()
-    except StopIteration:
-        return None
-
-
-def block_of(labels: Sequence[str]) -> Any:
-    """A table of no rows."""
-    import pyarrow as pa
-
-    return pa.RecordBatch.from_pydict({label: pa.array([], pa.string()) for label in labels})
 
 
 def _npz_batches(part: Part) -> Iterator[Batch]:

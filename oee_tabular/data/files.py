@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from oee_tabular import _files
 from oee_tabular._checks import Column
 from oee_tabular.data.tables import csv_frame, parquet_frame, plain_csv, require_columns, require_module, warn_left_out
-from oee_tabular.mdp.naming import from_text, to_text
+from oee_tabular.mdp.naming import Name, from_text, to_text
 
 TABLES = (".csv", ".parquet")
+MOVE = ("state", "action", "next_state")
 COLUMNS = (
     "state",
     "action",
@@ -39,7 +40,7 @@ class Format:
     """Logs of numbered states as files; a log of other states overrides what differs."""
 
     kind = "transitions"  # of an npz
-    required = ("state", "action", "next_state")
+    required = MOVE
     way = (
         "; in Python, several to a state as well: Transitions.from_frame(frame, state='its name', ...).save('log.csv')"
     )
@@ -59,7 +60,10 @@ class Format:
 
     def read(self, arrays: Columns) -> Columns:
         """The columns of a log, of those of an npz."""
-        return {name: _objects(array, name) if array.dtype.kind == "U" else array for name, array in arrays.items()}
+        return {
+            name: as_objects(from_text(array, name)) if array.dtype.kind == "U" else array
+            for name, array in arrays.items()
+        }
 
     def gathered(self, flat: Columns, name: str) -> Columns:
         """The columns of a log, of those of the table ``name``."""
@@ -137,8 +141,8 @@ def _texts(names: Column) -> Column:
     return np.array([str(item) for item in names], dtype=object)
 
 
-def _objects(stored: Column, name: str) -> Column:
-    names = from_text(stored, name)
+def as_objects(names: Sequence[Name]) -> Column:
+    """Names as an array of them, tuples whole."""
     array = np.empty(len(names), dtype=object)
     array[:] = names
     return array

@@ -11,11 +11,10 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Column
-from oee_tabular.data.files import COLUMNS
+from oee_tabular.data.files import COLUMNS, MOVE
 from oee_tabular.data.tables import SEPARATORS, meant
 from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number
 
-REQUIRED = ("state", "action", "next_state")
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
 
 
@@ -44,19 +43,22 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
             raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
     table = eager(frame)
     asked = _asked([str(label) for label in table.columns], column_names)
-    columns = {field: _joined([_values(table, label) for label in group]) for field, group in asked.items()}
-    return columns
+    parts = {field: [_values(table, label) for label in group] for field, group in asked.items()}
+    return {  # several as tuples
+        field: several[0] if len(several) == 1 else list(zip(*(part.tolist() for part in several), strict=True))
+        for field, several in parts.items()
+    }
 
 
 def _asked(labels: list[str], column_names: Mapping[str, object]) -> dict[str, list[str]]:
     """Which of the frame's labels make each column."""
     taken = {field: _labels(field, given, labels) for field, given in column_names.items() if given is not None}
     asked = {field: taken.get(field, [field]) for field in COLUMNS if field in taken or field in labels}
-    missing = [field for field in REQUIRED if field not in asked]
+    missing = [field for field in MOVE if field not in asked]
     if missing:
         shown = f"{', '.join(labels):.300}" or "none"
         raise ValueError(
-            f"frame must have the columns {', '.join(REQUIRED)}; it has {shown}{_meant(missing, labels)} "
+            f"frame must have the columns {', '.join(MOVE)}; it has {shown}{_meant(missing, labels)} "
             f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
     used = {label for group in asked.values() for label in group}
@@ -89,7 +91,7 @@ def _labels(field: str, given: object, labels: list[str]) -> list[str]:
             hint = f" (did you mean {close[0]!r}?)" if close else ""
             shown = f"{', '.join(labels):.300}"
             raise ValueError(f"{field} must be the name of a column of the frame, {shown}; it is {label!r:.80}{hint}")
-    if not group or (len(group) > 1 and field not in REQUIRED):
+    if not group or (len(group) > 1 and field not in MOVE):
         raise ValueError(f"{field} must be the name of one column; it is {given!r:.80}")
     return group
 
@@ -109,11 +111,6 @@ def _values(table: Any, label: str) -> Column:
     if rows.size:
         raise ValueError(f"column {label!r} of the frame must have a value in every row; row {rows[0]} has none")
     return values
-
-
-def _joined(parts: list[Column]) -> Any:
-    """One column as it is, several as tuples."""
-    return parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
 
 
 def _warn_resembling(rest: list[str], free: list[str]) -> None:
@@ -226,10 +223,3 @@ def _names_in(value: object, name: str) -> list[Any] | None:
         k = names.index(odd[0])
         raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
     return names
-
-
-def as_objects(names: tuple[Name, ...]) -> Column:
-    """Names as an array of them, tuples whole."""
-    array = np.empty(len(names), dtype=object)
-    array[:] = names
-    return array

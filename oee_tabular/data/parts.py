@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from oee_tabular import _checks, _files
-from oee_tabular.data.files import COLUMNS, TABLES, Format
+from oee_tabular.data.files import COLUMNS, MOVE, TABLES, Format
 from oee_tabular.data.tables import csv_header, require_columns, require_module, warn_left_out
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
@@ -23,7 +23,6 @@ ENDINGS = (*TABLES, ".npz")
 _ENDS = 2**20  # bytes at either end of a file by which it is known again
 FLAGS = ("terminated", "truncated")
 NUMBERS = ("reward", "behavior_probability")
-MOVE = ("state", "action", "next_state")
 NAMES = " (names take a simulator that has them: simulator=, --simulator)"
 
 

@@ -52,8 +52,9 @@ def count_log(
     """Count the moves of files of any size, in memory of the size of the counts; ``Transitions.open`` explains the rest."""
     if isinstance(path, str | os.PathLike) and holds_counts(path):
         return TransitionCounts.load(path)
-    drops = _drops(bad_rows)
-    limits = Limits(*_sizes(simulator, n_states, n_actions), drops, _checks.positive_integer(kept_moves, "kept_moves"))
+    _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
+    sizes, drops = _sizes(simulator, n_states, n_actions), bad_rows == "drop"
+    limits = Limits(*sizes, drops, _checks.positive_integer(kept_moves, "kept_moves"))
     if simulator is not None:
         limits = limits._replace(state_names=simulator.state_names, action_names=simulator.action_names)
     given = (("state", limits.state_names), ("action", limits.action_names), ("next_state", limits.state_names))
@@ -87,11 +88,6 @@ def _sizes(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | N
         for size, name in ((n_states, "n_states"), (n_actions, "n_actions"))
     )
     return states, actions
-
-
-def _drops(bad_rows: str) -> bool:
-    _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
-    return bad_rows == "drop"
 
 
 def _shown(results: Iterator[Any], total: int, done: int, progress: bool) -> Iterator[Any]:

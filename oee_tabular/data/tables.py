@@ -79,9 +79,9 @@ def csv_frame(path: str, known: Callable[[str], bool] | None = None) -> Any:
     return frame
 
 
-def csv_header(path: str, *, errors: str = "strict") -> list[str]:
+def csv_header(path: str) -> list[str]:
     """The first line's labels that is not empty."""
-    with open(_files.local(path), encoding="utf-8-sig", errors=errors, newline="") as handle:
+    with open(_files.local(path), encoding="utf-8-sig", newline="") as handle:
         return next((row for row in csv.reader(handle) if row), [])
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
 from oee_tabular.data import _counting
 from oee_tabular.data.batches import Batch, batches
-from oee_tabular.data.parts import MOVE, NAMES, Part
+from oee_tabular.data.files import MOVE
+from oee_tabular.data.parts import NAMES, Part
 from oee_tabular.data.readers import READERS, Limits
 from oee_tabular.data.sampling import Episodes
 

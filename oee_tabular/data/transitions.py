@@ -19,7 +19,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers, spans
-from oee_tabular.data.frames import as_objects, coded, episode_columns, frame_columns, is_frame
+from oee_tabular.data.frames import coded, episode_columns, frame_columns, is_frame
 from oee_tabular.data.moves import Moves, counts_of, distinct, numbered_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, renumbered, worded
@@ -126,7 +126,7 @@ class Transitions(Log):
             ("next_state", self.state_names),
         ):
             if names is not None:
-                found[column] = as_objects(names)[found[column]]
+                found[column] = files.as_objects(names)[found[column]]
         return found
 
     @classmethod

@@ -25,11 +25,10 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.design.advice import next_pairs
-from oee_tabular.design.costs import row_costs
+from oee_tabular.design.costs import next_pairs, row_costs
 from oee_tabular.design.flow import certify, collection_mdp, flow_design, policy_of
 from oee_tabular.design.plan import Outlook, Plan
-from oee_tabular.design.programs import Design, evaluate, fill, free_design
+from oee_tabular.design.programs import Design, conic_design, evaluate, fill, free_design
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
@@ -223,8 +222,6 @@ def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list
 
 
 def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
-    from oee_tabular.design.statements import conic_design
-
     q, weights = conic_design(costs, base, collection)
     if collection is not None:
         return certify(collection, costs, base, q, weights, "CLARABEL")
@@ -237,8 +234,7 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
         return np.zeros(problem.n_states * problem.n_actions), problem, optional_steps(horizon, problem)
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a Problem or a FiniteMDP; got {type(problem).__name__}")
+    _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ValueError(
             f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {horizon}"

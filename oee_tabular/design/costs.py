@@ -12,20 +12,28 @@ P the simulator: something like another action is carried out, or nothing happen
 support of R, and the largest variance is (range of G_x / 2)^2. In a row with n_x observations, all of them the one outcome,
 that outcome has moreover a probability of at least (1 - confidence)^(1 / n_x), the exact (Clopper-Pearson) bound. States that
 no action leaves have nothing to tell and cost 0.
+
+``next_pairs`` and ``sentence`` make the one piece of advice of them, which (s, a) to record next: a plan, a report and its page
+give the same.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, Box
-from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums, row_variances
+from oee_tabular.estimators import Problem
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.naming import Names
+from oee_tabular.ratio import Conditional
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
 _SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
@@ -70,8 +78,7 @@ def row_costs(
     table = np.zeros((len(policies), reference.shape[0]))
     for k, policy in enumerate(policies):
         gradient = transition_gradient(padded, policy, horizon=horizon)
-        mean = row_sums(reference, probability * gradient)
-        table[k] = row_sums(reference, probability * (gradient - mean[row_of_entry(reference)]) ** 2)
+        table[k] = row_variances(reference, probability, gradient)
         if rows.size:
             values = np.where(inside, gradient[place], gradient[place[:, :1]])
             table[k, rows] = largest_variance(values, low, high)
@@ -157,3 +164,72 @@ def _box_around(
     assured = np.where(counts > 0, (1.0 - confidence) ** (1.0 / np.maximum(counts, 1.0)), 0.0)[:, None]
     room = 1.0 - np.where(seen, 0.0, low).sum(axis=1, keepdims=True)
     return np.where(seen, np.clip(assured, low, np.minimum(high, room)), low), high
+
+
+NOTHING = "More moves would not narrow it."
+
+
+def next_pairs(
+    table: Array, counts: Array, n_actions: int, number: int, confidence: float
+) -> tuple[tuple[int, int], ...]:
+    """The first ``number`` rows, as (s, a), that take most off the widths of the policies' intervals, one move after another.
+
+    ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se, se^2 = sum c / n, a move of a recorded
+    row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one move of it leaves. None that costs 0.
+    """
+    z, n, chosen = NormalDist().inv_cdf(0.5 + confidence / 2.0), np.array(counts, dtype=np.float64), []
+    never = np.sum(2.0 * z * np.sqrt(table), axis=0)
+    for _ in range(number if np.any(table > 0.0) else 0):
+        variance = table / np.maximum(n, 1.0) * (n > 0)
+        error = np.sqrt(variance.sum(axis=1, keepdims=True))
+        fall = np.divide(z * variance, error, out=np.zeros_like(table), where=error > 0.0).sum(axis=0) / (n + 1.0)
+        row = int(np.argmax(np.where(n > 0, fall, never)))
+        n[row] += 1.0
+        chosen.append(divmod(row, n_actions))
+    return tuple(chosen)
+
+
+def sentence(
+    pairs: tuple[tuple[int, int], ...], table: Array, counts: Array, optimistic: BoolArray, names: Names
+) -> str:
+    """The first of the pairs, and why; ``table`` (K, S, A), ``counts`` and ``optimistic`` (S, A)."""
+    if not pairs:
+        return NOTHING
+    state, action = pairs[0]
+    n, why = counts[state, action], "never recorded"
+    if optimistic[state, action]:
+        why = f"{_so_far(n)}; the model holds its outcome for certain"
+    elif n > 0:
+        variance = table / np.maximum(counts, 1.0)
+        total = variance.sum(axis=(1, 2))
+        share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
+        why = f"{_so_far(n)}, {share:.0%} of the variance"
+    where = f"action {_set_off(names.action(action))} in state {_set_off(names.state(state))}"
+    return f"What would help most: moves of {where} ({why})."
+
+
+def _so_far(n: float) -> str:
+    return f"{n:.4g} {'move' if n == 1 else 'moves'} so far"
+
+
+def _set_off(name: str) -> str:
+    """A name of several words in quotation marks, so that one sees where it ends; coordinates have their brackets."""
+    return f"“{name}”" if " " in name and not name.startswith("(") else name
+
+
+def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -> str:
+    """The sentence for a problem: that of ``plan_data_collection`` with the same log, policies and confidence.
+
+    Cost: one ratio, and an evaluation and an occupancy a policy.
+    """
+    mdp = problem.model
+    shape = (mdp.n_states, mdp.n_actions)
+    counts = row_sums(problem.counts)
+    model = Conditional().fit(problem.observed, problem.simulator, made=problem.made).target_model(mdp)
+    costs = row_costs(
+        mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
+        optimistic=True,
+    )  # fmt: skip
+    pairs = next_pairs(costs.table, counts, shape[1], 1, confidence)
+    table, optimistic = costs.table.reshape(-1, *shape), costs.optimistic.reshape(shape)
+    return sentence(pairs, table, counts.reshape(shape), optimistic, mdp.names)

@@ -10,7 +10,7 @@ from scipy import special
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.design.advice import sentence
+from oee_tabular.design.costs import sentence
 from oee_tabular.design.programs import evaluate
 from oee_tabular.mdp.naming import NAMELESS, Names, worded
 

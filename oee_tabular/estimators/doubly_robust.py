@@ -12,9 +12,16 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Basis, Estimate, identified, mean_and_error, without_divergence
+from oee_tabular.estimators.base import (
+    OF_COUNTS,
+    Basis,
+    Estimate,
+    ExactLimit,
+    identified,
+    mean_and_error,
+    without_divergence,
+)
 from oee_tabular.estimators.episodes import episode_estimate, episode_limit, episode_terms
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
 from oee_tabular.estimators.model_based import delta_error
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy

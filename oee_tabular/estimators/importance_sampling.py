@@ -12,8 +12,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import EPISODES, Estimate, effective_sample_size
-from oee_tabular.estimators.limits import ExactLimit
+from oee_tabular.estimators.base import EPISODES, Estimate, ExactLimit, effective_sample_size
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
@@ -72,12 +71,10 @@ class ImportanceSampling(ExactLimit):
         """Exact given the log; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         log = problem.recorded
+        ratio = self.ratios(problem, pi)  # or an error, without episodes
         starts, timestep = log.episode_starts, log.timestep
-        if starts is None or timestep is None:
-            raise ValueError(
-                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
-            )
-        ratio = self.ratios(problem, pi)
+        assert starts is not None
+        assert timestep is not None
         keep = np.ones(len(log), dtype=np.bool_) if problem.horizon is None else timestep < problem.horizon
         lengths = np.diff(starts) if problem.horizon is None else np.minimum(np.diff(starts), problem.horizon)
         cut = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

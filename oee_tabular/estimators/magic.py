@@ -9,10 +9,9 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import ROUNDING, Estimate, without_divergence
+from oee_tabular.estimators.base import ROUNDING, Estimate, ExactLimit, without_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import episode_estimate, episode_terms
-from oee_tabular.estimators.limits import ExactLimit
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import weight_status

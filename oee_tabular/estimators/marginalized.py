@@ -11,8 +11,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Estimate, without_divergence
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, expected_rewards, without_divergence
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
@@ -21,15 +20,9 @@ from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.method import Population
-
-
-def total_discount(discount: float, horizon: int | None) -> float:
-    """sum_t discount^t over the horizon."""
-    if horizon is None:
-        return 1.0 / (1.0 - discount)
-    return float(horizon) if discount == 1.0 else (1.0 - discount**horizon) / (1.0 - discount)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,18 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
-from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import ROUNDING, Basis, Estimate, without_divergence
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit, expected_rewards
+from oee_tabular.estimators.base import (
+    OF_COUNTS,
+    ROUNDING,
+    Basis,
+    Estimate,
+    ExactLimit,
+    expected_rewards,
+    without_divergence,
+)
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
@@ -142,6 +149,5 @@ def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradi
     """Delta method, root of the sum over visited rows of Var(gradient) / n, variances under ``frequency``."""
     shift = exponent(gradient)
     gradient = np.ldexp(gradient, -shift)
-    mean = row_sums(matrix, frequency * gradient)
-    variance = row_sums(matrix, frequency * (gradient - mean[row_of_entry(matrix)]) ** 2)
+    variance = row_variances(matrix, frequency, gradient)
     return float(np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift))

@@ -14,8 +14,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Basis, Estimate, identified
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
+from oee_tabular.estimators.base import OF_COUNTS, Basis, Estimate, ExactLimit, identified
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate, rollout_horizon
 from oee_tabular.exact import (

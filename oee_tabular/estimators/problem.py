@@ -57,7 +57,7 @@ class Problem:
         need whole and independent moves, are for whole counts.
     impossible : "refuse" | "drop"
         Moves of the log to which the simulator gives probability 0: an error, or left out of ``counts``. Then nothing is said
-        of where they led: likelihood intervals have them lead anywhere (``inference.strays``).
+        of where they led: likelihood intervals have them lead anywhere (``inference.margins``).
 
     Attributes
     ----------

@@ -9,8 +9,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Basis, Estimate, without_divergence
-from oee_tabular.estimators.limits import OF_COUNTS, ExactLimit
+from oee_tabular.estimators.base import OF_COUNTS, Basis, Estimate, ExactLimit, without_divergence
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate

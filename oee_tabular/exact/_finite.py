@@ -299,17 +299,3 @@ def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, fou
         backup(back, nothing, here, there, np.uint64(0), np.uint64(n))
         here, there = there, here
         weight *= gamma
-
-
-@njit(cache=True)
-def stochastic(policy, tolerance):
-    """Whether no entry of (N, A) is negative (or nan) and every row sums to 1."""
-    for s in range(policy.shape[0]):
-        total = 0.0
-        for a in range(policy.shape[1]):
-            if not policy[s, a] >= 0.0:
-                return False
-            total += policy[s, a]
-        if not abs(total - 1.0) <= tolerance:
-            return False
-    return True

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular._sparse import align, row_of_entry, row_sums
+from oee_tabular._checks import Array, PolicyLike
+from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
 from oee_tabular._threads import dot, one_thread
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel
@@ -55,7 +55,7 @@ def efficiency_bound(
     0.25
     """
     gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
-    return _weighted_sum(_row_variance(target, gradient), share)
+    return _weighted_sum(row_variances(target.transitions, target.transitions.data, gradient), share)
 
 
 @one_thread
@@ -152,7 +152,7 @@ def ratio_of_ratios_variance(
     entry = row_of_entry(matrix)
     zeta = np.divide(matrix.data, probability, out=np.zeros_like(probability), where=probability > 0)
     mean = row_sums(matrix, matrix.data * gradient)
-    total = _weighted_sum(_row_variance(target, gradient), share)
+    total = _weighted_sum(row_variances(matrix, matrix.data, gradient), share)
     if rows == "normalised":
         added = row_sums(matrix, probability * zeta**2 * (gradient - mean[entry]) ** 2)
     else:
@@ -223,22 +223,22 @@ def trajectory_efficiency_bound(
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)
     require_action_support(mdp, behavior, pi, steps)
+    matrix, n_actions = mdp.transitions, mdp.n_actions
     plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
     under_behavior = walk_of(mdp, behavior).reaches(steps, power=1)[:, 0]
     if model == "stationary":
         visits = (under_behavior[:steps].sum(axis=0)[:, None] * behavior).reshape(-1)
-        return _weighted_sum(_row_variance(mdp, transition_gradient(mdp, pi, horizon=steps)), visits)
+        gradient = transition_gradient(mdp, pi, horizon=steps)
+        return _weighted_sum(row_variances(matrix, matrix.data, gradient), visits)
     values = plain.values_to_go(steps)
     value = dot(mdp.initial, values[0])
     total = dot(mdp.initial, (values[0] - value) ** 2)
     under_policy = plain.reaches(steps, power=1)[:, 0]
     squared = weighted.reaches(steps, power=2)[:, 0]
-    matrix, n_actions = mdp.transitions, mdp.n_actions
-    entry: IntArray = row_of_entry(matrix)
     paid = 0.0 if mdp.reward_data is None else mdp.reward_data
     for t in range(steps):
         ahead = paid + mdp.discount * values[t + 1][matrix.indices]
-        spread = row_sums(matrix, matrix.data * (ahead - row_sums(matrix, matrix.data * ahead)[entry]) ** 2)
+        spread = row_variances(matrix, matrix.data, ahead)
         if model == "tree":
             weight = (squared[t][:, None] * behavior * weighted.u[0].reshape(-1, n_actions) ** 2).reshape(-1)
         else:
@@ -280,12 +280,6 @@ def _problem(
         raise ValueError("horizon must be given at discount 1")
     share = _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
     return transition_gradient(target, policy, horizon=horizon), share
-
-
-def _row_variance(target: FiniteMDP, gradient: Array) -> Array:
-    matrix = target.transitions
-    mean = row_sums(matrix, matrix.data * gradient)
-    return row_sums(matrix, matrix.data * (gradient - mean[row_of_entry(matrix)]) ** 2)
 
 
 def _weighted_sum(values: Array, share: Array) -> float:

@@ -25,7 +25,7 @@ STRICT = 1e-9  # the compiled check is stricter than check_policy, which decides
 
 def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    from oee_tabular.exact._finite import stochastic
+    from oee_tabular.mdp._policies import are_distributions
 
     shape = (model.n_states, model.n_actions)
     if (
@@ -33,19 +33,10 @@ def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
         and policy.dtype == np.float64
         and policy.flags.c_contiguous
         and policy.shape in (shape, (horizon, *shape))
-        and stochastic(readable(policy.reshape(-1, model.n_actions)), STRICT)
+        and are_distributions(readable(policy.reshape(-1, model.n_actions)), STRICT)
     ):
         return policy
     return check_policy(policy, model, horizon=horizon)
-
-
-def backward_in_time(model: Model, policy: Array, steps: int) -> Array:
-    """(S,): V with rewards at policy.shape[0] - steps, ..., of a policy (T, S, A)."""
-    value = np.zeros(model.n_states)
-    for act in policy[len(policy) - steps :][::-1]:
-        pairs = model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape)
-        value = np.einsum("sa,sa->s", act, pairs)
-    return value
 
 
 def light_cone(model: Model, policy: Array, steps: int) -> Cone:

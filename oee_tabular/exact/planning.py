@@ -10,7 +10,7 @@ from oee_tabular.exact.system import rows_of
 from oee_tabular.exact.values import action_values, infinite_values, said
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import followed
-from oee_tabular.mdp.policies import deterministic_policy
+from oee_tabular.mdp.policy_forms import deterministic_policy
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
@@ -51,7 +51,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     model = rows_of(mdp.transitions), mdp.rewards, mdp.discount
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
-        actions = _first_best(action_values(mdp, uniform))
+        actions = action_values(mdp, uniform).argmax(axis=1)
     else:
         actions = _planning.modified(*model, 1e-9)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
@@ -66,16 +66,12 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         actions = np.where(better, first, actions)
 
 
-def _first_best(q: Array) -> _checks.IntArray:
-    return np.asarray(np.argmax(q, axis=1))
-
-
 def _backward_induction(mdp: FiniteMDP, horizon: int) -> Array:
     policy = np.zeros((horizon, mdp.n_states, mdp.n_actions))
     value = np.zeros(mdp.n_states)
     for t in range(horizon - 1, -1, -1):
         q = mdp.rewards + mdp.discount * (mdp.transitions @ value).reshape(mdp.rewards.shape)
-        actions = _first_best(q)
+        actions = q.argmax(axis=1)
         policy[t] = deterministic_policy(actions, mdp.n_actions)
         value = q[np.arange(mdp.n_states), actions]
     return policy

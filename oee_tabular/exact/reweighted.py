@@ -14,7 +14,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular._sparse import align, canonical, checked, on_pattern, row_sums
+from oee_tabular._sparse import on_pattern, ratio_on, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 from oee_tabular.mdp.naming import NAMELESS, Names
@@ -86,11 +86,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     [[0.4, 0.6], [0.4, 0.6]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    values = getattr(ratio, "values", ratio)
-    if not sparse.issparse(values) or values.shape != mdp.transitions.shape:
-        found = getattr(values, "shape", type(values).__name__)
-        raise ValueError(f"ratio must be sparse of shape {mdp.transitions.shape}, row s*A + a; got {found}")
-    zeta, _ = align(canonical(checked(values, "ratio"), drop_zeros=False), mdp.transitions)
+    zeta = ratio_on(mdp.transitions, ratio, "ratio")
     bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
     if bad.size:
         where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)

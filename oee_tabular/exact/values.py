@@ -144,7 +144,7 @@ def _certified(
 ) -> PolicyValues:
     """The same to the last bit, from what the rounding of the kernel and the rewards left."""
     from oee_tabular.exact import _twofold
-    from oee_tabular.exact.certified import solve_certified
+    from oee_tabular.exact.linear import solve_certified
 
     rows, largest = rows_of(model.transitions), float(np.abs(policy * paid).sum(axis=1).max())
     lost, widest = np.zeros_like(paid), 0
@@ -169,21 +169,18 @@ def said(values: Any) -> Any:
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
-    if policy.ndim == 3:
-        return finite.backward_in_time(model, policy, steps)
     from oee_tabular.exact import _finite
 
-    return np.asarray(_finite.sweep(policy_system(model, policy).kernel, policy_rewards(model, policy), steps))
+    if policy.ndim == 2:
+        return np.asarray(_finite.sweep(policy_system(model, policy).kernel, policy_rewards(model, policy), steps))
+    value = np.zeros(model.n_states)
+    for act in policy[len(policy) - steps :][::-1]:
+        value = np.einsum("sa,sa->s", act, _backup(model, value))
+    return value
 
 
 def _backup(model: Model, value: Array) -> Array:
     return np.asarray(model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape))
-
-
-def _normalise(model: Model) -> float:
-    if model.discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
-    return 1.0 - model.discount
 
 
 def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, normalized: bool = False) -> float:
@@ -207,7 +204,9 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     2.0
     """
     _checks.instance(mdp, MODELS, "mdp", "FiniteMDP")
-    factor = _normalise(mdp) if _checks.boolean(normalized, "normalized") else 1.0
+    if _checks.boolean(normalized, "normalized") and mdp.discount == 1.0:
+        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+    factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
         return value if np.isfinite(value) else float(said(value))

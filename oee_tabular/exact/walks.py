@@ -9,7 +9,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
-from oee_tabular._sparse import align, canonical, checked, row_sums
+from oee_tabular._sparse import ratio_on, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import readable, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -112,13 +112,9 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Ar
 def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
     """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the moves; 1 in the states that are ``over``."""
     matrix = mdp.transitions
-    values = getattr(ratio, "values", ratio)
-    if not sparse.issparse(values) or values.shape != matrix.shape:
-        found = getattr(values, "shape", type(values).__name__)
-        raise ValueError(f"zeta must be sparse of shape {matrix.shape}, row s*A + a; got {found}")
-    if np.iscomplexobj(values):
+    if np.iscomplexobj(getattr(ratio, "values", ratio)):
         raise ValueError("zeta must hold real numbers; it is complex")
-    w, _ = align(canonical(checked(values, "zeta"), drop_zeros=False), matrix)
+    w = ratio_on(matrix, ratio, "zeta")
     if not 0.0 <= w.min() <= w.max() < np.inf:
         bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
         raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")

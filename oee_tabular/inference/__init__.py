@@ -8,9 +8,8 @@ from __future__ import annotations
 import importlib
 
 from oee_tabular.inference.changes import RowChanges, row_changes
-from oee_tabular.inference.comparison import Comparison, compare_policies
+from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
 from oee_tabular.inference.intervals import Interval, interval
-from oee_tabular.inference.selection import Selection, selection_measures
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import rel_entr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
@@ -106,13 +107,11 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     biggest = apart == np.maximum.reduceat(apart, starts)[rows]
     entry = np.minimum.reduceat(np.where(biggest, np.arange(len(apart)), len(apart)), starts)
     have = evidence.n > 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        terms = np.where(evidence.phat > 0, evidence.phat * np.log(evidence.phat / simulator), 0.0)
     return RowChanges(
         np.maximum(least, 0.0).reshape(shape),
         np.where(have, 0.5 * np.add.reduceat(apart, starts), 0.0).reshape(shape),
         evidence.n.reshape(shape),
-        (evidence.n * np.add.reduceat(terms, starts)).reshape(shape),
+        (evidence.n * np.add.reduceat(rel_entr(evidence.phat, simulator), starts)).reshape(shape),
         np.where(have, matrix.indices[entry], -1).astype(np.int64).reshape(shape),
         np.where(have, simulator[entry], np.nan).reshape(shape),
         np.where(have, evidence.phat[entry], np.nan).reshape(shape),
@@ -126,13 +125,6 @@ def lower_mass(frequency: Array, epsilon: Array) -> Array:
     low, high = np.zeros(len(frequency)), np.array(frequency)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        outside = _binary_kl(frequency, middle) > epsilon
+        outside = rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle) > epsilon
         low, high = np.where(outside, middle, low), np.where(outside, high, middle)
     return low
-
-
-def _binary_kl(f: Array, p: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = np.where(f > 0, f * np.log(f / p), 0.0)
-        second = np.where(f < 1, (1.0 - f) * np.log((1.0 - f) / (1.0 - p)), 0.0)
-    return np.asarray(first + second)

@@ -1,4 +1,4 @@
-"""Several policies from one log: differences with their correlation kept, a ranking."""
+"""Several policies from one log: differences with their correlation kept, a ranking, and how well estimates rank policies."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from oee_tabular import _checks, _printing
@@ -16,8 +17,7 @@ from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.ambiguity import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
-from oee_tabular.inference.sampled import sampling_margin
-from oee_tabular.inference.strays import stray_swing
+from oee_tabular.inference.margins import sampling_margin, stray_swing
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 
@@ -96,12 +96,6 @@ class Comparison:
         return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
 
 
-def _shares_of_the_best(draws: Array) -> Array:
-    """(k,) how often each column is the largest of its row; those that are as large, but for rounding, share the row."""
-    top = draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
-    return np.asarray(np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws))
-
-
 @one_thread
 def compare_policies(
     problem: Problem,
@@ -171,7 +165,10 @@ def compare_policies(
         )
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
-    best = _shares_of_the_best(draws)
+    top = (
+        draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
+    )  # equals but for rounding share a draw
+    best = np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws)
     order = np.argsort(-values, kind="stable")
     values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
     unseen = np.array([_unknown_time(problem, evidences[i]) for i in order])
@@ -244,3 +241,59 @@ def _root(covariance: Array) -> Array:
     values, vectors = np.linalg.eigh(covariance)
     real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
     return np.asarray(vectors * np.sqrt(np.where(real, values, 0.0)))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """How well estimated values choose among policies whose true values are known.
+
+    Attributes
+    ----------
+    rank_correlation : Spearman's; 1: the same order
+    regret : what the best of the k policies ranked first falls short of the best of all, divided by the range of true
+        values if that is not 0
+    absolute_error : the mean |estimate - truth|, units of J
+
+    Examples
+    --------
+    >>> round(selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0]).regret, 4)  # 2 chosen, 3 is best, of 0 to 3
+    0.3333
+    """
+
+    rank_correlation: float
+    regret: float
+    absolute_error: float
+
+
+def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -> Selection:
+    """Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
+
+    Parameters
+    ----------
+    estimates, truths : of one length, at least 2; finite
+    k : positive int, at most their number: of how many ranked first the best is taken
+
+    Examples
+    --------
+    >>> selection_measures([3.0, 2.0, 1.0], [2.0, 3.0, 0.0])
+    Selection(rank_correlation=0.5, regret=0.3333333333333333, absolute_error=1.0)
+    """
+    guess = _checks.float_array(estimates, "estimates", ndim=1)
+    truth = _checks.float_array(truths, "truths", ndim=1)
+    if guess.shape != truth.shape or len(guess) < 2:
+        raise ValueError(
+            f"estimates and truths must have one length of at least 2; they have {len(guess)} and {len(truth)}"
+        )
+    for array, name in ((guess, "estimates"), (truth, "truths")):
+        _checks.require_finite(array, name)
+    number = _checks.positive_integer(k, "k")
+    if number > len(guess):
+        raise ValueError(f"k must be at most the number of policies, {len(guess)}; it is {number}")
+    flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
+    from scipy import stats  # a quarter of a second
+
+    correlation = float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
+    chosen = np.argsort(-guess, kind="stable")[:number]
+    short = float(truth.max() - truth[chosen].max())
+    width = float(np.ptp(truth))
+    return Selection(correlation, short / width if width > 0 else 0.0, float(np.abs(guess - truth).mean()))

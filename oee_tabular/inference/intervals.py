@@ -14,12 +14,21 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.inference.ambiguity import Evidence, gather, reached_rows, require_squares, unseen_time
+from oee_tabular.inference.ambiguity import (
+    Evidence,
+    Extreme,
+    contradicted_rows,
+    describe_rows,
+    extreme_value,
+    gather,
+    radii,
+    reached_rows,
+    require_squares,
+    unseen_time,
+)
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.likelihood import ProfileEnd, Start, profile_end
-from oee_tabular.inference.robust import Extreme, contradicted_rows, describe_rows, extreme_value, radii
-from oee_tabular.inference.sampled import sampling_margin
-from oee_tabular.inference.strays import Found, stray_end, stray_share
+from oee_tabular.inference.margins import Found, sampling_margin, stray_end, stray_share
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -129,8 +138,8 @@ def interval(
     robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
     likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
     Impossible moves that a Problem dropped are taken to have led anywhere, each end where that is most extreme
-    (``inference.strays``): "likelihood" and "robust" alone. All widen where the simulator was made of samples, by its first
-    states', rewards' and unmet moves' (``inference.sampled``; ``unmet_share``: the time that those may take).
+    (``inference.margins``): "likelihood" and "robust" alone. All widen where the simulator was made of samples, by its first
+    states', rewards' and unmet moves' (``inference.margins``; ``unmet_share``: the time that those may take).
 
     Examples
     --------

@@ -19,17 +19,18 @@ from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked_rows, row_of_entry, row_sums
 from oee_tabular.mdp.arrays import (
+    Sampling,
     canonical_table,
     check_layout,
     name_move,
     reward_table,
+    stored_sampling,
     stored_shape,
     terminal_states,
     transition_rows,
 )
 from oee_tabular.mdp.made import Made
 from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, start_law, to_text
-from oee_tabular.mdp.sampling import Sampling, stored_sampling
 
 KIND = "finite_mdp"
 

@@ -97,3 +97,10 @@ def optional_steps(
 ) -> int | None:
     """``steps_of``, or None for the infinite sum."""
     return None if horizon is None else steps_of(horizon, model, policy, kept=kept)
+
+
+def total_discount(discount: float, horizon: int | None) -> float:
+    """sum_t discount^t over the horizon."""
+    if horizon is None:
+        return 1.0 / (1.0 - discount)
+    return float(horizon) if discount == 1.0 else (1.0 - discount**horizon) / (1.0 - discount)

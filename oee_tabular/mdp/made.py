@@ -108,7 +108,7 @@ class Made:
         Notes
         -----
         How many samples there were is kept (``sampling``): intervals widen by what first states, mean rewards and moves that
-        were never met may change (``inference.sampled``).
+        were never met may change (``inference.margins``).
 
         Examples
         --------

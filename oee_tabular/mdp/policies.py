@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular.mdp.policy_forms import are_several, is_policy_by_state, policy_table
-from oee_tabular.mdp.policy_tables import Sized
+from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.mdp.policy_forms import Sized, are_several, deterministic_policy, is_policy_by_state, policy_table
 
 
 def require_sized(mdp: object) -> None:
@@ -150,13 +149,6 @@ def _beside(policy: PolicyLike, name: str, other: Any) -> Any:
     if bad.size:
         raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {array[bad[0]]}")
     return deterministic_policy(array.astype(np.int64), n_actions)
-
-
-def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
-    """The (S, A) policy that takes ``actions[s]`` in state s."""
-    policy = np.zeros((len(actions), n_actions))
-    policy[np.arange(len(actions)), actions] = 1.0
-    return policy
 
 
 def policy_array(spec: str, name: str) -> Array:

@@ -1,16 +1,97 @@
-"""The forms in which people have a policy, made (S, A): an action a state, a mapping by names, a function of a state."""
+"""The forms in which people have a policy, made (S, A): an action a state, a mapping by names, a table, a function."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
+from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.mdp.naming import Name, Names, is_name, names_of, number_of, numbers_of, plain
-from oee_tabular.mdp.policy_tables import Sized, is_labelled, labelled_policy
+
+COLUMNS = "the columns state and action, with probability or without, or state and one for each action"
+
+
+class Sized(Protocol):
+    """Anything with numbers of states and actions, and the states that the environment itself knows."""
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """(S0,): its length is the number of the environment's own states."""
+
+
+def is_labelled(policy: object) -> bool:
+    """Whether ``policy`` is a table or a series whose labels mean something: its order then does not."""
+    if not hasattr(policy, "index") or not hasattr(policy, "to_dict"):
+        return False
+    own_index = type(policy.index).__name__ != "RangeIndex"
+    return own_index or "state" in getattr(policy, "columns", ())
+
+
+def labelled_policy(policy: Any, mdp: Sized, name: str) -> dict[Any, Any]:
+    """A series state -> action, a table with a row a state and a column an action, or one as ``by_state`` reads it."""
+    if not hasattr(policy, "columns"):
+        return _unique(list(policy.items()), name)
+    if "state" in policy.columns:
+        return by_state(policy, mdp, name)
+    return by_state(policy.rename_axis("state").reset_index(), mdp, name)
+
+
+def by_state(frame: Any, mdp: Sized, name: str) -> dict[Any, Any]:
+    """A mapping of a pandas table: state and action, a row a state; these and probability; or state and a column an action."""
+    labels = list(frame.columns)
+    known = numbers_of(names_of(mdp).actions or ())
+    numbers = range(mdp.n_actions)
+    actions = {  # a number or a name
+        label: int(label) if isinstance(label, str) and label.isdigit() else label
+        for label in labels
+        if label != "state"
+    }
+    wide = "action" not in labels and all(a in known or (isinstance(a, int) and a in numbers) for a in actions.values())
+    if "state" not in labels or len(labels) < 2 or not ("action" in labels or wide) or len(frame) == 0:
+        found = ", ".join(map(str, labels))
+        raise ValueError(f"{name} must have {COLUMNS}, and at least one row; it has {found} and {len(frame)} rows")
+    if wide:
+        rows = frame.to_dict("records")
+        pairs = [(row["state"], {a: _number(row[label], name) for label, a in actions.items()}) for row in rows]
+        return _unique(pairs, name)
+    if "probability" not in labels:
+        return _unique(list(zip(frame["state"].tolist(), frame["action"].tolist(), strict=True)), name)
+    table: dict[Any, Any] = {}
+    for state, action, probability in frame[["state", "action", "probability"]].itertuples(index=False, name=None):
+        chosen = table.setdefault(state, {})
+        if action in chosen:
+            raise ValueError(
+                f"{name} must have each state's action once; state {state}, action {action} is there twice"
+            )
+        chosen[action] = _number(probability, name)
+    return table
+
+
+def _unique(pairs: list[tuple[Any, Any]], name: str) -> dict[Any, Any]:
+    table: dict[Any, object] = {}
+    for state, choice in pairs:
+        if state in table:
+            raise ValueError(f"{name} must have a row for each state; state {state} has two")
+        table[state] = choice
+    return table
+
+
+def _number(value: Any, name: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must have numbers as probabilities; it has {value!r}") from None
 
 
 def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
@@ -42,7 +123,7 @@ def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
     """Whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
     known = numbers_of(names_of(mdp).states or ())
     return bool(policies) and all(
-        (plain(key) in known or _is_number(key)) and not (callable(value) or _depth(value) >= 2)
+        (plain(key) in known or _checks.is_integer(key)) and not (callable(value) or _depth(value) >= 2)
         for key, value in policies.items()
     )
 
@@ -71,10 +152,6 @@ def _depth(value: Any) -> int:
         return 0
 
 
-def _is_number(key: object) -> bool:
-    return isinstance(key, int | np.integer) and not isinstance(key, bool)
-
-
 def _of_actions(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """One action a state, by number or name."""
     called, sizes = names_of(mdp).actions, (mdp.n_states, len(mdp.terminal_state))
@@ -99,9 +176,14 @@ def _of_actions(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         chosen = np.array(
             [number_of(a, called, mdp.n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(items)]
         )
-    table = np.zeros((len(items), mdp.n_actions))
-    table[np.arange(len(items)), chosen] = 1.0
-    return table
+    return deterministic_policy(chosen, mdp.n_actions)
+
+
+def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
+    """The (S, A) policy that takes ``actions[s]`` in state s."""
+    policy = np.zeros((len(actions), n_actions))
+    policy[np.arange(len(actions)), actions] = 1.0
+    return policy
 
 
 def _tuples(policy: PolicyLike, names: tuple[Name, ...] | None, n_actions: int) -> list[Any] | None:
@@ -172,7 +254,7 @@ def _row(choice: Any, mdp: Sized, names: Names, name: str) -> Array:
         for action, probability in choice.items():
             a = number_of(action, names.actions, mdp.n_actions, f"{name}'s action", "the MDP's")
             row[a] += _checks.number_in(probability, f"{name}[{action!r}]", 0.0, 1.0)
-    elif _is_number(given := plain(choice)) or (isinstance(choice, str | tuple) and _is_action(given, names)):
+    elif _checks.is_integer(given := plain(choice)) or (isinstance(choice, str | tuple) and _is_action(given, names)):
         row[number_of(given, names.actions, mdp.n_actions, name, "the MDP's")] = 1.0
     else:
         shape = np.shape(choice) if _depth(choice) else ()

@@ -10,10 +10,9 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
-from oee_tabular.mdp.arrays import check_layout
+from oee_tabular.mdp.arrays import Sampling, check_layout, sampling_of
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
-from oee_tabular.mdp.sampling import Sampling, sampling_of
 from oee_tabular.mdp.support import require_log
 
 

@@ -1,6 +1,5 @@
 """Convex risk minimisation: density ratios (beta) and transition ratios (zeta), each with a duality gap."""
 
-from oee_tabular.ratio.assumptions import Assumptions, check_assumptions
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.features import action_displacement, gaussian
@@ -13,7 +12,7 @@ from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.samples import density_ratio_samples
 from oee_tabular.ratio.samples.result import SampleRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace
-from oee_tabular.ratio.support import refuse_unsupported, uncovered_share
+from oee_tabular.ratio.support import Assumptions, check_assumptions, refuse_unsupported, uncovered_share
 from oee_tabular.ratio.ties import Tied
 from oee_tabular.ratio.transition import transition_ratio, true_ratio
 

@@ -158,10 +158,9 @@ def density_ratio(
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     _checks.boolean(normalized, "normalized")
-    weights = _weights(p, q)
+    weights, totals = _checks.weight_pair(p, q)
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = _checks.box(lower, upper, normalized=normalized)
-    totals = _totals(weights)
     strength = _checks.ridge(ridge, totals[0])
     if features is not None or kernel is not None:
         if toward is not None or loss != "kl":
@@ -212,22 +211,6 @@ def density_ratio(
     )  # fmt: skip
 
 
-def _weights(p: ArrayLike, q: ArrayLike) -> list[Array]:
-    weights = [_nonnegative(value, name) for value, name in ((p, "p"), (q, "q"))]
-    if weights[0].shape != weights[1].shape:
-        raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
-    return weights
-
-
-def _totals(weights: list[Array]) -> list[float]:
-    with np.errstate(over="ignore"):
-        totals = [float(w.sum()) for w in weights]
-    for total, name in zip(totals, ("p", "q"), strict=True):
-        if not 0.0 < total < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
-    return totals
-
-
 def _certified(
     pair: tuple[Array, Array], totals: list[float], g: Array, value: float, gap: float, loss: str, **rest: Any
 ) -> RatioFit:
@@ -255,12 +238,6 @@ def _class_fit(
         enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)), normalizer=found.eta, n_undetermined=0,
         trace=trace, weights=found.weights, details=details,
     )  # fmt: skip
-
-
-def _nonnegative(value: object, name: str) -> Array:
-    array = _checks.float_array(value, name, ndim=1)
-    _checks.require_nonnegative(array, name)
-    return array
 
 
 def _refuse_unbounded(index: Any, p: Array, q: Array, curvature: Array, box: Box) -> None:

@@ -27,12 +27,8 @@ from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simul
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
 
-FREE = Box(0.0, np.inf)
 
-
-def joint_program(
-    counts: Array, share: Array, rows: Rows, box: Box, ratio_box: Box = FREE, ridge: float = 0.0
-) -> JointProgram:
+def joint_program(counts: Array, share: Array, rows: Rows, box: Box, ratio_box: Box, ridge: float) -> JointProgram:
     """From counts on the simulator's entries and d(s, a) ``share`` (rows,); the paper's ridge, towards 0."""
     p, q = counts / counts.sum(), rows.spread(share) * rows.weights
     # r is d(s, a) to the last bit as the constraint has it: neither ratio can run away alone

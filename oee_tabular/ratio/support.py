@@ -1,10 +1,12 @@
-"""No ratio without support: moves of the target that the simulator gives probability 0."""
+"""No ratio without support: moves that the simulator gives probability 0; the paper's assumptions, checked on a given pair."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -188,3 +190,75 @@ def require_pair(target: object, simulator: object) -> None:
             f"target and simulator must have the same states and actions; their transitions have shapes "
             f"{target.transitions.shape} and {simulator.transitions.shape}"
         )
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What holds of p, q and the box [lower, upper].
+
+    Attributes
+    ----------
+    box_contains_one : nu < 1 < mu (Assumption V.1)
+    inside : nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all functions in the box)
+    supported : p = 0 wherever q = 0
+    below, above, unsupported : how many entries miss each
+    smallest, largest : of p/q where q > 0
+    renyi_infinity : D_inf(p || q) = log max p/q, infinite without support
+
+    Examples
+    --------
+    >>> found = check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2)
+    >>> found.inside, found.above, found.largest, found.supported
+    (False, 1, 1.5, True)
+    """
+
+    box_contains_one: bool
+    inside: bool
+    supported: bool
+    below: int
+    above: int
+    unsupported: int
+    smallest: float
+    largest: float
+    renyi_infinity: float
+
+    def __str__(self) -> str:
+        box = "holds" if self.box_contains_one else "fails"
+        inside = "holds" if self.inside else f"fails ({self.below} entries below, {self.above} above)"
+        support = "holds" if self.supported else f"fails at {self.unsupported} entries"
+        return (
+            f"nu < 1 < mu: {box}; nu <= p/q <= mu: {inside}, p/q from {self.smallest:.4g} to {self.largest:.4g}; support: "
+            f"{support}; D_inf = {self.renyi_infinity:.4g}"
+        )
+
+
+def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float) -> Assumptions:
+    """Whether assumptions V.1 and V.2 hold of the distributions p, q (counts are scaled) and the box [lower, upper].
+
+    Parameters
+    ----------
+    p, q : (n,) nonnegative; counts or probabilities, each is scaled to sum to 1
+    lower, upper : the paper's nu >= 0 and mu, inf allowed
+
+    Examples
+    --------
+    >>> print(check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2))
+    nu < 1 < mu: holds; nu <= p/q <= mu: fails (0 entries below, 1 above), p/q from 0.5 to 1.5; support: holds; D_inf = 0.4055
+    """
+    ps, qs = _checks.distribution_pair(p, q)
+    nu = _checks.number_in(lower, "lower", 0.0, np.inf)
+    mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
+    ratio = ps[qs > 0] / qs[qs > 0]
+    unsupported = int(np.sum((qs == 0) & (ps > 0)))
+    below, above = int(np.sum(ratio < nu)), int(np.sum(ratio > mu))
+    return Assumptions(
+        box_contains_one=nu < 1.0 < mu,
+        inside=below == above == 0,
+        supported=unsupported == 0,
+        below=below,
+        above=above,
+        unsupported=unsupported,
+        smallest=float(ratio.min()),
+        largest=float(ratio.max()),
+        renyi_infinity=float("inf") if unsupported else float(np.log(ratio.max())),
+    )

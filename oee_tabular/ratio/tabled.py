@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import find
+from oee_tabular.data.files import MOVE
 from oee_tabular.data.frames import eager
 from oee_tabular.data.tables import require_columns
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 from oee_tabular.mdp.naming import Name, number_of
 
-MOVE = ("state", "action", "next_state")
 NAMELESS = "Unnamed: "  # what pandas calls a column without a name
 WHOLE = 2.0**53  # up to which a float is the integer that was written
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
-from oee_tabular.design.advice import advice
+from oee_tabular.design.costs import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows

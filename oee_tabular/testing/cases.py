@@ -252,10 +252,6 @@ def _violated(name: str, horizon: int | None) -> Case:
     return replace(whole, simulator=_mortal(rows, 0.9))
 
 
-def _same(pair: Case) -> Case:
-    return replace(pair, name=f"same {pair.name}", simulator=copy.deepcopy(pair.target))
-
-
 _MADE: Mapping[str, Callable[[str], Case]] = {
     "ragged": lambda name: _ragged(name, 6, 0.9, 6),
     "ragged infinite": lambda name: _ragged(name, None, 0.8, 80),
@@ -289,4 +285,4 @@ def case(name: str) -> Case:
     bare = name.removeprefix("same ")
     _checks.one_of(bare, "name", CASES)
     found = _MADE[bare](bare)
-    return found if bare == name else _same(found)
+    return found if bare == name else replace(found, name=name, simulator=copy.deepcopy(found.target))

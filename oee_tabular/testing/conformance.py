@@ -10,10 +10,9 @@ from typing import Any
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Seed
-from oee_tabular.testing import invariances, laws, manners
-from oee_tabular.testing.calls import Broken, Subject, name_of, one_thread
+from oee_tabular.testing import laws, manners
+from oee_tabular.testing.calls import Broken, Subject, claims_of, name_of, one_thread
 from oee_tabular.testing.cases import case
-from oee_tabular.testing.claims import claims_of
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,12 @@ LAWS: Mapping[str, Law] = {
     "ragged": _law(laws.ragged, "consistent"),
     "identical": _law(laws.identical, "consistent", "identical"),
     "unbiased": _law(laws.unbiased, "unbiased"),
-    "relabelling": _law(invariances.relabelling, "relabelling"),
-    "scale": _law(invariances.scale, "scale"),
-    "shift": _law(invariances.shift, "shift"),
-    "padding": _law(invariances.padding, "padding"),
-    "after_end": _law(invariances.after_end, "after_end"),
-    "seeds": _law(invariances.seeds),
+    "relabelling": _law(laws.relabelling, "relabelling"),
+    "scale": _law(laws.scale, "scale"),
+    "shift": _law(laws.shift, "shift"),
+    "padding": _law(laws.padding, "padding"),
+    "after_end": _law(laws.after_end, "after_end"),
+    "seeds": _law(laws.seeds),
 }
 
 

@@ -1,7 +1,14 @@
 """The paper's theorems with both sides of each, and what holds instead."""
 
-from oee_tabular.theory.bounds import normalised_bound, normalised_sides, unnormalised_bound, unnormalised_sides
-from oee_tabular.theory.paths import kl_path_bound, kl_path_sides, path_kl
+from oee_tabular.theory.bounds import (
+    kl_path_bound,
+    kl_path_sides,
+    normalised_bound,
+    normalised_sides,
+    path_kl,
+    unnormalised_bound,
+    unnormalised_sides,
+)
 from oee_tabular.theory.simulation_lemma import Sides, SimulationLemma, simulation_lemma
 from oee_tabular.theory.theorem_1 import (
     EstimationCounterexample,

@@ -17,7 +17,6 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.theory.paths import divergence_terms
 from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
 
 
@@ -57,6 +56,15 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     else:
         log_sum = float(special.logsumexp(powers + np.log(ps[shared])))
     return max(0.0, log_sum / (a - 1.0))
+
+
+def divergence_terms(p: Array, q: Array) -> Array:
+    """p log(p/q) - p + q >= 0, entry by entry, to full relative precision for q near p; q where p = 0, inf where q = 0 < p."""
+    terms: Array = np.asarray(special.kl_div(p, q))
+    near = (p > 0.0) & (np.abs(q - p) < 0.5 * p)
+    change = (q[near] - p[near]) / p[near]
+    terms[near] = p[near] * (change - np.log1p(change))
+    return terms
 
 
 def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float) -> float:

@@ -14,7 +14,7 @@ from oee_tabular.bench.league import league_of
 from oee_tabular.bench.scores import summary
 from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.task import ContinuousTask, Moves
-from oee_tabular.mdp.layout import displacements
+from oee_tabular.mdp.rows import displacements
 
 
 @pytest.mark.parametrize("given", [False, True])

@@ -9,13 +9,11 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions, _checks
-from oee_tabular.design import collection, statements
-from oee_tabular.design.advice import next_pairs
+from oee_tabular.design import collection
 from oee_tabular.design.collection import plan_data_collection
-from oee_tabular.design.costs import largest_variance, row_costs
+from oee_tabular.design.costs import largest_variance, next_pairs, row_costs
 from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
-from oee_tabular.design.programs import evaluate, fill, free_design, minimise
-from oee_tabular.design.statements import conic_design
+from oee_tabular.design.programs import conic_design, evaluate, fill, free_design, minimise
 from oee_tabular.exact import transition_gradient
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
@@ -474,7 +472,7 @@ def test_auto_asks_clarabel_where_the_certificate_is_poor(monkeypatch):
     def fails(*arguments):
         raise SolverStatusError("no")
 
-    monkeypatch.setattr(statements, "conic_design", fails)
+    monkeypatch.setattr(collection, "conic_design", fails)
     plan = plan_data_collection(SIMULATOR, POLICY, n=10, sampling="behavior")
     assert plan.solver == "frank_wolfe"
     assert plan.status.startswith("not finished: another plan may be better by up to")

@@ -23,7 +23,7 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
-from oee_tabular.estimators.limits import expected_rewards, population
+from oee_tabular.estimators.base import expected_rewards, population
 
 LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import Problem, exact
 from oee_tabular.estimators import OffEnvironment, Oracle
-from oee_tabular.estimators.limits import population
+from oee_tabular.estimators.base import population
 
 
 @pytest.mark.parametrize("horizon", [None, 4])

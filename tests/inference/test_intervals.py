@@ -17,7 +17,7 @@ from scipy.optimize import linprog
 import oee_tabular as oee
 from oee_tabular.exact import evaluate_policy
 from oee_tabular.inference import _robust as kernel
-from oee_tabular.inference import ambiguity, likelihood, robust
+from oee_tabular.inference import ambiguity, likelihood
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.taken import Taken
@@ -127,13 +127,13 @@ def test_43_the_rows_share_the_probability_of_failure():
     simulator = oee.tasks.gridworld(4, 0.3, discount=0.9)
     log = oee.sample_transitions(simulator, np.full((16, 4), 1 / 64), 5000, seed=0)
     evidence = ambiguity.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator))
-    size = robust.radii(evidence, 0.9, "independent", "kl")
+    size = ambiguity.radii(evidence, 0.9, "independent", "kl")
     k = np.diff(evidence.indptr)
     c = (evidence.n * size)[k > 1]
     bounds = np.exp(-c) * (np.e * c / (k[k > 1] - 1)) ** (k[k > 1] - 1)
     assert_allclose(bounds.sum(), 0.1, rtol=1e-9)
     still = ambiguity.gather(oee.Problem(simulator, log), oee.tasks.gridworld_expert(4))
-    assert robust.radii(still, 0.9, "independent", "kl")[0] < size[0]  # fewer rows are reached
+    assert ambiguity.radii(still, 0.9, "independent", "kl")[0] < size[0]  # fewer rows are reached
 
 
 def case(rng, n_states=3, n=60, **options):
@@ -154,7 +154,7 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
     assert wide.lower <= narrow.lower + slack
     assert narrow.upper <= wide.upper + slack
     evidence = ambiguity.gather(problem, policy)
-    size = robust.radii(evidence, 0.6, "independent", "kl")
+    size = ambiguity.radii(evidence, 0.6, "independent", "kl")
     for _ in range(5):  # members: a step from the counts towards a random row, as far as the ball allows
         p = evidence.phat.copy()
         for k in range(len(evidence.n)):
@@ -179,7 +179,7 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
         plain, other = (oee.interval(x, policy, method=method) for x in (problem, mirrored))
         assert_allclose((other.lower, other.upper), (-plain.upper, -plain.lower), rtol=1e-6, atol=1e-6)
     if horizon is None:
-        end = robust.extreme_value(evidence, size, 1.0)
+        end = ambiguity.extreme_value(evidence, size, 1.0)
         assert end.residual <= 1e-8 * max(1.0, abs(end.value))
         assert_allclose(end.bound, end.value, atol=1e-6 * max(1.0, abs(end.value)))
 
@@ -209,9 +209,9 @@ def test_the_rectangular_set_as_one_conic_program():
         _, _, problem, policy = case(rng, n=40, form=2)
         box = {"lower_ratio": 0.2, "upper_ratio": 4.0} if trial % 2 else {}
         evidence = ambiguity.gather(problem, policy, **box)
-        size = robust.radii(evidence, 0.9, "independent", "kl")
+        size = ambiguity.radii(evidence, 0.9, "independent", "kl")
         for sign in (1.0, -1.0):
-            end = robust.extreme_value(evidence, size, sign)
+            end = ambiguity.extreme_value(evidence, size, sign)
             if end.contradicted.size:
                 continue
             with warnings.catch_warnings():
@@ -261,7 +261,7 @@ def test_36_boxes(rng):
         assert boxed.upper <= free.upper + slack
         evidence = ambiguity.gather(problem, policy, **wide)
         size = np.full(len(evidence.n), np.inf)  # no data at all: the box alone
-        ends = [robust.extreme_value(evidence, size, sign).bound for sign in (-1.0, 1.0)]
+        ends = [ambiguity.extreme_value(evidence, size, sign).bound for sign in (-1.0, 1.0)]
         assert ends[0] - slack <= truth <= ends[1] + slack
 
 
@@ -411,11 +411,11 @@ def test_a_robust_value_that_stops_early_is_still_a_bound(sign, monkeypatch):
     simulator = oee.tasks.gridworld(3, 0.3, discount=0.95)
     log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 400, seed=0)
     evidence = ambiguity.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator), 0.3, 3.0)
-    radius = robust.radii(evidence, 0.95, "independent", "kl")
-    exact = robust.extreme_value(evidence, radius, sign)
+    radius = ambiguity.radii(evidence, 0.95, "independent", "kl")
+    exact = ambiguity.extreme_value(evidence, radius, sign)
     start = evaluate_policy(evidence.with_rows(evidence.phat), evidence.policy)
-    monkeypatch.setattr(robust, "evaluate_policy", lambda *_: start)
-    early = robust.extreme_value(evidence, radius, sign, most=1)
+    monkeypatch.setattr(ambiguity, "evaluate_policy", lambda *_: start)
+    early = ambiguity.extreme_value(evidence, radius, sign, most=1)
     assert early.sweeps == 1
     assert sign * early.bound >= sign * exact.value
     assert sign * (early.value + sign * early.residual) < sign * exact.value - 0.01

@@ -10,10 +10,9 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular.estimators.findings import moves_dropped
 from oee_tabular.inference import compare_policies
-from oee_tabular.inference.ambiguity import evidence_of, gather
+from oee_tabular.inference.ambiguity import evidence_of, extreme_value, gather, radii
 from oee_tabular.inference.likelihood import profile_end
-from oee_tabular.inference.robust import extreme_value, radii
-from oee_tabular.inference.strays import _ahead, stray_swing
+from oee_tabular.inference.margins import _ahead, stray_swing
 
 S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 

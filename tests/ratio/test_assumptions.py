@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from oee_tabular import _checks
-from oee_tabular.ratio.assumptions import check_assumptions
+from oee_tabular.ratio.support import check_assumptions
 
 
 def test_boxes_and_ridges():

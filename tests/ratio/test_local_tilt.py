@@ -14,7 +14,7 @@ import oee_tabular as oee
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior import local_tilt
 from oee_tabular.ratio.prior import neighbours as graphs
-from oee_tabular.ratio.prior._neighbours import match
+from oee_tabular.ratio.prior._kernels import match
 from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
 from oee_tabular.ratio.prior.neighbours import REST, neighbours
 from oee_tabular.ratio.prior.tilt import fit_tilt

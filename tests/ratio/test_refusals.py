@@ -10,8 +10,8 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
 from oee_tabular.ratio import Sgd, density_ratio_samples
-from oee_tabular.ratio.assumptions import check_assumptions
 from oee_tabular.ratio.features import action_displacement
+from oee_tabular.ratio.support import check_assumptions
 
 zeta = functools.partial(functools.partial, oee.transition_ratio, sparse.csr_array(COUNTS), SIMULATOR)
 

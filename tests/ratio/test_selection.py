@@ -13,7 +13,7 @@ from scipy import optimize, special
 import oee_tabular as oee
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
-from oee_tabular.ratio.prior import _strength, selection
+from oee_tabular.ratio.prior import _kernels, selection
 from oee_tabular.ratio.prior.selection import Selection
 
 ALL, FIRST = 0, 1  # a feature for all actions, or for action 0 alone
@@ -292,12 +292,12 @@ def log_gamma(x):
 def test_log_rising_over_all_scales(exponent, n):
     base = 10.0**exponent
     exact = log_gamma(Decimal(base) + Decimal(n)) - log_gamma(Decimal(base))
-    assert_allclose(_strength.log_rising(base, n), float(exact), rtol=2e-12, atol=2e-12)
+    assert_allclose(_kernels.log_rising(base, n), float(exact), rtol=2e-12, atol=2e-12)
 
 
 @pytest.mark.parametrize("n", [1.0, 2.0, 8.0, 9.0, 11.999, 12.0, 1e5])
 @pytest.mark.parametrize("base", [1e-12, 0.5, 11.9, 12.0, 12.1])
 def test_log_rising_where_its_formulas_meet(base, n):
     assert_allclose(
-        _strength.log_rising(base, n), special.gammaln(base + n) - special.gammaln(base), rtol=1e-12, atol=1e-12
+        _kernels.log_rising(base, n), special.gammaln(base + n) - special.gammaln(base), rtol=1e-12, atol=1e-12
     )

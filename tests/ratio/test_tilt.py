@@ -14,7 +14,7 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import action_displacement, statements
 from oee_tabular.ratio.features import feature_array
 from oee_tabular.ratio.prior import strength as prior
-from oee_tabular.ratio.prior._strength import log_rising
+from oee_tabular.ratio.prior._kernels import log_rising
 from oee_tabular.ratio.prior.tilt import fit_default_tilt, fit_tilt
 from oee_tabular.ratio.support import aligned_counts
 

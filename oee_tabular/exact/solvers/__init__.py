@@ -1,4 +1,4 @@
-"""Solvers of M x = b, M = I - gamma K, one a file, and the choice among them: the first that suits and does not give up.
+"""Solvers of M x = b, M = I - gamma K, and the choice among them: the first that suits and does not give up.
 
 ========================  ==============================================================================================
 ``LAPACK``                up to 100 states: dense
@@ -9,7 +9,7 @@
 ``LAPACK``, ``SuperLU``   with pivoting: where an iteration falls short, unless the graph would never let them finish
 ========================  ==============================================================================================
 
-A new solver is a file with such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
+A new solver is such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
 laws. Answers are refined on the residual of the system as it was given, until that is as small as its own rounding.
 
 For a nonnegative K any h > 0 with M h >= c > 0 certifies that the spectral radius of gamma K is below 1 and that |M^-1|_inf <=
@@ -28,10 +28,8 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
-from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU
-from oee_tabular.exact.solvers.library import SuperLU
-from oee_tabular.exact.solvers.value_iteration import ValueIteration
+from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU, SuperLU
+from oee_tabular.exact.solvers.iterations import BiCGStab, ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
 
@@ -126,24 +124,21 @@ def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
 
 def refine(system: System, b: Array, solve: Solve, method: str) -> Answer | None:
     """Solve, then for the residual, until that is within rounding or stops falling; None where the solver gives up."""
-    residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
     x = solve(b, 0.0)
     if x is None:
         return None
-    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
-    found = Answer(x, missed, largest, bound, rounding, method)
+    found = _answered(system, b, x, method)
     for _ in range(8):
         if not 0.25 * found.rounding < found.largest < np.inf:
             break
         step = solve(found.missed, 0.1 * found.rounding / found.largest)
         if step is None:
             break
-        x = found.x + step
-        missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
-        if not largest < found.largest:
+        again = _answered(system, b, found.x + step, method)
+        if not again.largest < found.largest:
             break
-        stalled = largest > 0.5 * found.largest
-        found = Answer(x, missed, largest, bound, rounding, method)
+        stalled = again.largest > 0.5 * found.largest
+        found = again
         if stalled:
             break
     return found

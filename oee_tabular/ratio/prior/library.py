@@ -27,8 +27,7 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.layout import DIGITS
-from oee_tabular.mdp.rows import Rows, distinct
+from oee_tabular.mdp.rows import DIGITS, Rows, distinct
 from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 SMOOTH, MOVES = 3, 8  # functions on the graph, displacements

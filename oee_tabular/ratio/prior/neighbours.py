@@ -22,7 +22,7 @@ from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.prior._neighbours import match
+from oee_tabular.ratio.prior._kernels import match
 
 REST = 1e-4
 LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor

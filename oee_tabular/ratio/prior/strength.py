@@ -23,7 +23,7 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.rows import Rows, distinct
-from oee_tabular.ratio.prior._strength import Counts, evidence_by_kind
+from oee_tabular.ratio.prior._kernels import Counts, evidence_by_kind
 
 SMALLEST, LARGEST = 1.0, 1e8  # at least one move: few moves must not talk the evidence out of a row of the prior
 FITS, FITS_ROUGHLY = 300.0, 50.0

@@ -1,6 +1,6 @@
-"""Dropped moves: what J may be where the moves that the simulator calls impossible led anywhere.
+"""What an interval owes to moves that were dropped, and to a simulator that was made of samples itself.
 
-Of the moves from (s, a) the target makes a share q_sa that the simulator rules out:
+Dropped moves led anywhere. Of the moves from (s, a) the target makes a share q_sa that the simulator rules out:
 
     P(. | s, a) = (1 - q_sa) P'(. | s, a) + q_sa U_sa,     P' on the simulator's support, U_sa any distribution at all.
 
@@ -10,6 +10,19 @@ taken). Given these, the dropped moves of (s, a) are counts of moves to u_sa, an
 counts: q and P' vary together in one likelihood set. u is improved at the end's own V until it stays: of small MDPs one in
 some tens has places that are further out still, by a hundredth or two of the width. A move whose reward the simulator does not
 define pays the most (the least) that it pays for any.
+
+A simulator's own sampling (``FiniteMDP.from_env``, ``from_log``), to first order at the maximum-likelihood model: D_sa the
+discounted time in (s, a), m samples of the simulator, n of the log (with a horizon the last sum goes over steps too, V having
+those that are left):
+
+    variance        Var_mu(V) / m_starts + sum_x,s' (D_x p_xs')^2 Var(mean reward of the move)
+    what may lie beyond the sampled support, each way
+                    sum_x D_x q_x |extreme of r + gamma V - E_p (r + gamma V)|,   q_x = f_x / (m_x + n_x)
+
+q_x is Good and Turing's estimate of the probability of moves never met, f_x how many were met once [1]; 1 in a row without any
+sample, which was filled in. Such moves may lead anywhere.
+
+Source: [1] I. Good, The population frequencies of species and the estimation of population parameters, Biometrika 40, 1953.
 """
 
 from __future__ import annotations
@@ -18,17 +31,17 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, row_of_entry
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
+from oee_tabular.exact.system import policy_kernel
 from oee_tabular.inference.ambiguity import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import canonical_table
-from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.mdp.horizons import steps_of, total_discount
 
 ROUNDS = 20  # of improving u; it stays after two or three
 ALLOWED = 0.5  # probability of the stray moves in the model whose support the counts need; no value depends on it
@@ -150,9 +163,8 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
     if horizon is None:
         return gamma * state_values(model, policy)[None, :], np.ones(len(states))
     n_states = len(policy)
-    chain = model.transitions
     pay = (policy * model.rewards).sum(axis=1)
-    mixed = canonical(_averaging(policy) @ chain, drop_zeros=False)
+    mixed = policy_kernel(model, policy)
     steps = steps_of(horizon, model)
     _checks.require_memory(float(steps * n_states + len(states) * (steps + n_states)), "horizon", horizon)
     values = np.zeros((steps, n_states))  # after step t
@@ -165,13 +177,6 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
         law = law @ mixed
     there[there.sum(axis=1) == 0.0, 0] = 1.0
     return gamma * (there @ values), there.sum(axis=1)
-
-
-def _averaging(policy: Array) -> sparse.csr_array:
-    """(S, S*A): the mean over a policy's actions."""
-    n_states, n_actions = policy.shape
-    rows = np.repeat(np.arange(n_states), n_actions)
-    return canonical_table(rows, np.arange(policy.size), policy.reshape(-1), (n_states, policy.size))
 
 
 def _extreme_pay(simulator: FiniteMDP, sign: float) -> float:
@@ -196,3 +201,78 @@ def _led(problem: Problem, policy: Array, rows: IntArray, to: IntArray, sign: fl
     other = FiniteMDP(transitions, rewards, model.initial, model.discount, terminal_state=model.terminal_state)
     counts = canonical(problem.counts + canonical_table(rows, to, problem.dropped[rows], shape), drop_zeros=True)
     return evidence_of(other, counts, problem.horizon, policy)
+
+
+class Margin(NamedTuple):
+    """J of the frequencies, the variance that the sampling adds, what unmet moves may take and add, their share of the time."""
+
+    value: float
+    variance: float
+    down: float
+    up: float
+    unmet_share: float
+
+    def widened(self, end: float, sign: float, z: float) -> float:
+        """An end of an interval for a simulator that is known, as that for the sampled one."""
+        half = float(np.hypot(max(sign * (end - self.value), 0.0), z * np.sqrt(self.variance)))
+        return self.value + sign * (half + (self.up if sign > 0 else self.down))
+
+
+def sampling_margin(problem: Problem, evidence: Evidence) -> Margin | None:
+    """None where the simulator is known."""
+    sampling = problem.simulator.sampling
+    if sampling is None:
+        return None
+    model, policy, horizon = evidence.model, evidence.policy, evidence.horizon
+    fitted = evidence.with_rows(evidence.phat)
+    values = state_values(fitted, policy, horizon=horizon)
+    time = occupancy(fitted, policy, horizon=horizon).reshape(-1) * total_discount(model.discount, horizon)
+    unmet = _unmet(evidence, sampling.pairs)
+    start = max(float(model.initial @ values**2) - float(model.initial @ values) ** 2, 0.0) / sampling.starts
+    error = 0.0
+    if sampling.reward_error is not None:
+        each, _ = align(sampling.reward_error, model.transitions)
+        error = float((time[evidence.rows] * evidence.phat) ** 2 @ each)
+    down, up = (
+        (float(time @ (unmet * _beyond(evidence, values, sign))) for sign in (-1.0, 1.0))
+        if horizon is None
+        else _beyond_by_step(evidence, fitted, unmet, horizon)
+    )
+    share = float(time @ unmet) / total_discount(model.discount, horizon)
+    return Margin(policy_value(fitted, policy, horizon=horizon), start + error, down, up, share)
+
+
+def _beyond_by_step(evidence: Evidence, fitted: ReweightedModel, unmet: Array, horizon: int) -> tuple[float, float]:
+    """What may lie beyond, down and up, each step's with the V of the steps that are left."""
+    policy, gamma = evidence.policy, fitted.discount
+    values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
+    for _ in range(steps_of(horizon, fitted)):
+        each = np.column_stack([unmet * _beyond(evidence, values, sign) for sign in (-1.0, 1.0)])
+        ahead = (each + gamma * (fitted.transitions @ beyond)).reshape(*policy.shape, 2)
+        beyond = np.einsum("sa,sak->sk", policy, ahead)
+        worth = fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape)
+        values = (policy * worth).sum(axis=1)
+    down, up = evidence.model.initial @ beyond
+    return float(down), float(up)
+
+
+def _unmet(evidence: Evidence, pairs: Array) -> Array:
+    """(S*A,) q of each row."""
+    known = ~np.isfinite(pairs)
+    simulator = evidence.model.transitions.data * np.where(known, 0.0, pairs)[evidence.rows]
+    number = np.rint(simulator) + np.where(evidence.n > 0, evidence.n, 0.0)[evidence.rows] * evidence.phat
+    once = np.bincount(evidence.rows, np.abs(number - 1.0) < 0.5, len(pairs))
+    total = np.where(known, 1.0, pairs) + evidence.n
+    return np.where(known, 0.0, np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0))
+
+
+def _beyond(evidence: Evidence, values: Array, sign: float) -> Array:
+    """(S*A,) by how much the best (sign 1) or worst r + gamma V of any move differs from the row's own mean."""
+    model, gamma = evidence.model, evidence.model.discount
+    extreme = gamma * sign * float((sign * values).max())
+    ahead = gamma * np.bincount(evidence.rows, evidence.phat * values[model.transitions.indices], len(evidence.n))
+    if model.reward_data is None:
+        return np.asarray(np.maximum(sign * (extreme - ahead), 0.0))
+    paid = np.bincount(evidence.rows, evidence.phat * model.reward_data, len(evidence.n))
+    extreme += sign * float((sign * model.reward_data).max())
+    return np.asarray(np.maximum(sign * (extreme - ahead - paid), 0.0))
