@@ -75,7 +75,7 @@ def test_a_table_by_name():
 
 
 def test_a_stream_is_that_of_the_cell():
-    experiment = EXPERIMENTS["renyi"]
+    experiment = EXPERIMENTS["lambda_n"]
     cell = experiment.settings(smoke=True).cells()[0]
-    rows = [experiment.run(cell, Stream("renyi", seed, cell)) for seed in (0, 0, 1)]
+    rows = [experiment.run(cell, Stream("lambda_n", seed, cell)) for seed in (0, 0, 1)]
     assert rows[0] == rows[1] != rows[2]
