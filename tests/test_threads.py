@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import oee_tabular as oee
 from oee_tabular._threads import dot, one_thread
 
-SIZE = 110  # 12 100 states: OpenBLAS leaves vectors of up to 10 000 to one thread
+SIZE = 101  # 10 201 states: OpenBLAS leaves vectors of up to 10 000 to one thread
 
 
 def digest(*parts):

@@ -95,7 +95,12 @@ class Own:
             )
             return -np.sum(weight[:, None] * self.n * each) + 0.5 * precision @ theta**2
 
-        theta = optimize.minimize(risk, np.zeros(len(features)), method="BFGS", options={"gtol": 1e-7}).x
+        def slope(theta):
+            expected = self.n.sum(axis=1, keepdims=True) * self.tilt(theta, features)
+            return np.sum(weight[:, None] * (expected - self.n) * features, axis=(1, 2)) + precision * theta
+
+        start = np.zeros(len(features))
+        theta = optimize.minimize(risk, start, jac=slope, method="BFGS", options={"gtol": 1e-7}).x
         model = self.tilt(theta, features)
         bend = np.diag(precision)
         for n, w, row, at in zip(self.n.sum(axis=1), weight, model, np.moveaxis(features, 1, 0), strict=True):

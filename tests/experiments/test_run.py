@@ -47,28 +47,32 @@ def bytes_of(folder, one, settings, **options):
     return {name: (folder / name).read_bytes() for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")}
 
 
-def test_serial_and_processes_give_the_same_files(tmp_path):
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    """(the experiment, its settings, the files of a run in this process)."""
     one = EXPERIMENTS["estimands"]
     settings = one.settings(smoke=True, repetitions=1)
-    serial = bytes_of(tmp_path / "serial", one, settings)
-    assert bytes_of(tmp_path / "two", one, settings, jobs=2) == serial
-    assert bytes_of(tmp_path / "again", one, settings) == serial
-    table = pd.read_csv(tmp_path / "serial" / "table.csv")
+    return one, settings, bytes_of(tmp_path_factory.mktemp("serial"), one, settings)
+
+
+def test_serial_and_processes_give_the_same_files(tmp_path, serial):
+    one, settings, expected = serial
+    assert bytes_of(tmp_path / "two", one, settings, jobs=2) == expected
+    assert bytes_of(tmp_path / "again", one, settings) == expected
+    table = pd.read_csv(tmp_path / "two" / "table.csv")
     assert len(table) == 12
     assert list(table.columns[:3]) == ["delta", "repetition", "quantity"]
 
 
-def test_a_dask_cluster_gives_the_same_files(tmp_path):
+def test_a_dask_cluster_gives_the_same_files(tmp_path, serial):
     """A scheduler and two workers, started here as a user would."""
     distributed = pytest.importorskip("distributed")
-    one = EXPERIMENTS["estimands"]
-    settings = one.settings(smoke=True, repetitions=1)
-    serial = bytes_of(tmp_path / "serial", one, settings)
+    one, settings, expected = serial
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as cluster:
         found = bytes_of(tmp_path / "dask", one, settings, dask=cluster.scheduler_address)
-    assert found == serial
+    assert found == expected
 
 
 def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
@@ -156,10 +160,9 @@ def test_a_killed_process_is_resumed(tmp_path):
     found = re.search(r"(\d+) cells computed(?:, (\d+) from the cache)?", done.stdout)
     assert int(found[1]) + int(found[2] or 0) == 2
     assert int(found[2] or 0) == kept >= 1
-    fresh = tmp_path / "fresh"
-    subprocess.run([*command[:-1], str(fresh)], capture_output=True, check=True)
-    both = [folder / "smoke" / "lambda_n" / "table.csv" for folder in (tmp_path, fresh)]
-    assert both[0].read_bytes() == both[1].read_bytes()
+    one = EXPERIMENTS["lambda_n"]
+    fresh = bytes_of(tmp_path / "fresh", one, one.settings(smoke=True, repetitions=2))
+    assert (cells.parent / "table.csv").read_bytes() == fresh["table.csv"]
 
 
 def test_a_cell_whose_worker_dies_is_run_again(tmp_path):

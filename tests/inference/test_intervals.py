@@ -144,7 +144,7 @@ def case(rng, n_states=3, n=60, **options):
     return simulator, target, oee.Problem(simulator, log), random_policy(rng, simulator)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(rngs, st.sampled_from([None, 3]))
 def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
     simulator, _, problem, policy = case(rng)

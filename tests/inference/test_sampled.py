@@ -54,7 +54,7 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     base = simulator.with_transitions(evidence.with_rows(evidence.phat).transitions)
     pays, errors = base.transition_rewards, simulator.sampling.reward_error
     values = []
-    for _ in range(1200):
+    for _ in range(600):
         table = pays.copy()
         table.data = pays.data + rng.normal(size=pays.nnz) * np.sqrt(errors.toarray()[pays.nonzero()])
         starts = rng.multinomial(int(simulator.sampling.starts), simulator.initial) / simulator.sampling.starts

@@ -83,6 +83,17 @@ def test_wherever_they_led_the_value_of_the_frequencies_is_inside(horizon):
         assert found.lower < value < found.upper
 
 
+def value_of(P, r, policy, horizon):
+    """V(0) at discount 0.95 by numpy alone."""
+    kernel, pay = 0.95 * np.einsum("sa,sat->st", policy, P), (policy * r).sum(axis=1)
+    if horizon is None:
+        return np.linalg.solve(np.eye(S) - kernel, pay)[0]
+    value = np.zeros(S)
+    for _ in range(horizon):
+        value = pay + kernel @ value
+    return value[0]
+
+
 @pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
 @pytest.mark.parametrize("horizon", [None, 1, 2, 4])
 def test_swings_reach_to_every_place_or_mixture_of_places(form, horizon):
@@ -105,9 +116,9 @@ def test_swings_reach_to_every_place_or_mixture_of_places(form, horizon):
                 moved = rows.copy()
                 for x, to in zip(STRAYS, places, strict=True):
                     moved[x] = (1 - share[x]) * rows[x] + share[x] * to
-                pay = paid if r.ndim == 2 else (moved.reshape(P.shape) * paid).sum(axis=2)
-                model = oee.FiniteMDP(moved.reshape(P.shape), pay, 0, 0.95)
-                every.append(sign * (oee.policy_value(model, policy, horizon=horizon) - middle))
+                moved = moved.reshape(P.shape)
+                pay = paid if r.ndim == 2 else (moved * paid).sum(axis=2)
+                every.append(sign * (value_of(moved, pay, policy, horizon) - middle))
             assert max(every) <= swing + 1e-9
             assert swing >= 0.0
             if horizon in (None, 1):

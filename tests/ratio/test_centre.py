@@ -72,7 +72,7 @@ def parts_of(log, simulator, policy, *, timed=False):
     return fit_centre(counts, simulator, values_in(simulator, [policy], None), tilt, tilt.evidence, time=time)
 
 
-CASES = [(seed, per_row, size) for seed in range(3) for per_row, size in ((2.0, 0.0), (5.0, 0.5), (30.0, 0.2))]
+CASES = [(seed, per_row, size) for seed in range(2) for per_row, size in ((2.0, 0.0), (5.0, 0.5), (30.0, 0.2))]
 
 
 @pytest.mark.parametrize(("seed", "per_row", "size"), CASES)

@@ -53,13 +53,15 @@ def test_the_tilt_minimises_its_risk(rng, d):
     standard = centred / scale
 
     def risk(theta):
-        parts = [
-            special.logsumexp(standard[a:b] @ theta, b=weights[a:b])
-            for a, b in zip(indptr[:-1], indptr[1:], strict=True)
-        ]
-        return sums(observed, indptr) @ np.array(parts) - observed @ (standard @ theta) + 0.5 * theta @ theta
+        log_z = np.log(sums(weights * np.exp(standard @ theta), indptr))
+        return sums(observed, indptr) @ log_z - observed @ (standard @ theta) + 0.5 * theta @ theta
 
-    found = optimize.minimize(risk, np.zeros(d), method="BFGS", options={"gtol": 1e-9})
+    def slope(theta):
+        tilted = weights * np.exp(standard @ theta)
+        tilted *= spread(sums(observed, indptr) / sums(tilted, indptr), indptr)
+        return (tilted - observed) @ standard + theta
+
+    found = optimize.minimize(risk, np.zeros(d), jac=slope, method="BFGS", options={"gtol": 1e-9})
     assert risk(tilt.theta * scale) <= found.fun + 1e-10
     assert_allclose(tilt.theta * scale, found.x, atol=1e-5)
     assert 0 <= tilt.gap < 1e-15
