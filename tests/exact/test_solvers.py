@@ -25,8 +25,9 @@ from oee_tabular.exact.solvers import (
     inverse_norm,
     refine,
 )
-from oee_tabular.exact.solvers.elimination import LAPACK, expands
-from oee_tabular.exact.solvers.iterations import BiCGStab
+from oee_tabular.exact.solvers.bicgstab import BiCGStab
+from oee_tabular.exact.solvers.elimination import LAPACK
+from oee_tabular.exact.solvers.library import expands
 from oee_tabular.exact.system import System, spectral_radius
 
 OTHERS = (LAPACK(up_to=700), BiCGStab(reduced=False), BiCGStab(plain=True))  # as the options have it

@@ -1,4 +1,4 @@
-"""Solvers of M x = b, M = I - gamma K, and the choice among them: the first that suits and does not give up.
+"""Solvers of M x = b, M = I - gamma K, one a file, and the choice among them: the first that suits and does not give up.
 
 ========================  ==============================================================================================
 ``LAPACK``                up to 100 states: dense
@@ -9,7 +9,7 @@
 ``LAPACK``, ``SuperLU``   with pivoting: where an iteration falls short, unless the graph would never let them finish
 ========================  ==============================================================================================
 
-A new solver is such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
+A new solver is a file with such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
 laws. Answers are refined on the residual of the system as it was given, until that is as small as its own rounding.
 
 For a nonnegative K any h > 0 with M h >= c > 0 certifies that the spectral radius of gamma K is below 1 and that |M^-1|_inf <=
@@ -28,8 +28,10 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
-from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU, SuperLU
-from oee_tabular.exact.solvers.iterations import BiCGStab, ValueIteration
+from oee_tabular.exact.solvers.bicgstab import BiCGStab
+from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU
+from oee_tabular.exact.solvers.library import SuperLU
+from oee_tabular.exact.solvers.value_iteration import ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
 

@@ -1,7 +1,4 @@
-"""Iterations: value iteration whose common change is summed, for rows of one sum; and BiCGSTAB.
-
-BiCGSTAB is plain where a graph expands, else with a modified incomplete LU, on what an independent set of states leaves.
-"""
+"""BiCGSTAB: plain where a graph expands, else with a modified incomplete LU, on what an independent set of states leaves."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from oee_tabular.exact.solvers import _bicgstab, _krylov, _reduction, _value_iteration
+from oee_tabular.exact.solvers import _bicgstab, _krylov, _reduction
 from oee_tabular.exact.system import Solve, System
 
 
@@ -54,23 +51,3 @@ class BiCGStab:
                 factors = _bicgstab.factorised(rest, transpose, weight, natural, natural)
                 return partial(_reduction.solve, kernel, reduction, factors, transpose)
         return partial(_bicgstab.solve, _bicgstab.factorised(kernel, transpose, weight, order, place))
-
-
-@dataclass(frozen=True)
-class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain ``BiCGStab``.
-
-    Measured on 10 000 states with the policies of tests/benchmarks/regimes.py. It gives up as soon as four sweeps leave .45 of
-    what the states' changes differ by; from there on plain ``BiCGStab`` is as fast.
-    """
-
-    name: str = "value iteration"
-    direct: bool = False
-
-    def suits(self, system: System) -> bool:
-        """Rows of one sum, so that a constant stays constant; gamma times it below 1."""
-        return system.largest - system.smallest <= 1e-8 and system.kernel.discount * system.largest < 1.0 - 1e-9
-
-    def prepare(self, system: System) -> Solve:
-        """Nothing is worked out before."""
-        return partial(_value_iteration.sweeps, system.kernel, system.mass, system.transpose)
