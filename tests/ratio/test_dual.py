@@ -77,7 +77,7 @@ def test_the_quick_rows_and_the_bracketed_ones_are_the_same(rng):
     _dual.solve_rows(form, indptr, np.arange(n_rows), slow, *other)
     solved = ~np.isnan(ends[2])
     entries = np.repeat(solved, np.diff(indptr))
-    assert_allclose(quick[entries], slow[entries], rtol=1e-12)
+    assert_allclose(quick[entries], slow[entries], rtol=1e-12, atol=1e-15)
     assert_array_equal(np.isnan(quick), ~entries)
     assert (ends[0][solved] <= ends[1][solved]).all()
 
