@@ -103,8 +103,8 @@ def test_pendulum():
     target, simulator = classic.Pendulum(mass=1.2, gravity=11.0), classic.Pendulum()
     log = record(target, classic.swinging(0.3), n_transitions=4000, max_steps=200, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)
-    assert corrected._stops[0, 1] == -8.0
-    assert corrected._stops[1, 1] == 8.0
+    assert corrected._stops.bounds[0, 1] == -8.0
+    assert corrected._stops.bounds[1, 1] == 8.0
     for delta in (0.1, 0.5):
         policy = classic.swinging(delta)
         truth, found, before = (value(task, policy, 200, 200) for task in (target, corrected, simulator))
@@ -139,7 +139,7 @@ def test_mountain_car(simulator):
     log = record(target, classic.rocking(0.3), n_transitions=4000, max_steps=200, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)
     assert corrected._knows_ends == (not isinstance(simulator, Unknowing))
-    assert corrected._stops[0, 0] == -1.2
+    assert corrected._stops.bounds[0, 0] == -1.2
     for delta in (0.1, 0.5):
         policy = classic.rocking(delta)
         truth, found, before = (value(task, policy, 100, 200) for task in (target, corrected, simulator))
@@ -260,7 +260,7 @@ def test_noise_that_depends_on_the_place_is_drawn_near_by():
 def test_a_wall_in_the_log_holds():
     target = Line(lambda s, a: 0.05 + 0 * s, wall=1.0)
     corrected = ResidualSimulator(Line(wall=1.0), line_log(target, 800), seed=0)
-    assert_array_equal(corrected._stops[:, 0], [-1.0, 1.0])
+    assert_array_equal(corrected._stops.bounds[:, 0], [-1.0, 1.0])
     rng = np.random.default_rng(0)
     moved = corrected.step(rng.uniform(-1, 1, (500, 1)), rng.integers(2, size=500), rng).next_state
     assert np.abs(moved).max() <= 1.0
