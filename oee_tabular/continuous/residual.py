@@ -157,10 +157,9 @@ class ResidualSimulator(DerivedTask):
             self._use(self._grams.choose())
         added = self._correction(log.state, actions, displacement)
         self.left_over = self.residuals - added
-        moved = own.next_state, free, added[:, : self.n_state]
-        left = self._shortest(log.next_state - free - moved[2])
-        self._kicks = self._stops.kicks(own.next_state, free, left, log.next_state)
-        stopped = self._kept(self._stops.joined(*moved, self._kicks))
+        moved = free + added[:, : self.n_state]
+        self._pushes = self._stops.pushes(moved, moved + self._shortest(log.next_state - moved))
+        stopped = self._kept(self._stops.put(moved, self._pushes))
         self._stops.hold(stopped)
         apart = self._shortest(log.next_state - stopped)[self._ended]
         self.left_over[self._ended, : self.n_state] = apart
@@ -267,7 +266,7 @@ class ResidualSimulator(DerivedTask):
         added = self._correction(states, actions, self._shortest(free - states))
         if self._scatter.drawn.any():
             added += self._scatter.draw(states, actions, ndtr(disturbance[:, -1]))
-        following = self._stops.joined(own.next_state, free, added[:, : self.n_state], self._kicks)
+        following = self._stops.put(free + added[:, : self.n_state], self._pushes)
         if self._scatter.own.any():
             noise = self.task.moves(states, actions, xi).next_state - own.next_state
             following[:, self._scatter.own[: self.n_state]] += noise[:, self._scatter.own[: self.n_state]]

@@ -68,25 +68,36 @@ class Stops:
             rows = rows[(_at(self.own, moved) * at[rows] > 0).any(axis=1)]
         return free
 
-    def kicks(self, own: Array, free: Array, left: Array, following: Array) -> Array:
-        """(d,) c of what a stop does to the other coordinates, c (f - free), by least squares on rows where both are stopped.
+    def pushes(self, moved: Array, following: Array) -> list[Array]:
+        """For each stop (h, d) C: who loses v of the h coordinates held there is pushed by v C in the others.
 
-        ``left`` is what free + g leaves of the log's next states. 1, the simulator's own, without such rows; within [0, 2].
+        By least squares on the rows that ended there, ``moved`` their f + g without stops; 0 where they are too few.
         """
-        both = (_at(self.target, following) * _at(self.own, own) > 0).any(axis=1)
-        kick = (own - free)[both]
-        found, size = (kick * left[both]).sum(axis=0), (kick**2).sum(axis=0)
-        known = (size > 0) & (both.sum() >= ROWS)
-        return np.where(known, np.clip(found / np.where(known, size, 1.0), 0.0, 2.0), 1.0)
-
-    def joined(self, own: Array, free: Array, added: Array, kicks: Array) -> Array:
-        """(n, d) free + added; where the simulator's step and this one are stopped alike, kicks (f - free) in the others."""
-        found = free + added
-        if np.isfinite(self.own).any():
-            at = _at(self.target, found)
-            both = (at * _at(self.own, own) > 0).any(axis=1)
-            found[both] += np.where(at[both] == 0, kicks * (own - free)[both], 0.0)
+        found = []
+        for (side, i), (held, values) in self._holding().items():
+            rows = following[:, i] == self.target[side, i]
+            lost, others = moved[rows][:, held] - values, np.setdiff1d(np.arange(self.reach.size), [i, *held])
+            c = np.zeros((len(held), self.reach.size))
+            if rows.sum() >= ROWS * len(held):
+                c[:, others] = np.linalg.lstsq(lost, (following - moved)[rows][:, others])[0]
+            found.append(c)
         return found
+
+    def put(self, moved: Array, pushes: list[Array]) -> Array:
+        """(n, d) steps f + g, pushed where they are stopped; the bounds are left to come."""
+        found = moved
+        for ((side, i), (held, values)), c in zip(self._holding().items(), pushes, strict=True):
+            rows = _at(self.target[:, [i]], moved[:, [i]])[:, 0] == 2 * side - 1
+            if rows.any():
+                found = found.copy() if found is moved else found
+                found[rows] += (moved[rows][:, held] - values) @ c
+        return found
+
+    def _holding(self) -> dict[tuple[int, int], tuple[list[int], Array]]:
+        """What is held at each stop: (side, i) -> the coordinates j and their values."""
+        stops = dict.fromkeys((side, i) for side, i, _, _ in self.held)
+        own = {at: [(j, value) for *other, j, value in self.held if tuple(other) == at] for at in stops}
+        return {at: ([j for j, _ in pairs], np.array([value for _, value in pairs])) for at, pairs in own.items()}
 
     def hold(self, found: Array) -> None:
         """Set what is held of those that are stopped, in place."""
