@@ -54,7 +54,7 @@ class ResidualSimulator(DerivedTask):
     ----------
     coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
     fits : g of each of them; see ``regression.Fit``
-    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, and what g leaves of it
+    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops, and what g leaves of it
     paid : the least and the largest reward of the log and of the simulator's own steps from its rows
     units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
 
