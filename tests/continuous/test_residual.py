@@ -134,7 +134,7 @@ class Unknowing(classic.MountainCar):
 
 @pytest.mark.parametrize("simulator", [classic.MountainCar(), Unknowing()])
 def test_mountain_car(simulator):
-    """The wall is the corrected step's (test_stops.py); where the task cannot say which states are over, the nearest known one does."""
+    """The wall is a stop; where the task cannot say which states are over, the nearest known one does."""
     target = classic.MountainCar(0.0027, 0.0009)
     log = record(target, classic.rocking(0.3), n_transitions=4000, max_steps=200, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)

@@ -73,6 +73,26 @@ def test_an_unchanged_task_keeps_its_own_stops_to_the_bit():
     assert not any(c.differs for c in corrected.coordinates)
 
 
+def test_who_rests_at_a_stop_scatters_nobody_else_less():
+    class Shaken(Cart):
+        n_disturbances = 1
+
+        def moves(self, states, actions, disturbance):
+            shaken = np.array(states)
+            shaken[:, 2] += 0.05 * disturbance[:, 0] * (np.abs(states[:, 0]) < 1.0)
+            return super().moves(shaken, actions, disturbance)
+
+    def to_the_right(states):
+        return np.tile([0.1, 0.9], (len(states), 1))
+
+    log = record(Shaken(0.8), to_the_right, n_transitions=4000, max_steps=25, seed=0)
+    corrected = ResidualSimulator(Cart(), log, seed=0)
+    assert 0.2 < corrected._ended.mean() < 0.5
+    states = np.zeros((4000, 3))
+    moved = corrected.step(states, np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+    assert_allclose(moved[:, 2].std(), 0.95 * 0.05, rtol=0.06)
+
+
 def test_a_stop_of_another_place():
     _, after, _, corrected = one_step(Cart(0.8, wall=0.95), Cart())
     assert_array_equal(corrected._stops.target[:, 0], [-0.95, 0.95])
