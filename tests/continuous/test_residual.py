@@ -143,7 +143,7 @@ def test_mountain_car(simulator):
     for delta in (0.1, 0.5):
         policy = classic.rocking(delta)
         truth, found, before = (value(task, policy, 100, 200) for task in (target, corrected, simulator))
-        assert abs(found - truth) < 0.1 * abs(before - truth)
+        assert abs(found - truth) < 0.01 * abs(before - truth)
 
 
 def test_reacher():
