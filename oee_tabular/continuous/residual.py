@@ -30,13 +30,13 @@ from oee_tabular.continuous.history import consecutive, told_by_history
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
+from oee_tabular.continuous.stops import Stops
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
 from oee_tabular.continuous.units import other_units
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MOST_APART = 0.2  # share of rows that may be so
 ROUNDS = 3  # of setting them apart and fitting again
-STOPS = 5  # rows that end at exactly the extreme of a coordinate: a stop
 SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
 SAME = 1e-9  # of a displacement's deviation: rounding
 
@@ -54,7 +54,7 @@ class ResidualSimulator(DerivedTask):
     ----------
     coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
     fits : g of each of them; see ``regression.Fit``
-    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, and what g leaves of it
+    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops, and what g leaves of it
     paid : the least and the largest reward of the log and of the simulator's own steps from its rows
     units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
 
@@ -65,12 +65,13 @@ class ResidualSimulator(DerivedTask):
 
     Notes
     -----
-    g is kept within the residuals that were logged, and its arguments within theirs. Rows that no smooth g fits (contacts,
-    stops) are left to e. e is 0 where nothing is left over; the simulator's own where that is of its size and mean;
-    otherwise a whole row's e is drawn from the log's rows of the same action: from all, or from 8 near by where the residuals
-    of neighbours tell of each other. A coordinate that ended at one extreme five times in the log has a stop there. The reward
-    is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where ``terminated``
-    says so; where that does not repeat the task's own steps, where the nearest known next state does.
+    g is kept within the residuals that were logged, and its arguments within theirs. Rows that no smooth g fits (contacts)
+    are left to e; those that end at a stop are in neither: the simulator's own is undone before g, the target's put where the
+    corrected step passes it (``stops``). e is 0 where nothing is left over; the simulator's own where that is of its size and
+    mean; otherwise a whole row's e is drawn from the log's rows of the same action: from all, or from 8 near by where the
+    residuals of neighbours tell of each other. A coordinate that ended at one extreme five times in the log goes no further.
+    The reward is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where
+    ``terminated`` says so; where that does not repeat the task's own steps, where the nearest known next state does.
     O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 moves needs some 200 MB. A step costs the
     task's own and O(p).
 
@@ -99,8 +100,11 @@ class ResidualSimulator(DerivedTask):
         features = task.features(log.state)
         self._seen = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
-        self.residuals = self._differences(log, own)
-        self._fit(log, actions, own, rng)
+        self._stops = Stops.find(log.state, log.next_state, own.next_state, self._periods > 0)
+        self._ended = self._stops.ended(log.next_state)
+        free = self._stops.freed(task, log.state, actions, own.next_state)
+        self.residuals = self._differences(log, own, np.where(self._ended[:, None], own.next_state, free))
+        self._fit(log, actions, own, free, rng)
         self._after(log, actions, own, rng)
 
     # ---- what the log says ---------------------------------------------------------------------------------------------
@@ -121,9 +125,9 @@ class ResidualSimulator(DerivedTask):
         period = np.where(self._periods > 0, self._periods, 1.0)
         return np.asarray(differences - np.where(self._periods > 0, period * np.round(differences / period), 0.0))
 
-    def _differences(self, log: ContinuousTransitions, own: Moves) -> Array:
+    def _differences(self, log: ContinuousTransitions, own: Moves, following: Array) -> Array:
         """(n, d) s' - f(s, a), and the rewards' difference where the task does not know r(s, a, s')."""
-        found = self._shortest(log.next_state - own.next_state)
+        found = self._shortest(log.next_state - following)
         known = self.task.reward_between(log.state[:1], np.zeros(1, dtype=np.int64), log.next_state[:1]) is not None
         self._learns_reward = not known and log.reward is not None
         if self._learns_reward and log.reward is not None:
@@ -131,24 +135,34 @@ class ResidualSimulator(DerivedTask):
             found = np.column_stack([found, paid])
         return found
 
-    def _fit(self, log: ContinuousTransitions, actions: IntArray, own: Moves, rng: np.random.Generator) -> None:
-        displacement = self._shortest(own.next_state - log.state)
+    def _fit(
+        self, log: ContinuousTransitions, actions: IntArray, own: Moves, free: Array, rng: np.random.Generator
+    ) -> None:
+        displacement = self._shortest(free - log.state)
         self._functions = Functions(self.task, log.state, actions, displacement, rng)
         group = groups_of(log.episode, len(log), self._functions.width, self.n_actions)
-        rows = Rows(log.state, actions, displacement, self.residuals, group, np.ones(len(log), dtype=np.bool_))
-        self.low, self.high = self.residuals.min(axis=0), self.residuals.max(axis=0)
+        rows = Rows(log.state, actions, displacement, self.residuals, group, ~self._ended)
+        self.low, self.high = self.residuals[~self._ended].min(axis=0), self.residuals[~self._ended].max(axis=0)
         n_groups = int(group.max()) + 1
         self._grams = Grams(self._functions, rows, n_groups, self.n_actions)
         self._use(self._grams.choose())
         used = rows.used
         for _ in range(ROUNDS):
-            smooth = ~self._apart(self.residuals - self._correction(log.state, actions, displacement))
+            left = self.residuals - self._correction(log.state, actions, displacement)
+            smooth = ~self._apart(left) & ~self._ended
             if np.array_equal(smooth, used):
                 break
             used = smooth
             self._grams = Grams(self._functions, rows._replace(used=used), n_groups, self.n_actions)
             self._use(self._grams.choose())
-        self.left_over = self.residuals - self._correction(log.state, actions, displacement)
+        added = self._correction(log.state, actions, displacement)
+        self.left_over = self.residuals - added
+        moved = free + added[:, : self.n_state]
+        self._pushes = self._stops.pushes(moved, moved + self._shortest(log.next_state - moved))
+        stopped = self._kept(self._stops.put(moved, self._pushes))
+        self._stops.hold(stopped)
+        apart = self._shortest(log.next_state - stopped)[self._ended]
+        self.left_over[self._ended, : self.n_state] = apart
         self.group = group
 
     def _apart(self, left: Array) -> BoolArray:
@@ -191,17 +205,16 @@ class ResidualSimulator(DerivedTask):
         spread[: self.n_state] = np.sqrt((away**2).mean(axis=0))
         displaced = self._shortest(log.next_state - log.state).std(axis=0)
         can_own = np.full(len(spread), self.task.n_disturbances > 0)
-        apart = np.abs(away.mean(axis=0) - self.left_over[:, : self.n_state].mean(axis=0))
+        loose = ~self._ended
+        apart = np.abs(away.mean(axis=0) - self.left_over[loose, : self.n_state].mean(axis=0))
         can_own[: self.n_state] &= apart <= SKEWED * spread[: self.n_state] * np.sqrt(2.0 / len(some))
         size = np.ones(len(spread))
         size[: self.n_state] = displaced + np.finfo(float).eps * np.abs(log.next_state).max(axis=0) / SAME
-        self._scatter = Scatter(self.task, log.state, actions, self.left_over, spread, SAME * size, can_own, rng)
+        self._scatter = Scatter(
+            self.task, log.state[loose], actions[loose], self.left_over[loose], spread, SAME * size, can_own, rng
+        )
         self.n_disturbances = self.task.n_disturbances + int(self._scatter.drawn.any())
         every = np.concatenate([log.next_state, own.next_state])
-        self._stops = np.full((2, self.n_state), [[-np.inf], [np.inf]])
-        for side, extreme in enumerate((log.next_state.min(axis=0), log.next_state.max(axis=0))):
-            stop = ((log.next_state == extreme).sum(axis=0) >= STOPS) & (log.next_state.std(axis=0) > 0)
-            self._stops[side, stop] = extreme[stop]
         self._knows_ends = bool((self.task.terminated(own.next_state) == own.terminated).all())
         self._ends = np.concatenate([log.terminated, own.terminated])
         paid = own.reward if log.reward is None else log.reward
@@ -231,7 +244,7 @@ class ResidualSimulator(DerivedTask):
         weights = np.bincount(rng.integers(n_groups, size=n_groups), minlength=n_groups).astype(np.float64)
         again = copy.copy(self)
         again._use(self._grams.refit(self.fits, weights))
-        again._scatter = self._scatter.weighted(weights[self.group])
+        again._scatter = self._scatter.weighted(weights[self.group[~self._ended]])
         return again
 
     def beyond(self, states: Array) -> BoolArray:
@@ -247,15 +260,19 @@ class ResidualSimulator(DerivedTask):
         actions = np.asarray(actions, dtype=np.int64)
         xi = disturbance[:, : self.task.n_disturbances]
         own = self.task.moves(states, actions, np.zeros_like(xi))
-        added = self._correction(states, actions, self._shortest(own.next_state - states))
+        free = own.next_state
+        if len(self._columns):
+            free = self._stops.freed(self.task, states, actions, own.next_state)
+        added = self._correction(states, actions, self._shortest(free - states))
         if self._scatter.drawn.any():
             added += self._scatter.draw(states, actions, ndtr(disturbance[:, -1]))
-        following = own.next_state + added[:, : self.n_state]
+        following = self._stops.put(free + added[:, : self.n_state], self._pushes)
         if self._scatter.own.any():
             noise = self.task.moves(states, actions, xi).next_state - own.next_state
             following[:, self._scatter.own[: self.n_state]] += noise[:, self._scatter.own[: self.n_state]]
         changed = following != own.next_state
         following = np.where(changed, self._kept(following), following)
+        self._stops.hold(following)
         over = self._over(following, own.terminated)
         return Moves(following, self._reward(states, actions, following, over, own, added), over)
 
@@ -268,10 +285,10 @@ class ResidualSimulator(DerivedTask):
 
     def _kept(self, following: Array) -> Array:
         """Within the stops, and within one turn where the task is."""
-        found = np.clip(following, *self._stops)
+        found = np.asarray(np.clip(following, *self._stops.bounds))
         for i in np.flatnonzero(self._wrapped):
             found[:, i] = self._start[i] + (found[:, i] - self._start[i]) % self._periods[i]
-        return np.asarray(found)
+        return found
 
     def _over(self, following: Array, own: BoolArray) -> BoolArray:
         if not self.terminates:

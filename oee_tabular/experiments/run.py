@@ -1,8 +1,8 @@
 """Sweeps: the cells of an experiment through joblib, on this machine or on a dask cluster.
 
 Every cell runs with one BLAS thread and one numba thread wherever it runs, and draws its numbers from its own stream: serial,
-processes and cluster give the same bits. Finished cells are written by this process as they come in; an interrupted
-sweep goes on from there.
+processes and cluster give the same bits. Finished cells are written by this process as they come in, one repetition of all
+after the other; an interrupted sweep goes on from there, or is written with as many repetitions as it has (``--seeds``).
 """
 
 from __future__ import annotations

@@ -87,6 +87,7 @@ class Store:
     ------
     ValueError
         The folder holds results of other settings (the difference is named), unless ``fresh``, which empties it first.
+        More repetitions are no other settings, nor are fewer where the sweep was interrupted: finished cells are kept.
     """
 
     def __init__(self, folder: Path, settings: Settings, *, fresh: bool = False, code: str | None = None):
@@ -114,11 +115,17 @@ class Store:
             return
         there, asked = _named(found), _named(self.settings.as_dict())
         names = [name for name in {**there, **asked} if there.get(name) != asked.get(name)]
+        if names == ["repetitions"] and (self._unwritten() or there["repetitions"] < asked["repetitions"]):
+            return
         parts = [f"{name} {there.get(name)} there, {asked.get(name)} asked" for name in names]
         raise ValueError(
             f"{self.folder} holds results of other settings: {'; '.join(parts)} (--fresh empties it; --output names "
             "another folder)"
         )
+
+    def _unwritten(self) -> bool:
+        """Whether nothing was made of the cells yet."""
+        return not any((self.folder / name).is_file() for name in FILES[2:])
 
     def _read(self) -> tuple[dict[str, list[Row]], list[str]]:
         """What is finished, and the lines of other code."""
@@ -149,8 +156,9 @@ class Store:
         return json.dumps({"key": key, "code": self.code, "rows": rows}) + "\n"
 
     def missing(self) -> list[Cell]:
-        """The cells that are still to be computed."""
-        return [cell for cell in self.settings.cells() if cell_key(self.settings, cell, self.code) not in self._done]
+        """The cells that are still to be computed, one repetition of all after the other."""
+        left = [cell for cell in self.settings.cells() if cell_key(self.settings, cell, self.code) not in self._done]
+        return sorted(left, key=lambda cell: cell["repetition"])
 
     def add(self, cell: Cell, rows: list[Row]) -> None:
         """Keep a finished cell, written before this returns."""

@@ -127,12 +127,12 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
     settings = one.settings()
     with pytest.raises(Stop):
         run_experiment(one, tmp_path / "a", settings)
-    assert len(log.read_text().splitlines()) == 4
+    assert log.read_text().splitlines() == ["1,0", "2,0", "3,0", "1,1", "2,1"]  # whole repetitions, as far as it came
     cells = tmp_path / "a" / "cells.jsonl"
     cells.write_text(cells.read_text() + '{"key": "half a li')
     (tmp_path / "go").touch()
     sweep = run_experiment(one, tmp_path / "a", settings)
-    assert (sweep.computed, sweep.cached, sweep.stale) == (3, 3, 0)
+    assert (sweep.computed, sweep.cached, sweep.stale) == (2, 4, 0)
     assert sorted(set(log.read_text().splitlines())) == ["1,0", "1,1", "2,0", "2,1", "3,0", "3,1"]
     assert len(log.read_text().splitlines()) == 7  # the one that failed, twice
     again = run_experiment(one, tmp_path / "a", settings)
@@ -206,6 +206,33 @@ def test_other_settings_are_refused_with_the_difference(tmp_path):
     assert {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()} == before
     sweep = run_experiment(one, tmp_path / "a", other, fresh=True)
     assert sweep.computed == 4
+
+
+def test_more_seeds_are_added_to_those_that_are_there(tmp_path):
+    one = experiment()
+    run_experiment(one, tmp_path / "a", one.settings(repetitions=1))
+    write(one, Store(tmp_path / "a", one.settings(repetitions=1)))
+    sweep = run_experiment(one, tmp_path / "a", one.settings(repetitions=3))
+    assert (sweep.computed, sweep.cached) == (6, 3)
+    write(one, Store(tmp_path / "a", one.settings(repetitions=3)))
+    whole = bytes_of(tmp_path / "b", one, one.settings(repetitions=3))
+    assert {name: (tmp_path / "a" / name).read_bytes() for name in whole} == whole
+    with pytest.raises(ValueError, match="other settings: repetitions 3 there, 2 asked"):
+        Store(tmp_path / "a", one.settings(repetitions=2))
+
+
+def test_an_interrupted_sweep_is_written_with_the_repetitions_that_it_has(tmp_path):
+    def interrupted(cell, stream):
+        if cell["repetition"] == 1 and cell["n"] == 3:
+            raise Stop
+        return noise(cell, stream)
+
+    one = experiment(interrupted)
+    with pytest.raises(Stop):
+        run_experiment(one, tmp_path / "a", one.settings(repetitions=5))
+    sweep = run_experiment(one, tmp_path / "a", one.settings(repetitions=1))
+    assert (sweep.computed, sweep.cached) == (0, 3)
+    assert list(table_of(Store(tmp_path / "a", one.settings(repetitions=1))).n) == [1, 1, 2, 2, 3, 3]
 
 
 def test_fresh_does_not_empty_a_folder_of_something_else(tmp_path):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 POLICIES = {"CartPole, gravity 12.5": 0.4, "CartPole, all at once": 0.4, "Pendulum, mass, gravity": 0.5}
 N = 20_000  # moves of a log
 EPISODES, REFITS, PATHS = 1000, 10, 200
-TRUTH = 200_000  # episodes
+TRUTH = 400_000  # episodes
 
 
 @functools.lru_cache(maxsize=8)
@@ -104,7 +104,7 @@ RESIDUAL_COVERAGE = Experiment(
     group="continuous",
     caption=(
         "Logs of 20 000 moves, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by "
-        "200 episodes, the value by 1000) holds the truth of 200 000 rollouts; most of that interval's width is the rollouts'. "
+        "200 episodes, the value by 1000) holds the truth of 400 000 rollouts; most of that interval's width is the rollouts'. "
         "covered_paired: the same without it, by rollouts that share their random numbers with the target's: |error| within "
         "Student's t times the root of the refits' variance and the pair's own (noise). Above the line: missed."
     ),
