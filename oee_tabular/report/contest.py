@@ -53,8 +53,8 @@ class Contest:
 
     @property
     def best(self) -> str | None:
-        """The policy that is worth most, None where the log cannot say."""
-        return None if "cannot say" in self.sentence else next(iter(self.values))
+        """The policy that is worth most, None where the log cannot say, or several are worth the same."""
+        return self.sureness.best
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values."""

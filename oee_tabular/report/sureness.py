@@ -36,6 +36,7 @@ class Sureness:
     distance : how far the target is from the simulator, and why there are no likelihood intervals where there are none
     policies : what there is to say of each policy
     ranking : which policy is worth most, if the log can say so; "" of a single one
+    best : that policy; None where the log cannot say, or several are worth the same
     next : the one piece of advice for the next recording
     """
 
@@ -43,6 +44,7 @@ class Sureness:
     distance: tuple[str, ...] = ()
     policies: Mapping[str, str] = field(default_factory=dict)
     ranking: str = ""
+    best: str | None = None
     next: str = ""
     comparison: Comparison | None = None
 
@@ -121,7 +123,7 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     if len(best) == 1:
         alone = all(_apart(sure, leader, name) for name in values if name != leader)
         why = "" if alone else OVERLAP
-        return replace(sure, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}")
+        return replace(sure, best=leader, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}")
     names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
     rest = len(values) - len(best)
     less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""

@@ -190,7 +190,7 @@ def test_usage_errors_are_one_line_and_exit_code_2(capsys, here):
     assert (code, out) == (2, "")
     assert err.startswith("oee: ")
     assert err.count("\n") == 1
-    assert "it is a int" in err
+    assert "got int" in err
 
 
 def test_a_negative_seed_is_a_usage_error(capsys, here):
