@@ -123,7 +123,9 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     if len(best) == 1:
         alone = all(_apart(sure, leader, name) for name in values if name != leader)
         why = "" if alone else OVERLAP
-        return replace(sure, best=leader, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}")
+        return replace(
+            sure, best=leader, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}"
+        )
     names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
     rest = len(values) - len(best)
     less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""
