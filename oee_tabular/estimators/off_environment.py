@@ -33,7 +33,7 @@ from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)
-AGAINST = 8.0  # z^2 up to which the value stays at the centre (`oee bench`; notebook 05 has what 5 to 9 cost)
+AGAINST = 8.0  # z^2 up to which the value stays at the centre (`oee bench`; what others cost: notebook 05)
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
 NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
     "conditional": OF_COUNTS | {"consistent", "shift"},

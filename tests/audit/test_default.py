@@ -283,7 +283,7 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     kappa[seen] = total[seen] * (1 / zeta._influence.share.reshape(total.shape)[seen] - 1)
     each = variance[seen] / total[seen]
     own = np.sqrt(np.sum((kappa[seen] / (kappa[seen] + total[seen])) ** 2 * each))
-    moved = max(0.0, 1 - 5 / (change / own) ** 2) if change else 0.0
+    moved = max(0.0, 1 - (8 / (change / own) ** 2) ** 2) if change else 0.0
     error = np.sqrt(each.sum() + variance[~seen].sum())
     assert_allclose(estimate.value, value + moved * change, rtol=1e-9)
     assert_allclose(estimate.standard_error, error, rtol=1e-7)
