@@ -126,21 +126,24 @@ def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
 
 def refine(system: System, b: Array, solve: Solve, method: str) -> Answer | None:
     """Solve, then for the residual, until that is within rounding or stops falling; None where the solver gives up."""
+    residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
     x = solve(b, 0.0)
     if x is None:
         return None
-    found = _answered(system, b, x, method)
+    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+    found = Answer(x, missed, largest, bound, rounding, method)
     for _ in range(8):
         if not 0.25 * found.rounding < found.largest < np.inf:
             break
         step = solve(found.missed, 0.1 * found.rounding / found.largest)
         if step is None:
             break
-        again = _answered(system, b, found.x + step, method)
-        if not again.largest < found.largest:
+        x = found.x + step
+        missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+        if not largest < found.largest:
             break
-        stalled = again.largest > 0.5 * found.largest
-        found = again
+        stalled = largest > 0.5 * found.largest
+        found = Answer(x, missed, largest, bound, rounding, method)
         if stalled:
             break
     return found
