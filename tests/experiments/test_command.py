@@ -60,8 +60,8 @@ def test_bad_calls(arguments, text, tmp_path, capsys):
 def test_other_settings_are_refused_before_anything_runs(tmp_path, capsys):
     assert oee_command("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path) == 0
     capsys.readouterr()
-    code = oee_command("reproduce", "horizon", "estimands", "--smoke", "--seeds", 1, "--seed", 1, "--jobs", 1, "--output", tmp_path)
-    assert code == 2
+    other = ("--smoke", "--seeds", 1, "--seed", 1, "--jobs", 1, "--output", tmp_path)
+    assert oee_command("reproduce", "horizon", "estimands", *other) == 2
     assert not (tmp_path / "smoke" / "horizon").exists()
 
 
