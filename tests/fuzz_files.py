@@ -141,7 +141,7 @@ def edited_array(array, rng):
         try:
             with np.errstate(all="ignore"):
                 return array.astype(rng.choice([name for name in DTYPES if "," not in name]))
-        except (TypeError, ValueError):
+        except (RuntimeError, TypeError, ValueError):
             return array.astype("O")
     if kind == 2:
         return array.reshape(-1)[: rng.integers(array.size + 1)]

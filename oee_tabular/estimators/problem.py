@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -12,6 +13,7 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import TransitionCounts, Transitions
+from oee_tabular.data.counted import holds_counts
 from oee_tabular.data.transitions import as_log
 from oee_tabular.estimators.findings import (
     SAMPLED,
@@ -41,7 +43,7 @@ class Problem:
     simulator : FiniteMDP
     log : Transitions of the target, a path or Minari id of them (``Transitions.load``), a data frame
         (``Transitions.from_frame``), or episodes as lists of steps (``Transitions.from_episodes``); names of states and actions
-        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, or a sparse (S*A, S) matrix
+        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, a file of them, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities
@@ -126,6 +128,8 @@ class Problem:
             moves = checked_counts(self.log, self.simulator)
             moves = moves if drop else _supported(moves, self.simulator)
             object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
+        elif isinstance(self.log, str | os.PathLike) and holds_counts(self.log):
+            object.__setattr__(self, "log", TransitionCounts.load(self.log))
         for name in ("log", "episodes"):
             given = getattr(self, name)
             if not isinstance(given, TransitionCounts) and (name == "log" or given is not None):

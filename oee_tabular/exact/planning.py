@@ -51,15 +51,16 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     model = rows_of(mdp.transitions), mdp.rewards, mdp.discount
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
-        actions = action_values(mdp, uniform).argmax(axis=1)
+        actions, values = action_values(mdp, uniform).argmax(axis=1), None
     else:
-        actions = _planning.modified(*model, 1e-9)
+        actions, values = _planning.modified(*model, 1e-9)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
     met: set[bytes] = set()
     while True:
         met.add(actions.tobytes())
         policy = deterministic_policy(actions, mdp.n_actions)
-        first, better = _planning.better(*model, said(infinite_values(mdp, policy).values), actions, rounding)
+        values = infinite_values(mdp, policy, near=values).values
+        first, better = _planning.better(*model, said(values), actions, rounding)
         if not better.any() or np.where(better, first, actions).tobytes() in met:
             # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
             return policy if mdp.discount == 1.0 else deterministic_policy(first, mdp.n_actions)

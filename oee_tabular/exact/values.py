@@ -109,10 +109,13 @@ def evaluate_policy(
     return found if isfinite(total) or np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
 
 
-def infinite_values(model: Model, policy: Array, certify: bool = False, shift: int = 0) -> PolicyValues:
+def infinite_values(
+    model: Model, policy: Array, certify: bool = False, shift: int = 0, near: Array | None = None
+) -> PolicyValues:
     """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
 
-    Rewards so small or large that their products leave the range of floats are first divided by 2^shift.
+    Rewards so small or large that their products leave the range of floats are first divided by 2^shift. ``near`` (S,): about
+    V, to begin with.
     """
     from oee_tabular.exact import _finite, _policy_rows, solvers
 
@@ -132,7 +135,7 @@ def infinite_values(model: Model, policy: Array, certify: bool = False, shift: i
     norm = solvers.inverse_norm(system)
     if certify:
         return _certified(model, policy, paid, shift, system, recurrent, norm)
-    x, _, _, bound, _, method = solvers.answer(system, rewards)
+    x, _, _, bound, _, method = solvers.answer(system, rewards, near)
     begin = np.flatnonzero(model.initial)
     value = _finite.dot(model.initial[begin], x[begin], len(begin))
     slack = (model.n_actions + 1) * np.finfo(float).eps * largest

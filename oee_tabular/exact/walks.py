@@ -112,8 +112,6 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Ar
 def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
     """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the moves; 1 in the states that are ``over``."""
     matrix = mdp.transitions
-    if np.iscomplexobj(getattr(ratio, "values", ratio)):
-        raise ValueError("zeta must hold real numbers; it is complex")
     w = ratio_on(matrix, ratio, "zeta")
     if not 0.0 <= w.min() <= w.max() < np.inf:
         bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))

@@ -47,6 +47,15 @@ def test_who_uses_them():
     assert plain.observed is plain.log
 
 
+def test_a_file_of_counts_is_a_log_like_any_other(tmp_path):
+    path = tmp_path / "counts.npz"
+    oee.TransitionCounts.of(COUNTS, 4).save(path)
+    assert_allclose(oee.Problem(SIMULATOR, path).counts.toarray(), COUNTS.toarray())
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(ValueError, match=r"counts\.npz"):
+        oee.Problem(SIMULATOR, str(path))
+
+
 def test_copies_keep_what_was_given_and_no_more():
     given, plain = oee.Problem(SIMULATOR, LOG, counts=SOFT), oee.Problem(SIMULATOR, LOG)
     assert_allclose(replace(given, horizon=5).counts.sum(), SOFT.sum())

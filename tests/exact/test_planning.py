@@ -128,8 +128,18 @@ def test_plans_of_random_mdps_cannot_be_improved(discount):
     plan = oee.optimal_policy(mdp)
     q = oee.action_values(mdp, plan)
     assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
-    found = _planning.modified(rows_of(mdp.transitions), mdp.rewards, discount, 1e-9)
+    found, values = _planning.modified(rows_of(mdp.transitions), mdp.rewards, discount, 1e-9)
     assert_array_equal(found, plan.argmax(axis=1))
+    assert_allclose(values, oee.state_values(mdp, plan), rtol=1e-15 / (1.0 - discount))
+
+
+def test_a_plan_begins_each_evaluation_where_it_is(monkeypatch):
+    """The sweeps' values are those of the plan to rounding: no solver is asked."""
+    from oee_tabular.exact import solvers
+
+    monkeypatch.setattr(solvers, "SOLVERS", ())
+    mdp = random_mdp(np.random.default_rng(0), n_states=60, n_actions=5, discount=0.99)
+    assert oee.optimal_policy(mdp).sum() == 60
 
 
 def test_a_plan_does_not_rest_on_the_sweeps(monkeypatch):
@@ -138,7 +148,7 @@ def test_a_plan_does_not_rest_on_the_sweeps(monkeypatch):
 
     mdp = oee.tasks.gridworld(6, 0.3)
     plan = oee.optimal_policy(mdp)
-    monkeypatch.setattr(_planning, "modified", lambda rows, rewards, discount, relative: np.zeros(36, dtype=np.int64))
+    monkeypatch.setattr(_planning, "modified", lambda *_: (np.zeros(36, dtype=np.int64), np.full(36, 1e9)))
     assert_array_equal(oee.optimal_policy(mdp), plan)
 
 

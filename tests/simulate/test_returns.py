@@ -288,7 +288,8 @@ def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
         (lambda: call(seed="x"), "seed must be what numpy.random.default_rng takes; got 'x'"),
         (lambda: call(kind="whole"), "kind must be one of 'per_decision', 'trajectory'; got 'whole'"),
         (lambda: call(zeta=np.ones((64, 16))), r"zeta must be sparse of shape \(64, 16\), row s\*A \+ a; got \(64, 16\)"),
-        (lambda: call(zeta=ZETA.values * 1j), "zeta must hold real numbers; it is complex"),
+        (lambda: call(zeta=ZETA.values * 1j), "zeta must be real numbers; they are complex128"),
+            (lambda: call(zeta=[1, [2, 3]]), r"zeta must be sparse of shape \(64, 16\), row s\*A \+ a; got list"),
         (lambda: call(zeta=-ZETA.values), "zeta must be finite and nonnegative; entry 0 is -"),
     ],
 )  # fmt: skip

@@ -76,13 +76,21 @@ class Answer(NamedTuple):
     method: str
 
 
-def answer(system: System, b: Array) -> Answer:
-    """By the first solver that suits; where an iteration ends above its rounding, the better of it and those after it."""
-    best: Answer | None = None
+def answer(system: System, b: Array, near: Array | None = None) -> Answer:
+    """By the first solver that suits; where an iteration ends above its rounding, the better of it and those after it.
+
+    ``near``: the solver corrects it, unless it is within rounding already, or no better than 0.
+    """
+    best = None if near is None else _answered(system, b, near, "none")
+    if best is not None:
+        if best.largest <= best.rounding:
+            return best
+        if not best.largest < np.abs(b).max():
+            best = near = None
     for solver in SOLVERS:
         if not solver.suits(system):
             continue
-        found = refine(system, b, solver.prepare(system), solver.name)
+        found = refine(system, b, solver.prepare(system), solver.name, near)
         if found is None:
             continue
         if best is None or not found.largest >= best.largest:
@@ -124,10 +132,10 @@ def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
     return Answer(x, missed, largest, bound, rounding, method)
 
 
-def refine(system: System, b: Array, solve: Solve, method: str) -> Answer | None:
+def refine(system: System, b: Array, solve: Solve, method: str, near: Array | None = None) -> Answer | None:
     """Solve, then for the residual, until that is within rounding or stops falling; None where the solver gives up."""
     residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
-    x = solve(b, 0.0)
+    x = solve(b, 0.0) if near is None else near
     if x is None:
         return None
     missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
