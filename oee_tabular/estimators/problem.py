@@ -43,7 +43,7 @@ class Problem:
     simulator : FiniteMDP
     log : Transitions of the target, a path or Minari id of them (``Transitions.load``), a data frame
         (``Transitions.from_frame``), or episodes as lists of steps (``Transitions.from_episodes``); names of states and actions
-        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, a file of them, or a sparse (S*A, S) matrix
+        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, their file, or a sparse (S*A, S) matrix
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
         probabilities
