@@ -15,7 +15,7 @@ NeurIPS 2020. [3] H. Walker and P. Ni, Anderson acceleration for fixed-point ite
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,7 +28,9 @@ from oee_tabular.inference.ambiguity import Evidence, simulated_rows
 from oee_tabular.inference.taken import FINE, Direction, Point, Taken
 
 SETTLED = 3e-8  # of the way from the frequencies' value: four iterations that move the end by less are the last
-CLOSE = 1e-2  # of it: an ascent that comes so near to a known end, by smaller steps, is on its way to the same rows
+CLOSE = 1e-2  # of it: an ascent that comes so near to a known end, by smaller steps, is taken to be on its way there
+THOROUGH = 30_000  # moves of the simulator up to which more ascents are made, each to its end (.1 s)
+EXACT = 1e-8  # of the limit: how closely it is met in the end
 SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
 
 
@@ -65,14 +67,22 @@ class Start:
         values = taken.valued(simulated_rows(evidence)[taken.entries], base, FINE).values
         return cls(taken, base, taken.chain.pay + taken.discount * values[taken.chain.column])
 
-    def best(self, sign: float, limit: float) -> Array:
-        """A member of the set on the way from the frequencies to the simulator's best next states."""
-        chain, ahead = self.taken.chain, sign * self.ahead
-        starts, lengths = chain.indptr[:-1], np.diff(chain.indptr)
-        best = (ahead == np.repeat(np.maximum.reduceat(ahead, starts), lengths)).astype(np.float64)
-        best /= np.repeat(np.add.reduceat(best, starts), lengths)
-        simulator = simulated_rows(self.taken.evidence)[self.taken.entries]
-        return toward(self.taken, np.where(self.taken.seen, best, simulator), limit)
+    def members(self, sign: float, limit: float) -> Iterator[Array]:
+        """Members of the set on the way from the frequencies to the simulator's best next states, to some drawn, ..."""
+        starts, lengths = self.taken.chain.indptr[:-1], np.diff(self.taken.chain.indptr)
+
+        def leading(order: Array) -> Array:
+            best = (order == np.repeat(np.maximum.reduceat(order, starts), lengths)).astype(np.float64)
+            best /= np.repeat(np.add.reduceat(best, starts), lengths)
+            return _extreme(self.taken, order, best)
+
+        best, rng = leading(sign * self.ahead), np.random.default_rng(5)
+        yield toward(self.taken, best, limit)
+        yield toward(self.taken, leading(rng.random(len(best))), limit)
+        if len(best) <= THOROUGH:
+            simulator = simulated_rows(self.taken.evidence)[self.taken.entries]
+            yield toward(self.taken, np.where(self.taken.seen, best, simulator), limit)
+            yield toward(self.taken, leading(rng.random(len(best))), limit)
 
 
 def profile_end(
@@ -86,20 +96,22 @@ def profile_end(
     """The largest (sign 1) or smallest (-1) value in the profile set.
 
     J is not concave in the rows, and where the frequencies never lead to a reward it is flat: the ascent is made from the
-    frequencies and from a mixture of them, as far as the set allows, with each row's best (worst) next state in the
-    simulator; the farther end is taken. (Further starts, from the simulator's rows or from the extreme rows if each had the
-    whole limit to itself, moved 4 of 282 measured ends, by less than .5% of the interval's width.)
+    frequencies and from mixtures of them, as far as the set allows, with each row's best (worst) next state in the simulator
+    and with one drawn for each row (the same draws each time), of smaller problems from two more; the farthest end is taken.
+    Of 1416 ends of random problems, half of them with many rows without data, 5 were more than 1e-5 of the interval's width
+    behind the best of 17 starts, .3% of it at most; 36 (3.4%) by what larger problems get, 66 (22%) from the frequencies alone.
     """
     limit = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile
     begun = start(evidence)
     taken, base = begun.taken, begun.base
     best, last = _Ascent(taken, sign, limit, base.value).end(base, most, wander=2)
-    other = taken.valued(begun.best(sign, limit), base, FINE)
-    other_end, other = _Ascent(taken, sign, limit, base.value, behind=best.value).end(other, most, wander=0)
-    if sign * other_end.value > sign * best.value:
-        best, last = other_end, other
+    for member in begun.members(sign, limit):
+        other = taken.valued(member, base, FINE)
+        other_end, other = _Ascent(taken, sign, limit, base.value, known=best).end(other, most, wander=0)
+        if sign * other_end.value > sign * best.value:
+            best, last = other_end, other
     point, found = taken.direction(taken.valued(best.rows, last, FINE), sign, FINE)
-    ahead, _, _ = _step(taken, found, limit, 0.0)
+    ahead, _, _ = _step(taken, found, limit, 0.0, EXACT)
     rows = evidence.phat.copy()
     rows[taken.entries] = best.rows
     value = policy_value(evidence.with_rows(rows), evidence.policy, horizon=evidence.horizon)
@@ -133,14 +145,14 @@ class _Ascent:
 
     The rows that are best for x + a (G - x) lie on an ascent of G from those that are best for x. a is halved where the value
     gets worse; after that steps are extrapolated from the last three by Anderson's method [3], and taken where
-    that does not make it worse. ``behind``: an end that is known; the ascent stops where it comes to it slowly.
+    that does not make it worse. ``known``: an end; the ascent of a larger problem stops where it comes to it slowly.
     """
 
     taken: Taken
     sign: float
     limit: float
     base: float
-    behind: float | None = None
+    known: ProfileEnd | None = None
     tau: float = 0.0
     used: float = 0.0
     slack: float = 0.0
@@ -161,27 +173,35 @@ class _Ascent:
                 past = [*past[-3:], (x, found)]
                 new, share, x = self._next(point, past, share, free=iteration <= wander)
             change = abs(new.value - point.value)
+            follows = self._follows(point, found, change)
             still = still + 1 if change <= SETTLED * abs(new.value - self.base) + 1e-14 * abs(self.base) else 0
             settled = float(np.abs(new.p - point.p).max()) <= 1e-9
             point = new
-            if (still and settled) or still > 3 or self._follows(point, change):
+            if (still and settled) or still > 3 or follows:
                 break  # rows that are not reached yet may move before the value does
         return ProfileEnd(point.value, point.p, self.used, iteration, change, np.nan), point
 
     def _worse(self, new: Point, point: Point) -> bool:
         return self.sign * (new.value - point.value) < -max(2.0 * self.slack, 1e-12 * max(1.0, abs(point.value)))
 
-    def _follows(self, point: Point, change: float) -> bool:
-        """Whether the ascent comes to the known end from behind, in small steps: it is on its way to the same rows."""
-        if self.behind is None:
+    def _follows(self, point: Point, found: Direction, change: float) -> bool:
+        """Whether the ascent comes to the known end from behind, in small steps, and on its way there.
+
+        To first order at least a tenth of what is left is to be had by going there; from near another end nothing is.
+        """
+        if self.known is None:
             return False
-        width = abs(self.behind - self.base)
-        return 0.0 <= self.sign * (self.behind - point.value) <= CLOSE * width and change <= CLOSE * width
+        left, width = self.sign * (self.known.value - point.value), abs(self.known.value - self.base)
+        if len(point.p) <= THOROUGH or not (0.0 <= left <= CLOSE * width and change <= CLOSE * width):
+            return False
+        return 0.1 * left <= float(found.gradient @ (self.known.rows - point.p))
 
     def _tried(self, x: Direction, point: Point, share: float) -> Point:
         from oee_tabular.inference import _profile as kernel
 
-        p, self.used, self.tau = _step(self.taken, x, self.limit, self.tau)
+        width = abs(point.value - self.base)
+        room = min(max(self.slack / width, EXACT), 1e-3) if width > 0.0 else EXACT
+        p, self.used, self.tau = _step(self.taken, x, self.limit, self.tau, room)
         if share < 1.0:
             kernel.blend(self.taken.chain, point.p, np.sqrt(share), p)
         return self.taken.valued(p, point)
@@ -228,8 +248,19 @@ def _mixed(past: list[tuple[Direction, Direction]], factors: Array, share: float
     )
 
 
-def _step(taken: Taken, direction: Direction, limit: float, tau: float) -> tuple[Array, float, float]:
-    """Rows that maximise the linear part under sum n KL <= limit; the sum reached, and tau."""
+def _extreme(taken: Taken, order: Array, p: Array) -> Array:
+    """``p``, whose rows without data lead, as far as the prior box allows, where the order is largest."""
+    from oee_tabular.inference import _profile as kernel
+
+    blank = np.flatnonzero(taken.chain.n == 0)
+    if blank.size:
+        evidence, entries = taken.evidence, taken.entries
+        kernel.greedy(blank, taken.chain, evidence.low[entries], evidence.high[entries], order, p)
+    return p
+
+
+def _step(taken: Taken, direction: Direction, limit: float, tau: float, room: float) -> tuple[Array, float, float]:
+    """Rows that maximise the linear part under sum n KL <= limit, to a share ``room`` of it; the sum reached, and tau."""
     from oee_tabular.inference import _profile as kernel
 
     chain, v = taken.chain, direction.gradient
@@ -237,10 +268,7 @@ def _step(taken: Taken, direction: Direction, limit: float, tau: float) -> tuple
     mean, spread, best = np.empty(len(scale)), np.empty(len(scale)), np.empty(len(scale), dtype=np.int64)
     variance = kernel.moments_of_rows(chain.indptr, chain.phat, v, mean, best, spread)
     p = chain.phat.copy()  # rows that no direction moves keep it
-    blank = np.flatnonzero(chain.n == 0)
-    if blank.size:
-        evidence, entries = taken.evidence, taken.entries
-        kernel.greedy(blank, chain, evidence.low[entries], evidence.high[entries], direction.order, p)
+    _extreme(taken, direction.order, p)
     size = spread * scale
     gains = (variance > 0.0) | (best >= chain.seen)  # others have all their mass on the best already
     moving = np.flatnonzero((chain.n > 0) & gains & (size > 1e-14 * size.max(initial=0.0)))
@@ -249,11 +277,11 @@ def _step(taken: Taken, direction: Direction, limit: float, tau: float) -> tuple
     if tau == 0.0:
         total = float(np.sum(scale[moving] * variance[moving]))
         tau = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / float(size.max())
-    tau, used = _root(lambda tau: kernel.fill(tau, moving, scale, chain, v, mean, best, p), tau, limit)
+    tau, used = _root(lambda tau: kernel.fill(tau, moving, scale, chain, v, mean, best, p), tau, limit, room)
     return p, used, tau
 
 
-def _root(divergence: Any, tau: float, limit: float) -> tuple[float, float]:
+def _root(divergence: Any, tau: float, limit: float, room: float) -> tuple[float, float]:
     """tau with divergence(tau) = (sum, its derivative in log tau) at the limit, from inside; Newton's steps in logarithms.
 
     Steps that leave the bracket, or find nothing to go by, become bisections (doublings while there is no bracket).
@@ -263,13 +291,13 @@ def _root(divergence: Any, tau: float, limit: float) -> tuple[float, float]:
         reached, growth = divergence(tau)
         if reached <= limit:
             near = tau
-            if reached >= limit * (1.0 - 1e-8):
+            if reached >= limit * (1.0 - room):
                 return tau, reached
         else:
             far = tau
         trial = 0.0
         if reached > 0.0 and growth > 0.0 and np.isfinite(reached):
-            trial = tau * np.exp(np.log(limit * (1.0 - 3e-9) / reached) * reached / growth)
+            trial = tau * np.exp(np.log(limit * (1.0 - 0.3 * room) / reached) * reached / growth)
         if not near < trial < far:
             trial = 2.0 * near if far == np.inf else 0.5 * far if near == 0.0 else np.sqrt(near * far)
         if far <= near * (1.0 + 1e-14):
