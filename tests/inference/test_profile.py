@@ -122,7 +122,7 @@ def sparse_problem(seed):
 
 
 @pytest.mark.parametrize("thorough", [30_000, 0])
-@pytest.mark.parametrize("seed, sign", [(137, -1), (149, 1), (200, 1), (254, -1), (447, 1), (679, -1)])
+@pytest.mark.parametrize(("seed", "sign"), [(137, -1), (149, 1), (200, 1), (254, -1), (447, 1), (679, -1)])
 def test_the_farthest_of_many_ends_is_found(seed, sign, thorough, monkeypatch):
     """Farther than from the frequencies alone, by 1.9 to 22% of the width; and not nearer than from six more random starts."""
     monkeypatch.setattr(likelihood, "THOROUGH", thorough)
