@@ -84,8 +84,22 @@ class Rows:
         return np.repeat(values, np.diff(self.indptr), axis=0)
 
     def mean(self, model: Array, values: Array) -> Array:
-        """The mean over each row of (entries,) or (entries, d) values under ``model`` (entries,), whose rows sum to 1."""
-        return self.sums((model if values.ndim == 1 else model[:, None]) * values)
+        """The mean over each row of (entries,) or (entries, d) values under ``model`` (entries,): sum_x model_x values_x."""
+        if values.ndim == 1 or values.size <= FEW:
+            return self.sums((model if values.ndim == 1 else model[:, None]) * values)
+        return np.asarray(self._matrix(model) @ values)
+
+    def _matrix(self, model: Array) -> sparse.csr_array:
+        """(rows, entries), which sums what stands at the entries times ``model``."""
+        return sparse.csr_array((model, self._places, self._ends), shape=(len(self), len(model)))
+
+    @cached_property
+    def _places(self) -> IntArray:
+        return np.arange(self.indptr[-1], dtype=np.int32 if self.indptr[-1] < 2**31 else np.int64)
+
+    @cached_property
+    def _ends(self) -> IntArray:
+        return self.indptr.astype(self._places.dtype)
 
     def variance(self, model: Array, values: Array) -> Array:
         """The variance over each row of (entries,) values under ``model``."""
@@ -130,6 +144,7 @@ def distinct(table: Array) -> tuple[Array, IntArray]:
     return ordered[new], kind
 
 
+FEW = 5_000  # numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6 400 000 it takes 20 times
 DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 

@@ -204,7 +204,7 @@ def test_zeta_in_a_class(options):
     assert zeta.row_sum_error < 1e-12
     assert zeta.gap < 1e-12
     assert theirs.gap < 1e-8
-    assert_allclose(zeta.values.data, theirs.values.data, atol=1e-5)
+    assert_allclose(zeta.values.data, theirs.values.data, atol=1e-4)  # a gap of 1e-8 leaves as much as its root
     error, likelihood = (
         np.abs(z.values.data - TRUTH).mean() for z in (zeta, oee.transition_ratio(LOG, SIMULATOR, prior="none"))
     )

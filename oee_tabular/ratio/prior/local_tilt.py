@@ -72,7 +72,7 @@ class LocalRisk(TiltRisk):
         self.graph, self.smoothness, self.group = graph, smoothness, graph.group[rows.state]
         self.nodes, self.d = graph.penalty.shape[0], phi.shape[1]
         self.size = self.nodes * self.d
-        self.aim = self._by_group(rows.sums(counts[:, None] * phi))
+        self.aim = self._by_group(rows.mean(counts, phi))
         self.prior = sparse.csc_array(sparse.kron(graph.penalty, sparse.eye_array(self.d), format="csc"))
         self.prior_factor = Factor(self.prior)
         self._dense = self.prior.toarray() if self.size + self.d <= DENSE else None
@@ -112,7 +112,7 @@ class LocalRisk(TiltRisk):
         mass = model * self.rows.spread(self.n)
         information = np.empty((self.nodes, self.d, self.d))
         for i in range(self.d):  # one column at a time: (entries, d) of memory
-            information[:, i, :] = self._by_group(self.rows.sums((mass * scores[:, i])[:, None] * scores))
+            information[:, i, :] = self._by_group(self.rows.mean(mass * scores[:, i], scores))
         pull = self._by_group(self.n[:, None] * mean) - self.aim
         u, theta = parameters[: self.size], parameters[self.size :]
         gradient = np.concatenate([pull.reshape(-1) + self.smoothness * (self.prior @ u), pull.sum(axis=0) + theta])

@@ -81,10 +81,10 @@ class Selection:
         self.rows, self.observed, self.base = rows, observed, base
         self.count = rows.sums(observed)
         self.parts = allowed.shape[0]
-        square = self._by_part(rows.sums(rows.weights[:, None] * base**2)) / max(len(rows), 1)
+        square = self._by_part(rows.mean(rows.weights, base**2)) / max(len(rows), 1)
         self.allowed = allowed & (square > 1e-20 * np.maximum(np.abs(base).max(axis=0, initial=0.0), 1e-300) ** 2)
         self.scale = np.where(self.allowed, np.sqrt(square), np.inf)
-        self._moved = rows.sums(observed[:, None] * base)
+        self._moved = rows.mean(observed, base)
 
     def _by_part(self, values: Array) -> Array:
         """(rows, d) summed over all rows, and over those of each action: (1 + A, d)."""
@@ -132,17 +132,17 @@ class Selection:
         rows, weight = self.rows, self.counted(kappa)
         mass = weight * self.count
         model = rows.weights if fitted is None else fitted.model
-        mean = rows.sums(model[:, None] * self.base)
+        mean = rows.mean(model, self.base)
         score = self._by_part(weight[:, None] * self._moved - mass[:, None] * mean) / self.scale
-        spread = rows.sums(model[:, None] * self.base**2) - mean**2
+        spread = rows.mean(model, self.base**2) - mean**2
         own = self._by_part(mass[:, None] * spread) / self.scale**2
         information = own
         usable = self.allowed.copy()
         if fitted is not None:
             features = self.columns(fitted.chosen)
-            scores = features - rows.spread(rows.sums(model[:, None] * features))
+            scores = features - rows.spread(rows.mean(model, features))
             pulls = scores * (model * rows.spread(mass))[:, None]
-            cross = np.stack([self._by_part(rows.sums(pull[:, None] * self.base)) / self.scale for pull in pulls.T])
+            cross = np.stack([self._by_part(rows.mean(pull, self.base)) / self.scale for pull in pulls.T])
             flat = cross.reshape(len(cross), -1)
             known = np.sum(flat * np.linalg.solve(fitted.information, flat), axis=0).reshape(own.shape)
             information = own - known
