@@ -211,7 +211,12 @@ def has_nan(value, depth=0):
 
 
 def named(message, arguments):
-    """Whether a message names an argument: of two that do not fit it may be the other one."""
+    """Whether a message names an argument: of two that do not fit it may be the other one.
+
+    ``name`` says what it is called, where a function has that.
+    """
+    if isinstance(arguments.get("name"), str) and message.startswith(arguments["name"]):
+        return True
     words = [word for name in arguments for word in (name, *name.split("_or_"), *ALIASES.get(name, ()))]
     return any(re.search(rf"(?<![a-z]){word}s?(?![a-z])|{word.replace('_', ' ')}", message) for word in words)
 
