@@ -134,7 +134,7 @@ def interval(
 
     Notes
     -----
-    Cost: likelihood some tens of linear solves and passes over the rows that the policy takes (10 000 states in a second);
+    Cost: likelihood some hundred linear solves and passes over the rows that the policy takes (10 000 states in a second);
     robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
     likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
     Impossible moves that a Problem dropped are taken to have led anywhere, each end where that is most extreme
