@@ -29,7 +29,7 @@ from oee_tabular.inference.taken import FINE, Direction, Point, Taken
 
 SETTLED = 3e-8  # of the way from the frequencies' value: four iterations that move the end by less are the last
 CLOSE = 1e-2  # of it: an ascent that comes so near to a known end, by smaller steps, is taken to be on its way there
-THOROUGH = 30_000  # moves of the simulator up to which more ascents are made, each to its end (.1 s)
+THOROUGH = 30_000  # moves of the simulator up to which more ascents are made, each to its end (.2 s)
 EXACT = 1e-8  # of the limit: how closely it is met in the end
 SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
 
