@@ -191,7 +191,10 @@ def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, B
         and np.array_equal(source.indices, pattern.indices)
     ):
         return np.array(source.data, dtype=np.float64), np.ones(pattern.nnz, dtype=np.bool_)
-    if source.nnz == 0:
-        return np.zeros(pattern.nnz), np.zeros(pattern.nnz, dtype=np.bool_)
+    if source.nnz < pattern.nnz:  # the fewer are looked up
+        position, inside = find(pattern, row_of_entry(source), source.indices.astype(np.int64))
+        values, stored = np.zeros(pattern.nnz), np.zeros(pattern.nnz, dtype=np.bool_)
+        values[position[inside]], stored[position[inside]] = source.data[inside], True
+        return values, stored
     position, stored = find(source, row_of_entry(pattern), pattern.indices.astype(np.int64))
     return np.where(stored, source.data[position], 0.0), stored

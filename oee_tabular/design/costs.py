@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, BoolArray, Box
+from oee_tabular._checks import Array, BoolArray, Box, IntArray
 from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums, row_variances
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import Model, ReweightedModel, transition_gradient
+from oee_tabular.exact import Model, ReweightedModel, reweight, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import Conditional
@@ -63,22 +63,22 @@ def row_costs(
 
     Cost: one policy evaluation and one occupancy a policy, and O(rows * 60) for the rows without spread.
     """
-    reference = _reference(simulator)
-    padded = _on_reference(simulator, model, reference)
-    indptr = reference.indptr.astype(np.int64)
-    probability = padded.transitions.data
-    alone = np.maximum.reduceat(probability, indptr[:-1]) >= _SURE
+    alone = np.maximum.reduceat(model.transitions.data, model.transitions.indptr[:-1]) >= _SURE
     alone &= ~np.repeat(simulator.closed(), simulator.n_actions)
     if not optimistic:
         alone[:] = False
     rows = np.flatnonzero(alone)
-    place, inside = _table_of(indptr, rows)
-    weight, model_row = (np.where(inside, x[place], 0.0) for x in (reference.data, probability))
-    low, high = _box_around(weight, model_row, box, counts[rows], confidence)
-    table = np.zeros((len(policies), reference.shape[0]))
+    if rows.size:
+        model, weights = _on_reference(simulator, model, rows)
+    indptr, probability = model.transitions.indptr.astype(np.int64), model.transitions.data
+    table = np.zeros((len(policies), len(alone)))
+    if rows.size:
+        place, inside = _table_of(indptr, rows)
+        weight, model_row = (np.where(inside, x[place], 0.0) for x in (weights, probability))
+        low, high = _box_around(weight, model_row, box, counts[rows], confidence)
     for k, policy in enumerate(policies):
-        gradient = transition_gradient(padded, policy, horizon=horizon)
-        table[k] = row_variances(reference, probability, gradient)
+        gradient = transition_gradient(model, policy, horizon=horizon)
+        table[k] = row_variances(model.transitions, probability, gradient)
         if rows.size:
             values = np.where(inside, gradient[place], gradient[place[:, :1]])
             table[k, rows] = largest_variance(values, low, high)
@@ -111,39 +111,42 @@ def largest_variance(values: Array, low: Array, high: Array) -> Array:
     return np.asarray(np.sum(p * far**2, axis=1))
 
 
-def _reference(simulator: FiniteMDP) -> sparse.csr_array:
-    """R of the module's docstring, csr (S*A, S)."""
-    n_states, n_actions = simulator.n_states, simulator.n_actions
-    mean = sparse.kron(sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions))
-    stay = sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, 1)))
-    half = 0.5 * ACTION_NOISE
-    mixed = (1.0 - ACTION_NOISE) * simulator.transitions + half * (mean @ simulator.transitions) + half * stay
-    return canonical(sparse.csr_array(mixed), drop_zeros=True)
-
-
-def _on_reference(simulator: FiniteMDP, model: Model, reference: sparse.csr_array) -> ReweightedModel:
-    """The model with the entries of R, most of them 0.
+def _on_reference(simulator: FiniteMDP, model: Model, rows: IntArray) -> tuple[ReweightedModel, Array]:
+    """The model with the entries of R in these rows, most of them 0; and R there, 0 in the other rows.
 
     A move that the simulator does not make in this row pays what it pays under another action, or else the row's mean.
     """
-    data, _ = align(model.transitions, reference)
-    rewards = None
-    if simulator.transition_rewards is not None:
-        noisy: object = simulator.with_action_noise(ACTION_NOISE).transition_rewards
-        own, defined = align(simulator.transition_rewards, reference)
-        other, known = align(noisy, reference)
-        expected = simulator.rewards.reshape(-1)[row_of_entry(reference)]
-        rewards = np.where(defined, own, np.where(known, other, expected))
-    return ReweightedModel(
-        model.n_states,
-        model.n_actions,
-        on_pattern(reference, data),
-        model.rewards,
-        rewards,
-        model.initial,
-        model.discount,
-        model.terminal_state,
+    n_actions, states = simulator.n_actions, rows // simulator.n_actions
+    number, some = (
+        np.repeat(np.arange(len(rows)), n_actions),
+        (states[:, None] * n_actions + np.arange(n_actions)).ravel(),
     )
+    among = sparse.csr_array(
+        (np.full(len(some), 1.0 / n_actions), (number, some)), (len(rows), len(simulator.transitions.indptr) - 1)
+    )
+    mean = sparse.csr_array(among @ simulator.transitions)  # over the actions of each row's state
+    stay = sparse.csr_array((np.ones(len(rows)), (np.arange(len(rows)), states)), mean.shape)
+    half = 0.5 * ACTION_NOISE
+    mixed = (1.0 - ACTION_NOISE) * simulator.transitions[rows] + half * mean + half * stay
+    onto = sparse.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (among.shape[1], len(rows)))
+    reference = canonical(onto @ sparse.csr_array(mixed), drop_zeros=True)
+    ones = [sparse.csr_array((np.ones(x.nnz), x.indices, x.indptr), x.shape) for x in (model.transitions, reference)]
+    pattern = canonical(ones[0] + ones[1], drop_zeros=False)
+    data, _ = align(model.transitions, pattern)
+    rewards = None
+    if simulator.reward_data is not None:
+        own, defined = align(simulator.transition_rewards, pattern)
+        flow = on_pattern(simulator.transitions, simulator.transitions.data * simulator.reward_data)
+        paid, _ = align(canonical(onto @ sparse.csr_array(among @ flow), drop_zeros=False), pattern)
+        made, _ = align(canonical(onto @ mean, drop_zeros=False), pattern)
+        expected = simulator.rewards.reshape(-1)[row_of_entry(pattern)]
+        other = np.divide(paid, made, out=expected, where=made > 0)
+        rewards = np.where(defined, own, other)
+    padded = ReweightedModel(
+        model.n_states, n_actions, on_pattern(pattern, data), model.rewards, rewards, model.initial, model.discount,
+        model.terminal_state,
+    )  # fmt: skip
+    return padded, align(reference, pattern)[0]
 
 
 def _table_of(indptr: Any, rows: Any) -> tuple[Any, BoolArray]:
@@ -225,7 +228,7 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     mdp = problem.model
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
-    model = Conditional().fit(problem.observed, problem.simulator, made=problem.made).target_model(mdp)
+    model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, made=problem.made))
     costs = row_costs(
         mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
         optimistic=True,

@@ -269,8 +269,11 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
 
 def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
     """Maximum likelihood's value; None where it keeps the policy for ever in states that pay, at discount 1."""
+    matrix, likeliest = problem.model.transitions, zeta.likeliest
+    assert likeliest is not None
+    model = reweight(problem.model, on_pattern(matrix, likeliest / matrix.data))
     try:
-        return policy_value(zeta.maximum_likelihood_model(problem.model), policy, horizon=problem.horizon)
+        return policy_value(model, policy, horizon=problem.horizon)
     except DivergentKernelError:
         return None
 

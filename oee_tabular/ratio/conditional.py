@@ -10,25 +10,27 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, on_pattern, row_of_entry
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.method import Given, Method, Population
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.centre import Log, fit_centre
 from oee_tabular.ratio.prior.library import values_in
 from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
-from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, meaning
-from oee_tabular.ratio.prior.tilt import Tilt, fit_default_tilt, fit_tilt
+from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
+from oee_tabular.ratio.prior.tilt import Columns, Tilt, fit_default_tilt, fit_tilt
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 from oee_tabular.ratio.trained import fit_rows
 
@@ -145,12 +147,10 @@ class Conditional(Method):
     def _fit(self, given: Given) -> TransitionRatio:
         observed, rows = given.observed, given.rows
         box = _checks.box(self.lower, self.upper, normalized=True)
-        q, n_row, spread = rows.weights, rows.sums(observed), rows.spread
+        n_row = rows.sums(observed)
         prior = PRIORS[str(self.prior)](given, self)
         weight = n_row + prior.kappa
         known = weight > 0
-        smoothed = (observed + spread(prior.kappa) * prior.rows) / spread(np.where(known, weight, 1.0))
-        p = np.where(spread(n_row == 0), prior.rows, smoothed)
         details: dict[str, object] = dict(prior.details)
         if isinstance(self.ridge, str):
             lam = self._chosen_ridge(given, n_row, details)
@@ -158,30 +158,34 @@ class Conditional(Method):
             sizes, index = np.unique(n_row, return_inverse=True)
             lam = np.array([_checks.ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
-        curvature = np.asarray(spread(lam) if self.toward is None else spread(lam) * q)
-        program = dual.Coordinates(p, q, curvature, np.full(len(p), center))
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
-        if self.functions is not None:
-            fit = fit_rows(self.functions, observed, program, rows, seed=given.seed)
-            return given.ratio(fit.ratio, "conditional", fit.gap, details | fit.details)
-        if self.solver == "dual":
-            found = dual.solve_rows(program, *box, rows.indptr)
-            zeta, gaps, details["enclosure"] = found.ratio, found.gap, found.enclosure()
-        else:
-            zeta, eta = statements.solve_rows(program, *box, rows.indptr, solver=self.solver)
-            gaps = dual.row_gaps(program, zeta, 1.0 + eta, *box, rows.indptr)
-        inside = (zeta > box.lower) & (zeta < box.upper) & (zeta > 0)
-        safe = np.where(inside, zeta, 1.0)
-        influence = Influence(
-            rows=rows,
-            counts=observed,
-            kernel=zeta * q,
-            curvature=np.where(inside, (p / safe) / safe + curvature, 0.0),
-            share=np.divide(n_row, weight, out=np.zeros_like(n_row), where=known),
-            parts=prior.parts,
-        )
-        gap = float(max([gaps.max(), *(part.gap for part in prior.parts)]))
-        return given.ratio(zeta, "conditional", gap, details, influence)
+        zeta, bent, *ends = np.empty((4 if self.solver == "dual" else 2, len(observed)))
+        gaps = [part.gap for part in prior.parts]
+        whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
+        for some in (rows,) if whole else rows.blocks():
+            number, at, spread, m = some.number, some.entries, some.spread, prior.at(some)
+            smoothed = observed[at] + spread(prior.kappa[number]) * m
+            p = np.where(spread(n_row[number] == 0), m, smoothed / spread(np.where(known, weight, 1.0)[number]))
+            curvature = np.asarray(spread(lam[number]) if self.toward is None else spread(lam[number]) * some.weights)
+            program = dual.Coordinates(p, some.weights, curvature, np.full(len(p), center))
+            if self.functions is not None:
+                fit = fit_rows(self.functions, observed, program, rows, seed=given.seed)
+                return given.ratio(fit.ratio, "conditional", fit.gap, details | fit.details)
+            if self.solver == "dual":
+                found = dual.solve_rows(program, *box, some.indptr)
+                zeta[at], gap, (ends[0][at], ends[1][at]) = found.ratio, found.gap, found.enclosure()
+            else:
+                zeta[at], eta = statements.solve_rows(program, *box, some.indptr, solver=self.solver)
+                gap = dual.row_gaps(program, zeta[at], 1.0 + eta, *box, some.indptr)
+            gaps.append(float(gap.max()))
+            inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
+            safe = np.where(inside, zeta[at], 1.0)
+            bent[at] = np.where(inside, (p / safe) / safe + curvature, 0.0)
+        if ends:
+            details["enclosure"] = tuple(ends)
+        share = np.divide(n_row, weight, out=np.zeros_like(n_row), where=known)
+        influence = Influence(rows, observed, zeta, bent, share, prior.parts)
+        return given.ratio(zeta, "conditional", max(gaps), details, influence)
 
     def _chosen_ridge(self, given: Given, n_row: Array, details: dict[str, Any]) -> Array:
         """kappa / n_sa of each row, kappa chosen on the data: the quadratic form, to second order, of a Dirichlet prior."""
@@ -215,14 +219,8 @@ def _tilt(
     details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
     if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
         return whole, details, whole.evidence
-    local = fit_local_tilt(
-        observed,
-        simulator,
-        whole.features,
-        whole.coefficients,
-        None if isinstance(smoothness, str) else smoothness,
-        solver=solver,
-    )
+    asked = None if isinstance(smoothness, str) else smoothness
+    local = fit_local_tilt(observed, simulator, whole, asked, solver=solver)
     if local is None:
         return whole, details, whole.evidence
     of_states = {
@@ -236,9 +234,9 @@ def _tilt(
 
 
 class _Prior(NamedTuple):
-    """The row that every row is shrunk to, how many moves it is worth in each, its parts, and what is said of it."""
+    """What rows are shrunk to (of any rows, (entries,)), the moves that it is worth in each, its parts, what is said of it."""
 
-    rows: Array
+    at: Columns
     kappa: Array
     parts: tuple[Part, ...]
     details: dict[str, Any]
@@ -246,20 +244,22 @@ class _Prior(NamedTuple):
 
 def _none(given: Given, method: Conditional) -> _Prior:
     """Nothing: maximum likelihood, the simulator where there are no data."""
-    return _Prior(given.rows.weights, np.zeros(len(given.rows.number)), (), {"strength": 0.0})
+    return _Prior(_simulated, np.zeros(given.rows.number.shape), (), {"strength": 0.0})
+
+
+_simulated = attrgetter("weights")
 
 
 def _simulator(given: Given, method: Conditional) -> _Prior:
-    return _of_strength(given, method, given.rows.weights, (), {}, "simulator")
+    return _of_strength(given, method, _simulated, (), {}, "simulator")
 
 
 def _tilted(given: Given, method: Conditional) -> _Prior:
     tilt, details, likelihood = _tilt(
         given.observed, given.simulator, method.features, method.smoothness, method.solver
     )
-    rows = given.rows.weights * tilt.ratio
-    part = Part("tilt", 1.0, likelihood, rows, tilt.scores, tilt.information, gap=tilt.gap)
-    return _of_strength(given, method, rows, (part,), details, "tilt")
+    part = Part("tilt", 1.0, likelihood, tilt.at, tilt.whole, tilt.information, gap=tilt.gap)
+    return _of_strength(given, method, lambda rows: tilt.at(rows)[0], (part,), details, "tilt")
 
 
 def _average(given: Given, method: Conditional) -> _Prior:
@@ -270,8 +270,11 @@ def _average(given: Given, method: Conditional) -> _Prior:
     time = _time_in_rows(simulator, given.policies, horizon)
     parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver, log=log)
     details["centre"] = [(part.name, part.weight, part.theta) for part in parts]
-    rows = np.asarray(sum(part.weight * part.rows for part in parts))
-    return _of_strength(given, method, rows, parts, details, "centre")
+
+    def centre(rows: Rows) -> Array:
+        return np.asarray(sum(part.weight * part.at(rows)[0] for part in parts))
+
+    return _of_strength(given, method, centre, parts, details, "centre")
 
 
 def _of_all_policies(given: Given, solver: str) -> tuple[Tilt | LocalTilt, dict[str, Any], float, Log | None]:
@@ -293,20 +296,27 @@ PRIORS = {"average": _average, "tilt": _tilted, "simulator": _simulator, "none":
 
 
 def _of_strength(
-    given: Given, method: Conditional, rows: Array, parts: tuple[Part, ...], details: dict[str, Any], name: str
+    given: Given, method: Conditional, at: Columns, parts: tuple[Part, ...], details: dict[str, Any], name: str
 ) -> _Prior:
     """kappa of each row as ``strength`` says; ``name`` is what its meaning calls the prior."""
     if not isinstance(method.strength, str):
         kappa = _checks.number_in(method.strength, "strength", 0.0, np.inf)
-        return _Prior(rows, np.full(len(given.rows), kappa), parts, details | {"strength": kappa})
+        return _Prior(at, np.full(len(given.rows), kappa), parts, details | {"strength": kappa})
     _checks.one_of(method.strength, "strength", CRITERIA)
-    choice = choose_strength(given.observed, rows, given.rows, method.strength)
+    rows, kind = given.visited, given.once(_kinds)
+    counts = given.observed[rows.entries]
+    choice = choose_strength(counts, at(rows), rows, method.strength, kind=kind[rows.number])
     chosen = {
         "strength": choice.strength,
         "strength_by": choice.criterion,
         "strength_score": choice.score,
         "strength_curve": (choice.grid, choice.curve),
         "strength_kinds": choice.kinds,
-        "meaning": meaning(choice, given.rows.sums(given.observed), name),
+        "meaning": meaning(choice, rows.sums(counts), name),
     }
-    return _Prior(rows, choice.by_row, parts, chosen | details)
+    return _Prior(at, choice.by_kind[kind], parts, chosen | details)
+
+
+def _kinds(given: Given) -> IntArray:
+    """The kind of each row; those that none of the log's are of have the first's."""
+    return kinds_of_rows(given.observed, given.rows)

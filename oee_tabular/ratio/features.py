@@ -165,7 +165,7 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
         from oee_tabular.ratio.tabled import features_in
 
         return features_in(features, simulator, "features")[0]
-    moves = rows.spread(rows.state), rows.spread(rows.action), rows.arrival
+    moves = rows.moves
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
     shape = (simulator.n_states, simulator.n_actions, simulator.n_states)

@@ -262,6 +262,11 @@ class InClass(Method):
         safe = np.maximum(zeta, 1e-12)
         details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
-        part = Part(self._name, 1.0, 0.0, zeta * q, phi / safe[:, None], information, gap=found.gap)
-        influence = Influence(rows, observed, zeta * q, q / safe, np.zeros(len(rows)), (part,))
+
+        def at(some: Rows) -> tuple[Array, Array]:
+            inside = some.entries
+            return zeta[inside] * some.weights, phi[inside] / safe[inside, None]
+
+        part = Part(self._name, 1.0, 0.0, at, rows, information, gap=found.gap)
+        influence = Influence(rows, observed, zeta, q / safe, np.zeros(len(rows)), (part,))
         return given.ratio(zeta, self._name, found.gap, details, influence)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -44,6 +45,11 @@ class Given:
     seed: Seed = None
     made: dict[Any, Any] = field(default_factory=dict)
 
+    @cached_property
+    def visited(self) -> Rows:
+        """The rows that the log has."""
+        return self.rows.chosen(self.rows.sums(self.observed) > 0)
+
     def once(self, make: Callable[..., Any], *arguments: Any) -> Any:
         """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""
         key = (make, *arguments)
@@ -57,7 +63,7 @@ class Given:
         """What a fit returns, from zeta on the simulator's entries."""
         matrix, rows = self.simulator.transitions, self.rows
         counts = rows.sums(self.observed).reshape(self.simulator.n_states, self.simulator.n_actions)
-        parts = _checks.freeze(zeta.copy()), matrix.indices, matrix.indptr
+        parts = _checks.freeze(zeta), matrix.indices, matrix.indptr
         return TransitionRatio(
             values=sparse.csr_array(parts, shape=matrix.shape),
             method=method,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -115,6 +116,11 @@ class TransitionRatio:
         return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
 
     @property
+    def likeliest(self) -> Array | None:
+        """(entries,) the rows of ``maximum_likelihood_model``; None where no log is known."""
+        return None if self._influence is None else self._influence.likeliest()
+
+    @property
     def finite(self) -> bool:
         """Whether zeta, its gap and what its errors are computed from are finite numbers."""
         known = [self.values.data, np.asarray(self.gap)]
@@ -182,6 +188,9 @@ class OneStep:
     change_error: float
 
 
+Made = Callable[[Rows], tuple[Array, Any]]
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A candidate in the centre of the prior (``ratio.prior.centre``).
@@ -191,22 +200,34 @@ class Part:
     name : "simulator", "tilt by log P", or its features
     weight : its share of the centre
     evidence : nats, less its prices
-    rows : (entries,) of all rows of the simulator
-    scores, information : d log rows / d parameters, and the parameters' information; None without parameters
-    counted : (rows,) how much a move of each row counts in the parameters (``ratio.selection``); None: 1
+    at : of any rows their probabilities (entries,) and scores, d log probabilities / d parameters (None without parameters)
+    whole : all rows of the simulator
+    information : of the parameters
     theta : its parameters by feature, in the features' units
     gap : of its program
+    counted : (rows,) how much a move of each row counts in the parameters (``ratio.selection``); None: 1
     """
 
     name: str
     weight: float
     evidence: float
-    rows: Array
-    scores: Array | sparse.csr_array | None = None
+    at: Made
+    whole: Rows
     information: Array | sparse.csc_array | None = None
     theta: dict[str, float] = field(default_factory=dict)
     gap: float = 0.0
     counted: Array | None = None
+
+    @property
+    def rows(self) -> Array:
+        """(entries,) of all rows of the simulator."""
+        return self.at(self.whole)[0]
+
+    def moved(self, pull: Array) -> Array:
+        """information^-1 pull."""
+        if isinstance(self.information, sparse.csc_array):
+            return Factor(self.information).solve(pull)
+        return np.asarray(np.linalg.lstsq(self.information, pull)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,15 +236,17 @@ class Influence:
 
     Attributes
     ----------
-    rows : the simulator's; counts : n_x on their entries; kernel : zeta P
+    rows : the simulator's; counts : n_x on their entries; ratio : zeta
     curvature : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
     share : of the data in a row, n_sa / (n_sa + kappa)
-    parts : of the prior's centre, with their scores and information (dense; a tilt that varies over the states: sparse)
+    parts : of the prior's centre, with their information (dense; of a tilt that varies over the states: sparse)
+
+    What is computed of them goes over the rows block by block.
     """
 
     rows: Rows
     counts: Array
-    kernel: Array
+    ratio: Array
     curvature: Array
     share: Array
     parts: tuple[Part, ...] = ()
@@ -233,38 +256,42 @@ class Influence:
         """n_sa."""
         return self.rows.sums(self.counts)
 
-    @cached_property
-    def frequencies(self) -> Array:
-        """n_x / n_sa, 0 in rows without counts."""
-        return self.rows.frequencies(self.counts)
-
     def standard_error(self, gradient: Array) -> float:
         """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
-        psi, spread = self._by_probability(gradient), self.rows.spread
-        share = spread(self.share)
-        each = share * psi / spread(np.maximum(self.n, 1.0))
-        for part in self.parts:
-            if part.scores is None or part.information is None:
-                continue
-            pull = (part.weight * (1.0 - share) * part.rows * psi) @ part.scores  # d value / d theta
-            if sparse.issparse(part.scores):
-                moved = Factor(part.information).solve(pull)
-            else:
-                moved = np.linalg.lstsq(part.information, pull)[0]
-            counted = 1.0 if part.counted is None else spread(part.counted)
-            each = each + counted * (part.scores @ moved)
-        return float(np.sqrt(np.sum(self.n * self.rows.variance(self.frequencies, each))))
+        parts = [part for part in self.parts if part.information is not None]
+        pulls: list[Any] = [0.0 for _ in parts]  # d value / d theta
+        for rows in self.rows.blocks() if parts else ():
+            free = rows.spread(1.0 - self.share[rows.number]) * self._by_probability(gradient, rows)
+            for k, part in enumerate(parts):
+                model, scores = part.at(rows)
+                pulls[k] = pulls[k] + (part.weight * free * model) @ scores
+        steps = [part.moved(pull) for part, pull in zip(parts, pulls, strict=True)]
+        total = 0.0
+        for rows in self.rows.chosen(self.n > 0).blocks():
+            n = self.n[rows.number]
+            each = rows.spread(self.share[rows.number] / n) * self._by_probability(gradient, rows)
+            for part, step in zip(parts, steps, strict=True):
+                counted = 1.0 if part.counted is None else rows.spread(part.counted[rows.number])
+                each = each + counted * (part.at(rows)[1] @ step)
+            total += float(np.sum(n * rows.variance(rows.frequencies(self.counts[rows.entries]), each)))
+        return float(np.sqrt(total))
 
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
-        return np.where(self.rows.spread(self.n > 0), self.frequencies, self.kernel)
+        found = self.ratio * self.rows.weights
+        seen = self.rows.chosen(self.n > 0)
+        found[seen.entries] = seen.frequencies(self.counts[seen.entries])
+        return found
 
     def one_step(self, gradient: Array) -> OneStep:
         """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the centre taken as given."""
+        variance, change = np.empty(len(self.rows)), 0.0
+        for rows in self.rows.blocks():
+            kernel, slope = self.ratio[rows.entries] * rows.weights, gradient[rows.entries]
+            variance[rows.number] = rows.variance(kernel, slope)
+            seen = rows.spread(self.n[rows.number] > 0)
+            change += float(slope[seen] @ (rows.frequencies(self.counts[rows.entries]) - kernel)[seen])
         visited = self.n > 0
-        seen = self.rows.spread(visited)
-        change = float(gradient[seen] @ (self.frequencies - self.kernel)[seen])
-        variance = self.rows.variance(self.kernel, gradient)
         each = np.where(visited, variance / np.maximum(self.n, 1.0), 0.0)
         return OneStep(
             change,
@@ -273,13 +300,12 @@ class Influence:
             float(np.sqrt(np.sum((1.0 - self.share) ** 2 * each))),
         )
 
-    def _by_probability(self, gradient: Array) -> Array:
-        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each row."""
-        rows, q = self.rows, self.rows.weights
-        soft = np.divide(1.0, self.curvature, out=np.zeros_like(q), where=self.curvature > 0)
-        pull = gradient * q
+    def _by_probability(self, gradient: Array, rows: Rows) -> Array:
+        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each of the rows."""
+        q, zeta, curvature = rows.weights, self.ratio[rows.entries], self.curvature[rows.entries]
+        soft = np.divide(1.0, curvature, out=np.zeros_like(q), where=curvature > 0)
+        pull = gradient[rows.entries] * q
         slope, scale = rows.spread(rows.sums(pull * q * soft)), rows.spread(rows.sums(q * q * soft))
         mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
-        zeta = np.divide(self.kernel, q, out=np.zeros_like(q), where=q > 0)
         moved: Array = np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
         return moved

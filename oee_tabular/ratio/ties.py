@@ -132,15 +132,15 @@ class Tied(Method):
 def _keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     """Keys numbered from 0, one for each entry."""
     if callable(tie):
-        tie = tie(rows.spread(rows.state), rows.spread(rows.action), rows.arrival)
+        tie = tie(*rows.moves)
     elif is_frame(tie):
         from oee_tabular.ratio.tabled import keys_in
 
         tie = keys_in(tie, simulator, "tie")
     given = _checks.as_array(tie, "tie")
-    if given.shape != rows.entries.shape:
+    if given.shape != rows.arrival.shape:
         raise ValueError(
-            f"tie must have shape {rows.entries.shape}, a key for each entry of simulator.transitions; it has shape "
+            f"tie must have shape {rows.arrival.shape}, a key for each entry of simulator.transitions; it has shape "
             f"{given.shape}"
         )
     if given.dtype.kind not in "iu":

@@ -160,7 +160,7 @@ def test_a_tilt_that_varies_by_its_own_risk_and_evidence(smoothness):
     phi = (phi - (P * phi).sum(axis=2, keepdims=True)) * (P > 0)
     phi /= np.sqrt((P * phi**2).sum() / 10)
     one = fit_tilt(n[P > 0], simulator)
-    fit = fit_local_tilt(n[P > 0], simulator, phi[P > 0][:, None], one.coefficients, smoothness)
+    fit = fit_local_tilt(n[P > 0], simulator, one, smoothness)
     moves = P.mean(axis=1)
     w = 0.5 * (moves + moves.T)
     Q = np.diag(w.sum(axis=1) - np.diag(w) + 1e-4) - w + np.diag(np.diag(w))

@@ -117,7 +117,7 @@ def test_evidence_part_by_part():
             elif part.name == "tilt by log P":
                 cost = counts @ np.log(tilt.ratio) - tilt.evidence + 1.0 + 4.0 * missed
             elif part.name == "V":
-                scores, information = np.asarray(part.scores), np.asarray(part.information)
+                scores, information = part.at(part.whole)[1], np.asarray(part.information)
                 weight = np.repeat(part.counted * n_row, np.diff(matrix.indptr))
                 raw = float((weight * part.rows) @ scores[:, 0] ** 2)
                 precision = information[0, 0] - raw
@@ -154,7 +154,7 @@ def test_prices_are_paid_by_feature():
     assert any("action" in name for part in several for name in part.theta)
     for part in several:
         score = choose_strength(counts[told], part.rows[told], rows).score
-        scores, information = np.asarray(part.scores), np.asarray(part.information)
+        scores, information = part.at(part.whole)[1], np.asarray(part.information)
         weight = np.repeat(part.counted * n_row, 5) * part.rows
         penalty = np.diag(information - (scores * weight[:, None]).T @ scores)
         features = library(simulator, values_in(simulator, [policy], None), rows)
@@ -434,19 +434,25 @@ def test_the_standard_error_of_an_average_by_refits():
     centred = slopes - rows.spread(rows.sums(shares * slopes))
     expected = np.sqrt(np.sum(n_row * rows.sums(shares * centred**2)))
 
-    parts = [oee.ratio.result.Part("simulator", weights[0], 0.0, rows.weights)]
+    parts = [oee.ratio.result.Part("simulator", weights[0], 0.0, lambda some: (some.weights, None), rows)]
     for each, fitted, weight in zip(chosen, fits, weights[1:], strict=True):
         columns = columns_of(each, lambda j: base[:, j], made.scale, np.repeat(rows.action, 3))
         scores = columns - rows.spread(rows.sums(fitted.model[:, None] * columns))
         parts.append(
             oee.ratio.result.Part(
-                "tilt", weight, 0.0, fitted.model, scores, fitted.information, counted=made.counted(kappa)
+                "tilt",
+                weight,
+                0.0,
+                lambda some, m=fitted.model, d=scores: (m[some.entries], d[some.entries]),
+                rows,
+                fitted.information,
+                counted=made.counted(kappa),
             )
         )
     plain = oee.transition_ratio(on_rows(counts, simulator), simulator, prior="simulator", strength=strength)
     zeta_p = model(counts)
     influence = replace(
-        plain._influence, kernel=zeta_p, curvature=rows.weights**2 / zeta_p, parts=tuple(parts)
+        plain._influence, ratio=zeta_p / rows.weights, curvature=rows.weights**2 / zeta_p, parts=tuple(parts)
     )  # p / zeta^2, p = zeta P
     assert_allclose(influence.standard_error(gradient), expected, rtol=1e-4)
 
@@ -559,7 +565,7 @@ def test_the_same_features_in_another_order_count_once():
     rows = np.array([0.6, 0.4])
 
     def candidate(name, theta, cost):
-        return centre._Candidate(name, rows, cost, lambda: (rows, None, None), theta)
+        return centre._Candidate(name, rows, cost, lambda some: (rows, None), None, theta)
 
     same = {"V": 1.0, "stay": 2.0}
     found = centre._averaged(
@@ -570,6 +576,7 @@ def test_the_same_features_in_another_order_count_once():
             candidate("stay + V", dict(reversed(same.items())), 2.0),
         ],
         Log(),
+        None,
     )
     assert {part.name for part in found} == {"simulator", "tilt by log P", "V + stay"}
     share = np.exp(-0.75 * 2.0) / (2 + np.exp(-0.75 * 2.0))
@@ -581,7 +588,7 @@ def test_what_theory_names_is_always_a_candidate(monkeypatch):
     seen = []
     averaged = centre._averaged
     monkeypatch.setattr(
-        centre, "_averaged", lambda candidates, log: averaged(seen.append(candidates) or candidates, log)
+        centre, "_averaged", lambda candidates, *rest: averaged(seen.append(candidates) or candidates, *rest)
     )
     simulator = garnet(7)
     policies = [oee.optimal_policy(simulator), np.full((20, 2), 0.5)]
@@ -612,8 +619,8 @@ def test_a_cvxpy_solver_is_asked_for_every_tilt_along_features(monkeypatch):
 
 
 def test_the_gap_is_that_of_the_worst_program(monkeypatch):
-    rows = Rows.of(SIMULATOR).weights
-    parts = tuple(oee.ratio.result.Part("simulator", 0.5, 0.0, rows, gap=gap) for gap in (0.25, 0.125))
+    made = (lambda some: (some.weights, None)), Rows.of(SIMULATOR)
+    parts = tuple(oee.ratio.result.Part("simulator", 0.5, 0.0, *made, gap=gap) for gap in (0.25, 0.125))
     monkeypatch.setattr("oee_tabular.ratio.conditional.fit_centre", lambda *args, **options: parts)
     assert oee.transition_ratio(LOG, SIMULATOR).gap == 0.25
 

@@ -38,7 +38,7 @@ def counts_of(target, simulator, n, seed=0):
 
 def local(observed, simulator, smoothness, features=None, solver="dual"):
     whole = fit_tilt(observed, simulator, features)
-    found = fit_local_tilt(observed, simulator, whole.features, whole.coefficients, smoothness, solver=solver)
+    found = fit_local_tilt(observed, simulator, whole, smoothness, solver=solver)
     return whole, found
 
 
@@ -73,7 +73,7 @@ def test_it_minimises_the_penalised_risk(rng, d, smoothness):
     _, observed = counts_of(random_mdp(rng, n_states=4, n_actions=2, zeros=0.0), simulator, 60, int(rng.integers(99)))
     phi = rng.normal(size=(simulator.transitions.nnz, d))
     whole, found = local(observed, simulator, smoothness, phi)
-    f = risk_of(observed, simulator, whole.features, smoothness)
+    f = risk_of(observed, simulator, whole.phi(whole.whole), smoothness)
     best = optimize.minimize(f, np.zeros(5 * d), method="BFGS", options={"gtol": 1e-7})
     theta = best.x[-d:]
     assert_allclose(found.theta, best.x[:-d].reshape(4, d) + theta, atol=1e-4)
@@ -88,7 +88,7 @@ def test_the_evidence_is_the_integral():
     observed = np.array([150.0, 60.0, 40.0, 200.0])
     whole = fit_tilt(observed, simulator)
 
-    weights, phi = simulator.transitions.data.reshape(2, 2), whole.features.reshape(2, 2)
+    weights, phi = simulator.transitions.data.reshape(2, 2), whole.phi(whole.whole).reshape(2, 2)
     counts = observed.reshape(2, 2)
     center = counts / counts.sum(axis=1, keepdims=True)
     middle = np.diff(np.log(center / weights), axis=1)[:, 0] / np.diff(phi, axis=1)[:, 0]  # each state's own tilt
@@ -200,7 +200,7 @@ def test_the_gap_bounds_what_a_wrong_answer_leaves(monkeypatch):
     simulator, target = halves(4)
     _, observed = counts_of(target, simulator, 600)
     whole, _ = local(observed, simulator, 5.0)
-    f = risk_of(observed, simulator, whole.features, 5.0)
+    f = risk_of(observed, simulator, whole.phi(whole.whole), 5.0)
     best = optimize.minimize(f, np.zeros(17), method="BFGS").fun
     wrong = 0.1 * np.random.default_rng(0).normal(size=17)
     monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: wrong)

@@ -56,7 +56,7 @@ def test_all_rows(rng):
     simulator = random_mdp(rng)
     rows = Rows.of(simulator)
     assert len(rows) == simulator.n_states * simulator.n_actions
-    assert_array_equal(rows.entries, np.arange(simulator.transitions.nnz))
+    assert rows.entries == slice(0, simulator.transitions.nnz)
     assert_array_equal(rows.indptr, simulator.transitions.indptr)
     assert_array_equal(rows.arrival, simulator.transitions.indices)
 

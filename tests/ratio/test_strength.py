@@ -82,7 +82,7 @@ def test_what_the_strength_means():
     flat, curve = np.zeros(3), np.array([0.0, 5.0, 0.0])
 
     def words(strength, kinds=((3, 60, 500.0),), curve=curve):
-        return meaning(StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, list(kinds)), n_row, "tilt")
+        return meaning(StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, list(kinds), flat), n_row, "tilt")
 
     compared = "a row of it is worth {} moves, and the log has 20 in the median row"
     assert words(300.0) == "the tilt fits: " + compared.format(300)

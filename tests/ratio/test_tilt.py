@@ -346,7 +346,7 @@ def test_rows_that_one_power_fits_are_not_bent_for_the_few_that_it_misses():
     assert zeta.details["theta"].shape == (1,)
     observed = aligned_counts(log.counts(64, 4), simulator)
     log_p = np.log(simulator.transitions.data)
-    both = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]), warn=False)
+    both = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]))
     assert both.evidence > fit_tilt(observed, simulator).evidence + 10.0  # as a tilt alone it would be preferred
     truth = oee.true_ratio(target, simulator).values.data
     bent = oee.transition_ratio(log, simulator, features=np.column_stack([log_p, log_p**2]), smoothness=np.inf)
@@ -358,7 +358,7 @@ def test_the_evidence_of_a_tilt_is_its_integral():
     simulator = random_mdp(np.random.default_rng(1), n_states=4, n_actions=1, zeros=0.0)
     observed = observed_from(np.random.default_rng(0), simulator, 300)
     tilt = fit_tilt(observed, simulator)
-    indptr, phi = simulator.transitions.indptr.astype(np.int64), tilt.features[:, 0]
+    indptr, phi = simulator.transitions.indptr.astype(np.int64), tilt.phi(tilt.whole)[:, 0]
 
     def risk(theta):
         log_z = np.log(sums(simulator.transitions.data * np.exp(theta * phi), indptr))
@@ -382,7 +382,7 @@ def test_the_tilt_at_its_optimum():
     score = np.einsum("x,xj,xjd->d", n, model, phi / scale) - np.einsum("xj,xjd->d", COUNTS, phi / scale)
     assert_allclose(score + tilt.theta * scale, 0, atol=1e-6)
     centred = phi / scale - (model[:, :, None] * phi / scale).sum(axis=1, keepdims=True)
-    assert_allclose(tilt.scores, centred.reshape(18, 2), atol=1e-9)
+    assert_allclose(tilt.at(tilt.whole)[1], centred.reshape(18, 2), atol=1e-9)
     information = np.einsum("x,xj,xjd,xje->de", n, model, centred, centred) + np.eye(2)
     assert_allclose(tilt.information, information, rtol=1e-8)
     assert tilt.rank == 2

@@ -15,7 +15,7 @@ of 0 and 1, 3 and 4, and powers of 0.3 to 1 differ by less than 0.02 in the geom
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -25,12 +25,13 @@ import numpy as np
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.prior.library import Feature, by_action, columns_of, library, name_of
+from oee_tabular.ratio.prior.library import SMOOTH, Feature, by_action, columns_of, library, name_of
 from oee_tabular.ratio.prior.local_tilt import LocalTilt
+from oee_tabular.ratio.prior.neighbours import smooth_functions
 from oee_tabular.ratio.prior.selection import Selected, Selection
 from oee_tabular.ratio.prior.strength import StrengthChoice, choose_strength, kinds_of_rows
 from oee_tabular.ratio.prior.tilt import Tilt
-from oee_tabular.ratio.result import Part
+from oee_tabular.ratio.result import Made, Part
 
 EXPECTED, SEARCHED, UNSEEN = 1.0, 3.0, 4.0
 ENTRY = 2.0  # nats that a feature must gain to be tried at all
@@ -65,24 +66,28 @@ def fit_centre(
     -----
     Cost: a few dozen passes over the visited rows with the library's columns, some 20 numbers an entry.
     """
-    whole, log = Rows.of(simulator), Log.of(observed, simulator, tilt) if log is None else log
+    whole, log = tilt.whole, Log.of(observed, simulator, tilt) if log is None else log
     if log is None:
-        return (Part("simulator", 1.0, 0.0, whole.weights),)
+        return (Part("simulator", 1.0, 0.0, _as_simulated, whole),)
     rows, is_open = log.rows, np.diff(whole.indptr) > 1
     visited = np.zeros(len(whole), dtype=np.bool_)
     visited[rows.number] = True
     matters = np.where(is_open, 1.0 if time is None else time, 0.0)
     unseen = UNSEEN * float(matters[~visited].sum()) / max(float(matters.sum()), 1e-300)
-    likelihood = _likelihood(log.counts, tilt.ratio[rows.entries])
+    likelihood = _likelihood(log.counts, log.tilted / rows.weights)
     candidates = [
-        _Candidate("simulator", rows.weights, 0.0, lambda: (whole.weights, None, None), score=log.simulator.score),
+        _Candidate("simulator", rows.weights, 0.0, _as_simulated, score=log.simulator.score),
         _Candidate(
-            "tilt by log P", log.tilted, likelihood - tilt_evidence + EXPECTED + unseen,
-            lambda: (whole.weights * tilt.ratio, tilt.scores, tilt.information), gap=tilt.gap, score=log.tilt_score,
+            "tilt by log P", log.tilted, likelihood - tilt_evidence + EXPECTED + unseen, tilt.at, tilt.information,
+            gap=tilt.gap, score=log.tilt_score,
         ),
-        *_along_features(log, library(simulator, values, rows), simulator, whole, unseen, solver),
+        *_along_features(log, library(simulator, values, rows, log.levels), simulator, whole, unseen, solver),
     ]  # fmt: skip
-    return _averaged(candidates, log)
+    return _averaged(candidates, log, whole)
+
+
+def _as_simulated(rows: Rows) -> tuple[Array, None]:
+    return rows.weights, None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,17 +98,17 @@ class Log:
     counts: Array
     kind: IntArray
     tilted: Array
+    levels: Array  # the smoothest functions on the simulator's graph, (S, count)
 
     @classmethod
     def of(cls, observed: Array, simulator: FiniteMDP, tilt: Tilt | LocalTilt) -> Log | None:
         """None where no open row was visited."""
-        whole = Rows.of(simulator)
-        visited = (whole.sums(observed) > 0) & (np.diff(whole.indptr) > 1)
+        visited = (tilt.whole.sums(observed) > 0) & (np.diff(tilt.whole.indptr) > 1)
         if not visited.any():
             return None
-        rows = Rows.of(simulator, visited)
+        rows = tilt.whole.chosen(visited)
         counts = observed[rows.entries]
-        return cls(rows, counts, kinds_of_rows(counts, rows), rows.weights * tilt.ratio[rows.entries])
+        return cls(rows, counts, kinds_of_rows(counts, rows), tilt.at(rows)[0], smooth_functions(simulator, SMOOTH))
 
     def strength(self, model: Array) -> StrengthChoice:
         """kappa around the rows ``model``."""
@@ -122,12 +127,13 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Rows where the log has been, what the parameters cost (nats), how all rows are made; the evidence, where known."""
+    """Rows where the log has been, what the parameters cost (nats), how others are made; the evidence, where known."""
 
     name: str
     model: Array
     cost: float
-    whole: Callable[[], tuple[Array, Any, Any]]
+    at: Made
+    information: Any = None
     theta: dict[str, float] = field(default_factory=dict)
     gap: float = 0.0
     counted: Array | None = None
@@ -176,20 +182,20 @@ def _of_features(
 ) -> _Candidate:
     """A tilt along chosen features as a candidate."""
 
-    def everywhere() -> tuple[Array, Array, Array]:
-        columns = columns_of(fitted.chosen, lambda j: features[j].column(whole), scale, whole.spread(whole.action))
-        model, _ = whole.tilted(columns @ fitted.theta)
-        return model, columns - whole.spread(whole.mean(model, columns)), fitted.information
+    def at(rows: Rows) -> tuple[Array, Array]:
+        columns = columns_of(fitted.chosen, lambda j: features[j].column(rows), scale, rows.spread(rows.action))
+        model, _ = rows.tilted(columns @ fitted.theta)
+        return model, columns - rows.spread(rows.mean(model, columns))
 
     names = [name_of(chosen, features) for chosen in fitted.chosen]
     price = sum(EXPECTED if features[j].expected and part == 0 else SEARCHED for j, part in fitted.chosen)
     scales = [scale[part, j] for j, part in fitted.chosen]
     theta = {name: float(t / size) for name, t, size in zip(names, fitted.theta, scales, strict=True)}
     cost = fitted.size + price + unseen * len(names)
-    return _Candidate(" + ".join(names), fitted.model, cost, everywhere, theta, fitted.gap, counted)
+    return _Candidate(" + ".join(names), fitted.model, cost, at, fitted.information, theta, fitted.gap, counted)
 
 
-def _averaged(candidates: list[_Candidate], log: Log) -> tuple[Part, ...]:
+def _averaged(candidates: list[_Candidate], log: Log, whole: Rows) -> tuple[Part, ...]:
     """The average by evidence to the power ``TEMPER``; the same features in another order count once."""
     first = {frozenset(c.theta) or c.name: c for c in reversed(candidates)}
     distinct = {c.name: c for c in reversed(first.values())}
@@ -202,7 +208,7 @@ def _averaged(candidates: list[_Candidate], log: Log) -> tuple[Part, ...]:
     kept = {name: w / total for name, w in weights.items() if w >= LEAST * total}
     total = sum(kept.values())
     return tuple(
-        Part(name, w / total, evidence[name], *c.whole(), c.theta, c.gap, c.counted)
+        Part(name, w / total, evidence[name], c.at, whole, c.information, c.theta, c.gap, c.counted)
         for name, w in sorted(kept.items(), key=lambda item: -item[1])
         for c in [distinct[name]]
     )

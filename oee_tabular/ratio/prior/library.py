@@ -62,7 +62,7 @@ class Feature:
         return np.asarray(found / rows.spread(np.where(deviation > 1e-9, deviation, np.inf)))
 
 
-def library(simulator: FiniteMDP, values: Sequence[Array], rows: Rows) -> list[Feature]:
+def library(simulator: FiniteMDP, values: Sequence[Array], rows: Rows, levels: Array | None = None) -> list[Feature]:
     """The features.
 
     Parameters
@@ -70,6 +70,7 @@ def library(simulator: FiniteMDP, values: Sequence[Array], rows: Rows) -> list[F
     simulator : FiniteMDP
     values : of each policy whose value matters, V_pi in the simulator, (S,)
     rows : those that the log has visited; displacements are counted there
+    levels : ``smooth_functions(simulator, SMOOTH)``, where they are known
 
     Notes
     -----
@@ -80,7 +81,8 @@ def library(simulator: FiniteMDP, values: Sequence[Array], rows: Rows) -> list[F
         Feature("(log P)^2", lambda at: np.log(at.weights) ** 2, by_action=False),
         Feature("stay", lambda at: at.arrival == at.spread(at.state)),
     ]
-    for number, level in enumerate(smooth_functions(simulator, SMOOTH).T, start=2):
+    levels = smooth_functions(simulator, SMOOTH) if levels is None else levels
+    for number, level in enumerate(levels.T, start=2):
         found += _both(f"u{number}", _at_arrival(level))
     for number, level in enumerate(values, start=1):
         name = "V" if len(values) == 1 else f"V of policy {number}"

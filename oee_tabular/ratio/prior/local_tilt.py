@@ -31,7 +31,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior.neighbours import REST, Factor, Neighbours, neighbours
-from oee_tabular.ratio.prior.tilt import ENOUGH, Minimum, TiltRisk, minimise
+from oee_tabular.ratio.prior.tilt import ENOUGH, Minimum, Tilt, TiltRisk, minimise
 from oee_tabular.ratio.statements import TiltProgram
 
 SMALLEST, LARGEST = -2.0, 6.0  # log10 of lambda
@@ -48,20 +48,38 @@ class LocalTilt:
     smoothness : lambda
     gain : evidence (nats) less that of one theta for all states (with the unit prior, or one as wide as u gives the level)
     curve : (lambda, gain) of every lambda tried
-    ratio : zeta on the simulator's entries
     theta : (S, d), theta + u_s, of the standardised features
     gap : bound on f less its minimum, divided by the number of moves
-    scores : csr (entries, (K + 1) d), d log zeta / d (u, theta); information : f'', csc or, of few unknowns, dense
+    information : f'', csc or, of few unknowns, dense
+    graph : the groups of states that share u
+    tilt : the one for all states
     """
 
     smoothness: float
     gain: float
     curve: list[tuple[float, float]]
-    ratio: Array
     theta: Array
     gap: float
-    scores: sparse.csr_array
     information: sparse.csc_array | Array
+    graph: Neighbours
+    tilt: Tilt
+
+    def at(self, rows: Rows) -> tuple[Array, sparse.csr_array]:
+        """(entries,) the tilted rows, and the scores, csr (entries, (K + 1) d): d log zeta / d (u, theta)."""
+        phi = self.tilt.phi(rows)
+        model, _ = rows.tilted(np.einsum("ij,ij->i", phi, rows.spread(self.theta[rows.state])))
+        group, nodes = rows.spread(self.graph.group[rows.state]), self.graph.penalty.shape[0]
+        return model, _scatter(phi - rows.spread(rows.mean(model, phi)), group, nodes)
+
+    @property
+    def whole(self) -> Rows:
+        """All rows of the simulator."""
+        return self.tilt.whole
+
+    @property
+    def ratio(self) -> Array:
+        """zeta on the simulator's entries."""
+        return np.asarray(self.at(self.whole)[0] / self.whole.weights)
 
 
 class LocalRisk(TiltRisk):
@@ -161,25 +179,17 @@ class LocalRisk(TiltRisk):
 
 
 def fit_local_tilt(
-    observed: Array,
-    simulator: FiniteMDP,
-    phi: Array,
-    theta: Array,
-    smoothness: float | None,
-    *,
-    solver: str = "dual",
+    observed: Array, simulator: FiniteMDP, tilt: Tilt, smoothness: float | None, *, solver: str = "dual"
 ) -> LocalTilt | None:
     """The departures with the most evidence, or those of a given smoothness; None where one theta for all does as well.
 
-    ``phi`` (entries, d) standardised, centred in each row; ``theta`` (d,) the best one for all states. Cost: about ten
-    values of lambda, four Newton steps each, a step O(visited entries d^2) and a sparse factor of (K + 1) d unknowns,
-    K <= 1024 / d.
+    ``tilt`` is the best one for all states. Cost: about ten values of lambda, four Newton steps each, a step O(visited
+    entries d^2) and a sparse factor of (K + 1) d unknowns, K <= 1024 / d.
     """
-    whole = Rows.of(simulator)
-    rows = Rows.of(simulator, whole.sums(observed) > 0)
-    graph = neighbours(simulator, width=phi.shape[1])
-    risk = LocalRisk(rows, observed[rows.entries], phi[rows.entries], graph, np.inf)
-    search = _Search(risk, theta)
+    rows = tilt.whole.chosen(tilt.whole.sums(observed) > 0)
+    graph = neighbours(simulator, width=len(tilt.coefficients))
+    risk = LocalRisk(rows, observed[rows.entries], tilt.phi(rows), graph, np.inf)
+    search = _Search(risk, tilt.coefficients)
     if smoothness is None:
         fit = search.best_of_all()
         if fit is None:
@@ -189,7 +199,9 @@ def fit_local_tilt(
     risk, found = risk.at(fit.smoothness), fit.found
     if solver != "dual":
         found = minimise(risk, found.theta, solver)
-    return _result(risk, found, whole, phi, fit, sorted(search.curve))
+    theta = risk.level(found.theta)[graph.group]
+    gap = found.gap / max(float(risk.n.sum()), 1.0)
+    return LocalTilt(fit.smoothness, fit.gain, sorted(search.curve), theta, gap, found.hessian, graph, tilt)
 
 
 class _Fit(NamedTuple):
@@ -257,16 +269,3 @@ def _scatter(values: Array, group: IntArray, nodes: int) -> sparse.csr_array:
     data = np.hstack([values, values])
     indptr = np.arange(0, 2 * d * entries + 1, 2 * d)
     return sparse.csr_array((data.reshape(-1), columns.reshape(-1), indptr), (entries, (nodes + 1) * d))
-
-
-def _result(
-    risk: LocalRisk, found: Minimum, whole: Rows, phi: Array, fit: _Fit, curve: list[tuple[float, float]]
-) -> LocalTilt:
-    """On all rows, visited or not."""
-    theta = risk.level(found.theta)[risk.graph.group]
-    model, _ = whole.tilted(np.einsum("ij,ij->i", phi, whole.spread(theta[whole.state])))
-    scores = _scatter(
-        phi - whole.spread(whole.mean(model, phi)), whole.spread(risk.graph.group[whole.state]), risk.nodes
-    )
-    gap = found.gap / max(float(risk.n.sum()), 1.0)
-    return LocalTilt(fit.smoothness, fit.gain, curve, model / whole.weights, theta, gap, scores, found.hessian)

@@ -36,7 +36,7 @@ class StrengthChoice:
 
     Attributes
     ----------
-    by_row : (rows,) kappa
+    by_row, by_kind : (rows,) kappa, and that of each kind of rows
     strength : the kappa of the median move
     score : the criterion at ``by_row`` (nats, all moves together)
     criterion : "evidence" or "loo"
@@ -51,6 +51,7 @@ class StrengthChoice:
     grid: Array
     curve: Array
     kinds: list[tuple[int, int, float]]
+    by_kind: Array
 
 
 def score(strength: float | Array, observed: Array, prior: Array, rows: Rows, criterion: str = "evidence") -> float:
@@ -111,6 +112,7 @@ def choose_strength(
         grid=np.exp(grid),
         curve=scores.sum(axis=1),
         kinds=table,
+        by_kind=strength,
     )
 
 

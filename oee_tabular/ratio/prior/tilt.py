@@ -17,6 +17,7 @@ Statistics 24(6), 1996.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -36,31 +37,44 @@ ENOUGH = 2.0  # nats of evidence that a theta which varies over the states must 
 DECISIVE = 5.0  # that a second number for all rows must gain
 
 
+Columns = Callable[[Rows], Array]
+
+
 @dataclass(frozen=True, eq=False)
 class Tilt:
     """A fitted tilt.
 
     Attributes
     ----------
-    ratio : zeta_theta on the simulator's entries
     theta : (d,) in the units of the features
     gap : bound on f(theta) - min f, divided by the number of moves (nats)
     rank : how many directions of the features differ within rows
-    scores : (entries, d), phi less its mean under the tilt, standardised; information : (d, d), Hessian of f
+    information : (d, d), Hessian of f
     evidence : integral of exp(-f) over theta by Laplace's approximation, as a logarithm (nats); f = 0 at theta = 0
-    features : (entries, d), phi centred in the simulator's rows and divided by scale (d,); coefficients : theta scale
+    phi : of any rows (entries, d), centred in the simulator's rows and divided by scale (d,); coefficients : theta scale
+    whole : all rows of the simulator
     """
 
-    ratio: Array
     theta: Array
     gap: float
     rank: int
-    scores: Array
     information: Array
     evidence: float
-    features: Array
+    phi: Columns
     scale: Array
     coefficients: Array
+    whole: Rows
+
+    def at(self, rows: Rows) -> tuple[Array, Array]:
+        """(entries,) the tilted rows, and the scores (entries, d): phi less its mean under the tilt."""
+        phi = self.phi(rows)
+        model, _ = rows.tilted(phi @ self.coefficients)
+        return model, phi - rows.spread(rows.mean(model, phi))
+
+    @property
+    def ratio(self) -> Array:
+        """zeta_theta on the simulator's entries."""
+        return np.asarray(self.at(self.whole)[0] / self.whole.weights)
 
 
 class TiltRisk:
@@ -167,46 +181,63 @@ def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "du
     forgives a tilt the kinds of rows that it misses, less ln |f''| / 2 + |theta|^2 / 2. Five nats (odds of 150), since the
     second number also bends the rows that one power fits.
     """
-    one = fit_tilt(observed, simulator, solver=solver)
-    log_p = np.log(simulator.transitions.data)
-    two = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]), solver=solver, warn=False)
+    whole = Rows.of(simulator)
+    visited = whole.chosen(whole.sums(observed) > 0)
+    counts = observed[visited.entries]
+    one = _fit(counts, visited, _powers(1), whole, solver)
+    two = _fit(counts, visited, _powers(2), whole, solver)
     if two.evidence < one.evidence + DECISIVE:
         return one
-    first, second = (_dirichlet_evidence(tilt, observed, simulator) for tilt in (one, two))
+    first, second = (_dirichlet_evidence(tilt, counts, visited) for tilt in (one, two))
     return two if second > first + DECISIVE else one
 
 
-def _dirichlet_evidence(tilt: Tilt, observed: Array, simulator: FiniteMDP) -> float:
-    rows = Rows.of(simulator)
-    score = choose_strength(observed, rows.weights * tilt.ratio, rows).score
+def _powers(most: int) -> Columns:
+    """log P, and its square."""
+    return lambda rows: np.log(rows.weights)[:, None] ** np.arange(1, most + 1)
+
+
+def _dirichlet_evidence(tilt: Tilt, counts: Array, rows: Rows) -> float:
+    score = choose_strength(counts, tilt.at(rows)[0], rows).score
     size = float(np.linalg.slogdet(tilt.information)[1]) + float(tilt.coefficients @ tilt.coefficients)
     return score - 0.5 * size
 
 
-def fit_tilt(
-    observed: Array, simulator: FiniteMDP, features: object = None, *, solver: str = "dual", warn: bool = True
-) -> Tilt:
+def fit_tilt(observed: Array, simulator: FiniteMDP, features: object = None, *, solver: str = "dual") -> Tilt:
     """Fit theta to counts on the simulator's entries, by Newton's method ("dual") or by a cvxpy solver.
 
     Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
-    Cost: O(entries d^2) a step, about ten steps.
+    Cost: O(visited entries d^2) a step, about ten steps, and a pass over all.
     """
     whole = Rows.of(simulator)
-    phi = whole.centred(feature_array(features, simulator))
-    gram = (phi * whole.weights[:, None]).T @ phi / len(whole)
+    visited = whole.chosen(whole.sums(observed) > 0)
+    counts = observed[visited.entries]
+    if features is None:
+        return _fit(counts, visited, _powers(1), whole, solver)
+    given = feature_array(features, simulator)
+    return _fit(counts, visited, lambda rows: given[rows.entries], whole, solver, warn=True)
+
+
+def _fit(counts: Array, visited: Rows, columns: Columns, whole: Rows, solver: str, *, warn: bool = False) -> Tilt:
+    """theta of features (entries, d), which are standardised over all rows."""
+    sums: Any = 0.0
+    largest = 1.0
+    for rows in whole.blocks():
+        each = rows.centred(columns(rows))
+        sums = sums + (each * rows.weights[:, None]).T @ each
+        largest = max(largest, float(np.abs(each).max(initial=0.0)))
+    gram = sums / len(whole)
     scale = np.sqrt(np.diag(gram))
-    scale = np.where(scale > 1e-12 * max(1.0, float(np.abs(phi).max(initial=0.0))), scale, np.inf)  # constant: no use
-    phi = phi / scale
+    scale = np.where(scale > 1e-12 * largest, scale, np.inf)  # constant: no use
     d = len(scale)
-    rank = _rank(gram / np.outer(scale, scale), d, warn=warn and features is not None)
-    visited = Rows.of(simulator, whole.sums(observed) > 0)
-    risk = TiltRisk(visited, observed[visited.entries], phi[visited.entries], np.ones(d))
-    found = minimise(risk, np.zeros(d), solver)
-    model, _ = whole.tilted(phi @ found.theta)
-    scores = phi - whole.spread(whole.mean(model, phi))
-    gap = found.gap / max(float(observed.sum()), 1.0)
-    ratio = model / whole.weights
-    return Tilt(ratio, found.theta / scale, gap, rank, scores, found.hessian, found.evidence, phi, scale, found.theta)
+    rank = _rank(gram / np.outer(scale, scale), d, warn=warn)
+
+    def phi(rows: Rows) -> Array:
+        return np.asarray(rows.centred(columns(rows)) / scale)
+
+    found = minimise(TiltRisk(visited, counts, phi(visited), np.ones(d)), np.zeros(d), solver)
+    gap = found.gap / max(float(counts.sum()), 1.0)
+    return Tilt(found.theta / scale, gap, rank, found.hessian, found.evidence, phi, scale, found.theta, whole)
 
 
 def _rank(gram: Array, d: int, *, warn: bool) -> int:
