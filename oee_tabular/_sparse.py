@@ -137,9 +137,10 @@ def frozen(csr: sparse.csr_array) -> sparse.csr_array:
     return csr
 
 
-def on_pattern(pattern: sparse.csr_array, data: Array) -> sparse.csr_array:
-    """The matrix with the entries of ``pattern`` and the values ``data``; explicit zeros stay."""
-    return frozen(sparse.csr_array((np.array(data, dtype=np.float64), pattern.indices, pattern.indptr), pattern.shape))
+def on_pattern(pattern: sparse.csr_array, data: Array, *, own: bool = False) -> sparse.csr_array:
+    """The matrix with the entries of ``pattern`` and the values ``data``, copied but where they are its ``own``; zeros stay."""
+    values = data if own else np.array(data, dtype=np.float64)
+    return frozen(sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape))
 
 
 def row_of_entry(csr: sparse.csr_array) -> IntArray:
@@ -169,6 +170,8 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
     if not sparse.issparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ValueError(f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}")
+    if values.format == "csr" and values.dtype == np.float64 and _alike(values, pattern):
+        return np.asarray(values.data)
     return align(canonical(checked(values, name), drop_zeros=False), pattern)[0]
 
 
@@ -183,13 +186,14 @@ def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntA
     return np.where(stored, position, 0), stored
 
 
+def _alike(one: sparse.csr_array, other: sparse.csr_array) -> bool:
+    """Whether two have the same entries in the same places."""
+    return all(np.array_equal(getattr(one, part), getattr(other, part)) for part in ("indptr", "indices"))
+
+
 def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, BoolArray]:
     """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one."""
-    if (
-        source.nnz == pattern.nnz
-        and np.array_equal(source.indptr, pattern.indptr)
-        and np.array_equal(source.indices, pattern.indices)
-    ):
+    if _alike(source, pattern):
         return np.array(source.data, dtype=np.float64), np.ones(pattern.nnz, dtype=np.bool_)
     if source.nnz < pattern.nnz:  # the fewer are looked up
         position, inside = find(pattern, row_of_entry(source), source.indices.astype(np.int64))

@@ -28,6 +28,7 @@ from oee_tabular.exact import (
 )
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
@@ -225,11 +226,11 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
 
 def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate) -> Estimate:
     """The exact value, moved towards the log where that speaks against the centre; its standard error and interval."""
+    likeliest = _likeliest(problem, zeta, policy)  # before the gradient, which is as large as its model
     gradient = transition_gradient(model, policy, horizon=problem.horizon)
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if within is None or step is None:
         return exact
-    likeliest = _likeliest(problem, zeta, policy)
     known = [within, step.change, step.standard_error, step.change_error]
     if not np.isfinite(known if likeliest is None else [*known, likeliest]).all():
         return exact  # rewards near the largest float
@@ -268,12 +269,12 @@ def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model,
 
 
 def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
-    """Maximum likelihood's value; None where it keeps the policy for ever in states that pay, at discount 1."""
-    matrix, likeliest = problem.model.transitions, zeta.likeliest
-    assert likeliest is not None
-    model = reweight(problem.model, on_pattern(matrix, likeliest / matrix.data))
+    """Maximum likelihood's value; None without one, or where at discount 1 states that pay keep the policy for ever."""
+    likeliest = zeta.likeliest
+    if likeliest is None:
+        return None
     try:
-        return policy_value(model, policy, horizon=problem.horizon)
+        return policy_value(with_rows(problem.model, likeliest, own=True), policy, horizon=problem.horizon)
     except DivergentKernelError:
         return None
 

@@ -161,20 +161,19 @@ def transition_gradient(
     steps = optional_steps(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of
-    gamma = model.discount
-    rows, columns = row_of_entry(valued.transitions), valued.transitions.indices
-    action_share = pi.reshape(-1)[rows]
-    start = rows // model.n_actions
-    pay = 0.0 if valued.reward_data is None else valued.reward_data
+    lengths = np.diff(valued.transitions.indptr)
     if steps is None:
-        values = state_values(valued, pi)
-        return np.asarray(infinite_visits(model, pi)[start] * action_share * (pay + gamma * values[columns]))
+        found = (model.discount * state_values(valued, pi))[valued.transitions.indices]
+        if valued.reward_data is not None:
+            found += valued.reward_data
+        found *= np.repeat((infinite_visits(model, pi)[:, None] * pi).reshape(-1), lengths)
+        return np.asarray(found)
     from oee_tabular.exact import _finite
 
     back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, pi).T)), 1.0)
-    to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(len(rows))
+    to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(valued.transitions.nnz)
     paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
     kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
     entries = rows_of(valued.transitions)
     _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, readable(paid), total)
-    return np.asarray(total * action_share)
+    return np.asarray(total * np.repeat(pi.reshape(-1), lengths))

@@ -91,7 +91,12 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     if bad.size:
         where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)
         raise ValueError(f"ratio must be finite and nonnegative; at {where} it is {zeta[bad[0]]}")
-    kernel = on_pattern(mdp.transitions, zeta * mdp.transitions.data)
+    return with_rows(mdp, zeta * mdp.transitions.data, own=True)
+
+
+def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedModel:
+    """The model with these rows (entries,) in place of P's, zeros kept; copied but where they are its ``own``."""
+    kernel = on_pattern(mdp.transitions, rows, own=own)
     rewards = mdp.rewards
     if mdp.reward_data is not None:
         rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))

@@ -116,8 +116,7 @@ def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
     if not 0.0 <= w.min() <= w.max() < np.inf:
         bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
         raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
-    w[np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions]))] = 1.0
-    return w
+    return np.where(np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions])), 1.0, w)
 
 
 def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:

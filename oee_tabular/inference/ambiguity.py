@@ -23,10 +23,11 @@ from scipy.sparse import csgraph
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
-from oee_tabular._sparse import align, on_pattern, row_of_entry
+from oee_tabular._sparse import align, row_of_entry
 from oee_tabular._threads import dot
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import ReweightedModel, evaluate_policy, occupancy, reweight, state_values
+from oee_tabular.exact import ReweightedModel, evaluate_policy, occupancy, state_values
+from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.naming import names_of
 
@@ -59,8 +60,7 @@ class Evidence:
 
     def with_rows(self, probabilities: Array) -> ReweightedModel:
         """The model with these probabilities on the simulator's entries, zeros kept."""
-        pattern = self.model.transitions
-        return reweight(self.model, on_pattern(pattern, probabilities / pattern.data))
+        return with_rows(self.model, probabilities)
 
 
 def gather(

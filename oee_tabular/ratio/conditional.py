@@ -29,6 +29,7 @@ from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.centre import Log, fit_centre
 from oee_tabular.ratio.prior.library import values_in
 from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
+from oee_tabular.ratio.prior.neighbours import Neighbours, neighbours
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
 from oee_tabular.ratio.prior.tilt import Columns, Tilt, fit_default_tilt, fit_tilt
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio
@@ -206,21 +207,23 @@ def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.
 
 
 def _tilt(
-    observed: Array, simulator: FiniteMDP, features: object, smoothness: float | str | None, solver: str
+    given: Given, features: object, smoothness: float | str | None, solver: str
 ) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
     """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
+    observed, simulator = given.observed, given.simulator
     smoothness = "evidence" if smoothness is None else smoothness
     if not (isinstance(smoothness, str | float) and smoothness in ("evidence", np.inf)):
         smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
     if features is None:
-        whole = fit_default_tilt(observed, simulator, solver=solver)
+        whole = fit_default_tilt(observed, simulator, solver=solver, whole=given.rows)
     else:
-        whole = fit_tilt(observed, simulator, features, solver=solver)
+        whole = fit_tilt(observed, simulator, features, solver=solver, whole=given.rows)
     details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
     if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
         return whole, details, whole.evidence
     asked = None if isinstance(smoothness, str) else smoothness
-    local = fit_local_tilt(observed, simulator, whole, asked, solver=solver)
+    graph = given.once(_graph, len(whole.coefficients))
+    local = fit_local_tilt(observed, simulator, whole, asked, solver=solver, graph=graph)
     if local is None:
         return whole, details, whole.evidence
     of_states = {
@@ -255,9 +258,7 @@ def _simulator(given: Given, method: Conditional) -> _Prior:
 
 
 def _tilted(given: Given, method: Conditional) -> _Prior:
-    tilt, details, likelihood = _tilt(
-        given.observed, given.simulator, method.features, method.smoothness, method.solver
-    )
+    tilt, details, likelihood = _tilt(given, method.features, method.smoothness, method.solver)
     part = Part("tilt", 1.0, likelihood, tilt.at, tilt.whole, tilt.information, gap=tilt.gap)
     return _of_strength(given, method, lambda rows: tilt.at(rows)[0], (part,), details, "tilt")
 
@@ -279,8 +280,13 @@ def _average(given: Given, method: Conditional) -> _Prior:
 
 def _of_all_policies(given: Given, solver: str) -> tuple[Tilt | LocalTilt, dict[str, Any], float, Log | None]:
     """The tilt by log P, what is said of it, its evidence, and the log beside it."""
-    tilt, details, likelihood = _tilt(given.observed, given.simulator, None, None, solver)
-    return tilt, details, likelihood, Log.of(given.observed, given.simulator, tilt)
+    tilt, details, likelihood = _tilt(given, None, None, solver)
+    return tilt, details, likelihood, Log.of(given.observed, given.simulator, tilt, given.once(_graph, 1))
+
+
+def _graph(given: Given, width: int) -> Neighbours:
+    """The simulator's."""
+    return neighbours(given.simulator, width=width)
 
 
 def _time_in_rows(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> Array | None:

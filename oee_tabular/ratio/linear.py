@@ -26,7 +26,7 @@ from oee_tabular.ratio import interior, statements
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
 from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.result import Influence, Part, TransitionRatio
+from oee_tabular.ratio.result import Held, Influence, Part, TransitionRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend_linear
 from oee_tabular.ratio.statements import LinearProgram
 
@@ -262,11 +262,6 @@ class InClass(Method):
         safe = np.maximum(zeta, 1e-12)
         details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
-
-        def at(some: Rows) -> tuple[Array, Array]:
-            inside = some.entries
-            return zeta[inside] * some.weights, phi[inside] / safe[inside, None]
-
-        part = Part(self._name, 1.0, 0.0, at, rows, information, gap=found.gap)
+        part = Part(self._name, 1.0, 0.0, Held(zeta * q, phi / safe[:, None]), rows, information, gap=found.gap)
         influence = Influence(rows, observed, zeta, q / safe, np.zeros(len(rows)), (part,))
         return given.ratio(zeta, self._name, found.gap, details, influence)

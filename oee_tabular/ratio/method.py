@@ -158,7 +158,10 @@ class Method:
             counts = log.counts(simulator.n_states, simulator.n_actions, discount=beside.get("discount"))
         else:
             counts = _given_counts(log_or_counts, simulator, beside.get("discount"))
-        rows = Rows.of(simulator)
+        made = beside.get("made", {})
+        rows = made.get(Rows)
+        if rows is None:
+            rows = made[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator, rows)
         if not observed.sum() > 0:
             raise ValueError("log_or_counts must have at least one move; it has none")

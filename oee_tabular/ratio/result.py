@@ -142,7 +142,7 @@ class TransitionRatio:
         if self._influence is None:
             return None
         shift = exponent(gradient)
-        return float(np.ldexp(self._influence.standard_error(np.ldexp(gradient, -shift)), shift))
+        return float(np.ldexp(self._influence.standard_error(_shifted(gradient, shift)), shift))
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
@@ -156,7 +156,7 @@ class TransitionRatio:
         if self._influence is None:
             return None
         shift = exponent(gradient)
-        step = self._influence.one_step(np.ldexp(gradient, -shift))
+        step = self._influence.one_step(_shifted(gradient, shift))
         parts = step.change, step.standard_error, step.unseen, step.change_error
         return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
 
@@ -168,6 +168,10 @@ class TransitionRatio:
                 f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"
             )
         return array
+
+
+def _shifted(gradient: Array, shift: int) -> Array:
+    return gradient if shift == 0 else np.ldexp(gradient, -shift)
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,18 @@ class OneStep:
 
 
 Made = Callable[[Rows], tuple[Array, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Probabilities and scores of all rows, as arrays."""
+
+    probabilities: Array
+    scores: Any
+
+    def __call__(self, rows: Rows) -> tuple[Array, Any]:
+        """Those of some rows."""
+        return self.probabilities[rows.entries], None if self.scores is None else self.scores[rows.entries]
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +238,9 @@ class Part:
     def rows(self) -> Array:
         """(entries,) of all rows of the simulator."""
         return self.at(self.whole)[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"at": Held(*self.at(self.whole))}
 
     def moved(self, pull: Array) -> Array:
         """information^-1 pull."""

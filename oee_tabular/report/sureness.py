@@ -8,13 +8,15 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy import special
 
 from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.costs import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
-from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows, simulated_rows
+from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows
+from oee_tabular.mdp.rows import Rows
 
 LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes
 
@@ -95,6 +97,7 @@ def how_sure(
         for i, (name, policy) in enumerate(policies.items()):
             _progress.doing(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
             intervals[name] = {m: interval(problem, policy, method=m, confidence=confidence) for m in methods}
+    del evidence  # as much memory as the simulator
     _progress.doing("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
@@ -161,25 +164,20 @@ def _distance(evidence: Evidence) -> str:
     The rows' tests are KL balls that hold at any number of moves, sharing 5%.
     The test of all moves together is the score test of the tilt: sum (n - n_sa P) log P over its standard deviation under P.
     """
-    rows, starts = evidence.rows, evidence.indptr[:-1]
-    simulator = simulated_rows(evidence)
-    seen = evidence.phat > 0
-    terms = np.zeros(len(seen))
-    terms[seen] = evidence.phat[seen] * np.log(evidence.phat[seen] / simulator[seen])
-    kl = np.add.reduceat(terms, starts)
     tested = (evidence.n > 0) & evidence.open_rows
     number = int(tested.sum())
     if number == 0:
         return "The log has no move that could tell the target from the simulator."
-    freedom = np.maximum(np.diff(evidence.indptr) - 1, 1)
-    apart = tested & (kl > independent_radius(evidence.n, np.diff(evidence.indptr), 0.05 / number))
-    mean = float(np.sum((evidence.n * kl - freedom / 2.0)[tested]) / evidence.n[tested].sum())
+    rows = Rows.of(evidence.model).chosen(tested)
+    n, phat, moves = evidence.n[tested], evidence.phat[rows.entries], np.diff(rows.indptr)
+    kl = rows.sums(special.rel_entr(phat, rows.weights))
+    apart = kl > independent_radius(n, moves, 0.05 / number)
+    mean = float(np.sum(n * kl - (moves - 1) / 2.0) / n.sum())
     if not apart.any():
         pairs = f"In none of the {number} state-action pairs recorded do its own moves contradict the simulator"
-        phi = np.log(simulator)
-        level = np.add.reduceat(simulator * phi, starts)[rows]
-        score = float(np.sum(evidence.n[rows] * (evidence.phat - simulator) * (phi - level)))
-        spread = float(np.sum(evidence.n[rows] * simulator * (phi - level) ** 2))
+        phi = rows.centred(np.log(rows.weights))
+        score = float(np.sum(rows.spread(n) * (phat - rows.weights) * phi))
+        spread = float(np.sum(rows.spread(n) * rows.weights * phi**2))
         z = score / np.sqrt(spread) if spread > 0 else 0.0
         if abs(z) < 3.0:
             return f"{pairs}, nor do moves that it holds likely come more or less often on the whole."

@@ -21,6 +21,7 @@ from oee_tabular.ratio.prior.library import columns_of, library, values_in
 from oee_tabular.ratio.prior.selection import Selection
 from oee_tabular.ratio.prior.strength import choose_strength
 from oee_tabular.ratio.prior.tilt import fit_default_tilt, minimise
+from oee_tabular.ratio.result import Held, Part
 
 
 def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=None):
@@ -434,20 +435,12 @@ def test_the_standard_error_of_an_average_by_refits():
     centred = slopes - rows.spread(rows.sums(shares * slopes))
     expected = np.sqrt(np.sum(n_row * rows.sums(shares * centred**2)))
 
-    parts = [oee.ratio.result.Part("simulator", weights[0], 0.0, lambda some: (some.weights, None), rows)]
+    parts = [Part("simulator", weights[0], 0.0, Held(rows.weights, None), rows)]
     for each, fitted, weight in zip(chosen, fits, weights[1:], strict=True):
         columns = columns_of(each, lambda j: base[:, j], made.scale, np.repeat(rows.action, 3))
         scores = columns - rows.spread(rows.sums(fitted.model[:, None] * columns))
         parts.append(
-            oee.ratio.result.Part(
-                "tilt",
-                weight,
-                0.0,
-                lambda some, m=fitted.model, d=scores: (m[some.entries], d[some.entries]),
-                rows,
-                fitted.information,
-                counted=made.counted(kappa),
-            )
+            Part("tilt", weight, 0.0, Held(fitted.model, scores), rows, fitted.information, counted=made.counted(kappa))
         )
     plain = oee.transition_ratio(on_rows(counts, simulator), simulator, prior="simulator", strength=strength)
     zeta_p = model(counts)
@@ -461,6 +454,20 @@ def on_rows(counts, simulator):
     return sparse.csr_array(
         (counts, simulator.transitions.indices, simulator.transitions.indptr), simulator.transitions.shape
     )
+
+
+@pytest.mark.parametrize("options", [{}, {"prior": "tilt"}, {"prior": "tilt", "smoothness": 3.0}])
+def test_a_fit_in_another_process_is_the_same(options):
+    """Parts are functions of rows here, arrays there."""
+    simulator = garnet(5)
+    policy = oee.optimal_policy(simulator)
+    about = {} if options else {"values_of": policy}
+    zeta = oee.transition_ratio(drawn(worse(simulator, policy), 20.0, 0), simulator, **about, **options)
+    assert any(part.information is not None for part in zeta._influence.parts)
+    gradient = np.random.default_rng(0).normal(size=simulator.transitions.nnz)
+    other = pickle.loads(pickle.dumps(zeta))
+    assert other.log_standard_error(gradient) == zeta.log_standard_error(gradient)
+    assert other.one_step(gradient) == zeta.one_step(gradient)
 
 
 def test_the_parts_of_a_fit_count_moves_as_their_tilts_do():
@@ -619,8 +626,8 @@ def test_a_cvxpy_solver_is_asked_for_every_tilt_along_features(monkeypatch):
 
 
 def test_the_gap_is_that_of_the_worst_program(monkeypatch):
-    made = (lambda some: (some.weights, None)), Rows.of(SIMULATOR)
-    parts = tuple(oee.ratio.result.Part("simulator", 0.5, 0.0, *made, gap=gap) for gap in (0.25, 0.125))
+    rows = Rows.of(SIMULATOR)
+    parts = tuple(Part("simulator", 0.5, 0.0, Held(rows.weights, None), rows, gap=gap) for gap in (0.25, 0.125))
     monkeypatch.setattr("oee_tabular.ratio.conditional.fit_centre", lambda *args, **options: parts)
     assert oee.transition_ratio(LOG, SIMULATOR).gap == 0.25
 

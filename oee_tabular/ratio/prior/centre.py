@@ -27,7 +27,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.prior.library import SMOOTH, Feature, by_action, columns_of, library, name_of
 from oee_tabular.ratio.prior.local_tilt import LocalTilt
-from oee_tabular.ratio.prior.neighbours import smooth_functions
+from oee_tabular.ratio.prior.neighbours import Neighbours, smooth_functions
 from oee_tabular.ratio.prior.selection import Selected, Selection
 from oee_tabular.ratio.prior.strength import StrengthChoice, choose_strength, kinds_of_rows
 from oee_tabular.ratio.prior.tilt import Tilt
@@ -101,14 +101,17 @@ class Log:
     levels: Array  # the smoothest functions on the simulator's graph, (S, count)
 
     @classmethod
-    def of(cls, observed: Array, simulator: FiniteMDP, tilt: Tilt | LocalTilt) -> Log | None:
-        """None where no open row was visited."""
+    def of(
+        cls, observed: Array, simulator: FiniteMDP, tilt: Tilt | LocalTilt, graph: Neighbours | None = None
+    ) -> Log | None:
+        """None where no open row was visited; ``graph`` as in ``smooth_functions``."""
         visited = (tilt.whole.sums(observed) > 0) & (np.diff(tilt.whole.indptr) > 1)
         if not visited.any():
             return None
         rows = tilt.whole.chosen(visited)
         counts = observed[rows.entries]
-        return cls(rows, counts, kinds_of_rows(counts, rows), tilt.at(rows)[0], smooth_functions(simulator, SMOOTH))
+        levels = smooth_functions(simulator, SMOOTH, graph)
+        return cls(rows, counts, kinds_of_rows(counts, rows), tilt.at(rows)[0], levels)
 
     def strength(self, model: Array) -> StrengthChoice:
         """kappa around the rows ``model``."""

@@ -179,15 +179,21 @@ class LocalRisk(TiltRisk):
 
 
 def fit_local_tilt(
-    observed: Array, simulator: FiniteMDP, tilt: Tilt, smoothness: float | None, *, solver: str = "dual"
+    observed: Array,
+    simulator: FiniteMDP,
+    tilt: Tilt,
+    smoothness: float | None,
+    *,
+    solver: str = "dual",
+    graph: Neighbours | None = None,
 ) -> LocalTilt | None:
     """The departures with the most evidence, or those of a given smoothness; None where one theta for all does as well.
 
-    ``tilt`` is the best one for all states. Cost: about ten values of lambda, four Newton steps each, a step O(visited
-    entries d^2) and a sparse factor of (K + 1) d unknowns, K <= 1024 / d.
+    ``tilt`` is the best one for all states, ``graph`` that of ``neighbours``, where it is known. Cost: about ten values of
+    lambda, four Newton steps each, a step O(visited entries d^2) and a sparse factor of (K + 1) d unknowns, K <= 1024 / d.
     """
     rows = tilt.whole.chosen(tilt.whole.sums(observed) > 0)
-    graph = neighbours(simulator, width=len(tilt.coefficients))
+    graph = neighbours(simulator, width=len(tilt.coefficients)) if graph is None else graph
     risk = LocalRisk(rows, observed[rows.entries], tilt.phi(rows), graph, np.inf)
     search = _Search(risk, tilt.coefficients)
     if smoothness is None:

@@ -84,11 +84,12 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
 
     Cost: O(nnz log S).
     """
-    weights = _weights(simulator)
+    mirrored = _weights(simulator)  # transposed: at first it is symmetric, later but for rounding
     group: IntArray = np.arange(simulator.n_states)
     nodes = max(1, LARGEST // width)
     while True:
         sizes = np.bincount(group).astype(np.float64)
+        weights = sparse.csr_array(mirrored.T)
         if len(sizes) <= nodes:
             penalty = sparse.csc_array(
                 sparse.diags_array(weights.sum(axis=1) - weights.diagonal() + REST * sizes)
@@ -100,20 +101,19 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
                 return Neighbours(group, penalty, factored.log_determinant())
         joined = match(weights.indptr, weights.indices, weights.data, sizes)
         onto = sparse.csr_array((np.ones(len(joined)), (np.arange(len(joined)), joined)))
-        weights = sparse.csr_array(onto.T @ weights @ onto)
-        weights.sort_indices()
+        mirrored = sparse.csr_array(sparse.csr_array(onto.T) @ (mirrored @ onto))
         group = joined[group]
 
 
-def smooth_functions(simulator: FiniteMDP, count: int) -> Array:
-    """The smoothest functions on the graph, (S, count) or fewer columns, each at most 1 in size.
+def smooth_functions(simulator: FiniteMDP, count: int, graph: Neighbours | None = None) -> Array:
+    """The smoothest functions on ``neighbours(simulator)``, (S, count) or fewer columns, each at most 1 in size.
 
     u = D^-1/2 v, v the eigenvectors 2, 3, ... of the normalised Laplacian I - D^-1/2 W D^-1/2 [2] on at most ``LARGEST``
     groups. Of a multiple eigenvalue the basis is what the eigensolver gives.
 
     [2] F. Chung, Spectral Graph Theory, 1997.
     """
-    graph = neighbours(simulator)
+    graph = neighbours(simulator) if graph is None else graph
     penalty, nodes = graph.penalty, graph.penalty.shape[0]
     if nodes <= 2:
         return np.zeros((simulator.n_states, 0))

@@ -173,7 +173,7 @@ def minimise(risk: TiltRisk, start: Array, solver: str = "dual") -> Minimum:
     return Minimum(theta, value, model, hessian, factor, risk.bound(gradient))
 
 
-def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "dual") -> Tilt:
+def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "dual", whole: Rows | None = None) -> Tilt:
     """phi = log P, and (log P)^2 beside it where that gains 5 nats of evidence: a second number for rows of three values.
 
     With (log P)^2 the tilted row is P^(1 + theta_1 + theta_2 log P) / Z: most probable moves and least probable ones need
@@ -181,7 +181,7 @@ def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "du
     forgives a tilt the kinds of rows that it misses, less ln |f''| / 2 + |theta|^2 / 2. Five nats (odds of 150), since the
     second number also bends the rows that one power fits.
     """
-    whole = Rows.of(simulator)
+    whole = Rows.of(simulator) if whole is None else whole
     visited = whole.chosen(whole.sums(observed) > 0)
     counts = observed[visited.entries]
     one = _fit(counts, visited, _powers(1), whole, solver)
@@ -203,13 +203,15 @@ def _dirichlet_evidence(tilt: Tilt, counts: Array, rows: Rows) -> float:
     return score - 0.5 * size
 
 
-def fit_tilt(observed: Array, simulator: FiniteMDP, features: object = None, *, solver: str = "dual") -> Tilt:
+def fit_tilt(
+    observed: Array, simulator: FiniteMDP, features: object = None, *, solver: str = "dual", whole: Rows | None = None
+) -> Tilt:
     """Fit theta to counts on the simulator's entries, by Newton's method ("dual") or by a cvxpy solver.
 
     Warns where features are collinear within rows, with their rank; the penalty then picks the smallest theta.
-    Cost: O(visited entries d^2) a step, about ten steps, and a pass over all.
+    Cost: O(visited entries d^2) a step, about ten steps, and a pass over all. ``whole``: ``Rows.of(simulator)``, where known.
     """
-    whole = Rows.of(simulator)
+    whole = Rows.of(simulator) if whole is None else whole
     visited = whole.chosen(whole.sums(observed) > 0)
     counts = observed[visited.entries]
     if features is None:
