@@ -26,6 +26,7 @@ from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.linear import exponent
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.method import Population
 
@@ -74,11 +75,12 @@ class ModelBased(ExactLimit):
         diagnostics: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
         told = findings.linear_algebra(found.error_bound, found.value)
         shape = (model.n_states, model.n_actions)
-        seen = coverage(problem, model, pi, totals.reshape(shape))
+        time = time_in_pairs(model, pi, problem.horizon)
+        seen = coverage(problem, model, pi, totals.reshape(shape), time)
         repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
-        known = coverage(problem, model, pi, repeated.reshape(shape))["coverage"]
+        known = coverage(problem, model, pi, repeated.reshape(shape), time)["coverage"]
         single = seen["coverage"] - known
-        gradient = transition_gradient(model, pi, horizon=problem.horizon)
+        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=found.values)
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
         certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
         least = ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max()))

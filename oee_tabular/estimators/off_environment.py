@@ -219,15 +219,17 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     diagnostics["standard_error_of"] = None
     basis = Basis(model_value=found.value, measured=seen["coverage"])
     exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
-    step = _moved(problem, zeta, policy, model, exact)
+    step = _moved(problem, zeta, policy, model, exact, found.values)
     unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied=zeta.tied)
     return replace(step, findings=(*unseen, *step.findings))
 
 
-def _moved(problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate) -> Estimate:
+def _moved(
+    problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate, values: Array
+) -> Estimate:
     """The exact value, moved towards the log where that speaks against the centre; its standard error and interval."""
     likeliest = _likeliest(problem, zeta, policy)  # before the gradient, which is as large as its model
-    gradient = transition_gradient(model, policy, horizon=problem.horizon)
+    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=values)
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if within is None or step is None:
         return exact
@@ -284,15 +286,14 @@ def nearer(first: float, second: float) -> float:
     return 0.0 if first * second <= 0 else float(np.copysign(min(abs(first), abs(second)), first))
 
 
-def coverage(problem: Problem, model: Model, policy: Array, counts: Array) -> dict[str, Any]:
+def coverage(problem: Problem, model: Model, policy: Array, counts: Array, time: Array | None = None) -> dict[str, Any]:
     """How much of the policy's discounted time in ``model`` the log has seen, and how many of its transitions bear on it.
 
-    ``counts`` (S, A) are the log's. States that no action leaves in the simulator are left out of the time: there is
-    nothing to learn. The effective sample size is 1 / sum d^2 / n over
-    visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
-    policy goes.
+    ``counts`` (S, A) are the log's, ``time`` the policy's where it is known. States that no action leaves in the simulator
+    are left out of the time: there is nothing to learn. The effective sample size is 1 / sum d^2 / n over visited (s, a),
+    scaled to the visited share: the number of transitions that would tell as much if recorded where the policy goes.
     """
-    time = time_in_pairs(model, policy, problem.horizon)
+    time = time_in_pairs(model, policy, problem.horizon) if time is None else time
     alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
     visited = counts > 0
     total = float(alive.sum())

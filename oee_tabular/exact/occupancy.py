@@ -124,7 +124,12 @@ def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
 
 
 def transition_gradient(
-    model: Model, policy: PolicyLike, *, horizon: int | None = None, values_of: Model | None = None
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    values_of: Model | None = None,
+    values: Array | None = None,
 ) -> Array:
     """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
@@ -138,6 +143,7 @@ def transition_gradient(
     horizon : positive int or None
     values_of : V is that model's (its rewards too), which may have entries of its own: the result is then aligned with
         ``values_of.transitions.data``; None: ``model``
+    values : (S,) that V, where it is known; it is not looked at with a horizon
 
     Notes
     -----
@@ -163,7 +169,8 @@ def transition_gradient(
     valued = model if values_of is None else values_of
     lengths = np.diff(valued.transitions.indptr)
     if steps is None:
-        found = (model.discount * state_values(valued, pi))[valued.transitions.indices]
+        known = state_values(valued, pi) if values is None else values
+        found = (model.discount * known)[valued.transitions.indices]
         if valued.reward_data is not None:
             found += valued.reward_data
         found *= np.repeat((infinite_visits(model, pi)[:, None] * pi).reshape(-1), lengths)

@@ -246,7 +246,7 @@ class Part:
         """information^-1 pull."""
         if isinstance(self.information, sparse.csc_array):
             return Factor(self.information).solve(pull)
-        return np.asarray(np.linalg.lstsq(self.information, pull)[0])
+        return np.asarray(np.linalg.lstsq(np.asarray(self.information), pull)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,12 +84,11 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
 
     Cost: O(nnz log S).
     """
-    mirrored = _weights(simulator)  # transposed: at first it is symmetric, later but for rounding
+    weights = mirrored = _weights(simulator)  # symmetric, later but for rounding: the transpose is the quicker to join
     group: IntArray = np.arange(simulator.n_states)
     nodes = max(1, LARGEST // width)
     while True:
         sizes = np.bincount(group).astype(np.float64)
-        weights = sparse.csr_array(mirrored.T)
         if len(sizes) <= nodes:
             penalty = sparse.csc_array(
                 sparse.diags_array(weights.sum(axis=1) - weights.diagonal() + REST * sizes)
@@ -101,7 +100,9 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
                 return Neighbours(group, penalty, factored.log_determinant())
         joined = match(weights.indptr, weights.indices, weights.data, sizes)
         onto = sparse.csr_array((np.ones(len(joined)), (np.arange(len(joined)), joined)))
+        del weights  # it is large
         mirrored = sparse.csr_array(sparse.csr_array(onto.T) @ (mirrored @ onto))
+        weights = sparse.csr_array(mirrored.T)
         group = joined[group]
 
 
@@ -139,6 +140,7 @@ def _weights(simulator: FiniteMDP) -> sparse.csr_array:
     states = np.repeat(np.arange(simulator.n_states), np.diff(matrix.indptr[::n_actions]))
     shape = (simulator.n_states, simulator.n_states)
     one_way = sparse.csr_array((matrix.data / n_actions, (states, matrix.indices)), shape)
-    both: sparse.csr_array = sparse.csr_array(0.5 * (one_way + one_way.T))
+    both: sparse.csr_array = sparse.csr_array(one_way + one_way.T)
+    both.data *= 0.5
     both.sort_indices()
     return both
