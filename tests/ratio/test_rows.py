@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from helpers import random_mdp, rngs
 from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+import oee_tabular as oee
 from oee_tabular.mdp import rows as of_rows
 from oee_tabular.mdp.rows import Rows, distinct
 
@@ -84,3 +86,62 @@ def test_distinct_rows_are_numpys(rng):
     expected, place = np.unique(table, axis=0, return_inverse=True)
     assert_array_equal(kinds, expected)
     assert_array_equal(kind, place.reshape(-1))
+
+
+# ---- block by block ----------------------------------------------------------------------------------------------
+
+
+@given(rngs, st.integers(1, 40))
+def test_blocks_are_the_rows_in_turn(rng, size):
+    simulator = random_mdp(rng)
+    whole = Rows.of(simulator)
+    chosen = whole.chosen(rng.random(len(whole)) < 0.7) if rng.random() < 0.5 else whole
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("oee_tabular.mdp.rows.BLOCK", size)
+        blocks = list(chosen.blocks())
+    for part in ("number", "arrival", "weights"):
+        parts = [getattr(block, part) for block in blocks]
+        assert_array_equal(np.concatenate(parts) if parts else [], getattr(chosen, part))
+    data = simulator.transitions.data
+    for block in blocks:
+        assert block.indptr[0] == 0
+        assert_allclose(block.sums(data[block.entries]), 1.0)
+        assert_array_equal(simulator.transitions.indices[block.entries], block.arrival)
+
+
+def test_entries_of_some_of_a_blocks_rows():
+    whole = Rows.of(random_mdp(np.random.default_rng(1), n_states=8, n_actions=3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("oee_tabular.mdp.rows.BLOCK", 10)
+        _, second, *_ = whole.blocks()
+    odd = second.number % 2 == 1
+    some = second.chosen(odd)
+    expected = np.concatenate([np.arange(*whole.indptr[k : k + 2]) for k in second.number[odd]])
+    assert_array_equal(np.arange(whole.indptr[-1])[some.entries], expected)
+
+
+OPTIONS = {
+    "average": {},
+    "tilt": {"prior": "tilt", "smoothness": 3.0},
+    "box and ridge": {"prior": "simulator", "ridge": 0.1, "lower": 0.2, "upper": 3.0},
+    "nothing": {"prior": "none", "ridge": lambda n: 1.0 / n},
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
+    simulator, target = oee.tasks.gridworld(5, 0.3), oee.tasks.gridworld(5, 0.1)
+    policy = oee.tasks.gridworld_expert(5)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 15, 30, seed=0)
+    about = {} if OPTIONS[name] else {"values_of": policy}
+    gradient = np.random.default_rng(0).normal(size=simulator.transitions.nnz)
+    found = []
+    for size in (2**18, 37):
+        monkeypatch.setattr("oee_tabular.mdp.rows.BLOCK", size)
+        monkeypatch.setattr("oee_tabular.ratio.conditional.BLOCK", size)
+        fit = oee.transition_ratio(log, simulator, **about, **OPTIONS[name])
+        step = fit.one_step(gradient)
+        errors = [fit.log_standard_error(gradient), step.change, step.standard_error, step.unseen, step.change_error]
+        found.append([fit.values.data, fit.gap, *fit.details["enclosure"], np.array(errors), fit.likeliest])
+    for one, other in zip(*found, strict=True):
+        assert_allclose(one, other, rtol=1e-12, atol=1e-14)
