@@ -43,17 +43,16 @@ BUGS = {
     4: (
         "asymptotic variance with d for d^2",
         "exact/efficiency.py",
-        "    return _weighted_sum(_row_variance(target, gradient), share)\n\n\n@one_thread\ndef leading",
-        "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n"
-        "    return _weighted_sum(_row_variance(target, gradient) / np.maximum(d, 1e-300), share)\n\n\n@one_thread\n"
-        "def leading",
+        "    return _weighted_sum(row_variances(target.transitions, target.transitions.data, gradient), share)\n",
+        "    d = occupancy(target, policy, horizon=horizon).reshape(-1)\n    spread = row_variances(target.transitions, "
+        "target.transitions.data, gradient)\n    return _weighted_sum(spread / np.maximum(d, 1e-300), share)\n",
         BOUNDS,
     ),
     5: (
         "asymptotic variance without gamma",
         "exact/occupancy.py",
-        "action_share * (pay + gamma * values[columns])",
-        "action_share * (pay + values[columns])",
+        "found = (model.discount * known)[",
+        "found = (1.0 * known)[",
         BOUNDS,
     ),
     6: (
