@@ -97,6 +97,17 @@ def largest_variance(values: Array, low: Array, high: Array) -> Array:
     array([0.25, 0.09])
     """
     left, right = values.min(axis=1), values.max(axis=1)
+    found = (0.5 * (right - left)) ** 2  # half the mass at each end, where nothing bounds it
+    ends = [np.any((values == end[:, None]) & (high >= 1.0), axis=1) for end in (left, right)]
+    bound = np.flatnonzero(~(ends[0] & ends[1] & (low.max(axis=1, initial=0.0) <= 0.0)))
+    if bound.size:
+        found[bound] = _bisected(values[bound], low[bound], high[bound])
+    return np.asarray(found)
+
+
+def _bisected(values: Array, low: Array, high: Array) -> Array:
+    """The same where bounds bind."""
+    left, right = values.min(axis=1), values.max(axis=1)
     slack, free = high - low, 1.0 - low.sum(axis=1, keepdims=True)
     for _ in range(60):
         center = 0.5 * (left + right)
@@ -117,13 +128,9 @@ def _on_reference(simulator: FiniteMDP, model: Model, rows: IntArray) -> tuple[R
     A move that the simulator does not make in this row pays what it pays under another action, or else the row's mean.
     """
     n_actions, states = simulator.n_actions, rows // simulator.n_actions
-    number, some = (
-        np.repeat(np.arange(len(rows)), n_actions),
-        (states[:, None] * n_actions + np.arange(n_actions)).ravel(),
-    )
-    among = sparse.csr_array(
-        (np.full(len(some), 1.0 / n_actions), (number, some)), (len(rows), len(simulator.transitions.indptr) - 1)
-    )
+    some = (states[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
+    parts = np.full(len(some), 1.0 / n_actions), some, np.arange(0, len(some) + 1, n_actions)
+    among = sparse.csr_array(parts, (len(rows), simulator.transitions.shape[0]))
     mean = sparse.csr_array(among @ simulator.transitions)  # over the actions of each row's state
     stay = sparse.csr_array((np.ones(len(rows)), (np.arange(len(rows)), states)), mean.shape)
     half = 0.5 * ACTION_NOISE
