@@ -181,9 +181,11 @@ def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntA
     wanted = np.asarray(rows, dtype=np.int64) * csr.shape[1] + columns
     if keys.size == 0:
         return np.zeros(wanted.shape, dtype=np.int64), np.zeros(wanted.shape, dtype=np.bool_)
-    position = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
+    position = np.searchsorted(keys, wanted)
+    position[position == keys.size] = 0
     stored = keys[position] == wanted
-    return np.where(stored, position, 0), stored
+    position[~stored] = 0
+    return position, stored
 
 
 def _alike(one: sparse.csr_array, other: sparse.csr_array) -> bool:
@@ -201,4 +203,6 @@ def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, B
         values[position[inside]], stored[position[inside]] = source.data[inside], True
         return values, stored
     position, stored = find(source, row_of_entry(pattern), pattern.indices.astype(np.int64))
-    return np.where(stored, source.data[position], 0.0), stored
+    values = source.data[position]
+    values[~stored] = 0.0
+    return np.asarray(values), stored

@@ -28,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, Box, IntArray
-from oee_tabular._sparse import align, canonical, on_pattern, row_of_entry, row_sums, row_variances
+from oee_tabular._sparse import align, canonical, on_pattern, row_sums, row_variances
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import Model, ReweightedModel, reweight, transition_gradient
 from oee_tabular.mdp import FiniteMDP
@@ -127,33 +127,42 @@ def _on_reference(simulator: FiniteMDP, model: Model, rows: IntArray) -> tuple[R
 
     A move that the simulator does not make in this row pays what it pays under another action, or else the row's mean.
     """
-    n_actions, states = simulator.n_actions, rows // simulator.n_actions
+    n_actions, states, matrix = simulator.n_actions, rows // simulator.n_actions, simulator.transitions
     some = (states[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
     parts = np.full(len(some), 1.0 / n_actions), some, np.arange(0, len(some) + 1, n_actions)
-    among = sparse.csr_array(parts, (len(rows), simulator.transitions.shape[0]))
-    mean = sparse.csr_array(among @ simulator.transitions)  # over the actions of each row's state
+    among = sparse.csr_array(parts, (len(rows), matrix.shape[0]))
+    onto = sparse.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (matrix.shape[0], len(rows)))
+    mean = sparse.csr_array(among @ matrix)  # over the actions of each row's state
     stay = sparse.csr_array((np.ones(len(rows)), (np.arange(len(rows)), states)), mean.shape)
     half = 0.5 * ACTION_NOISE
-    mixed = (1.0 - ACTION_NOISE) * simulator.transitions[rows] + half * mean + half * stay
-    onto = sparse.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (among.shape[1], len(rows)))
+    mixed = (1.0 - ACTION_NOISE) * matrix[rows] + half * mean + half * stay
     reference = canonical(onto @ sparse.csr_array(mixed), drop_zeros=True)
-    ones = [sparse.csr_array((np.ones(x.nnz), x.indices, x.indptr), x.shape) for x in (model.transitions, reference)]
-    pattern = canonical(ones[0] + ones[1], drop_zeros=False)
-    data, _ = align(model.transitions, pattern)
+    del mixed, stay  # of many such rows each is as large as the simulator
+    pattern = canonical(_ones(model.transitions) + _ones(reference), drop_zeros=False)
+    weights = align(reference, pattern)[0]
+    del reference
     rewards = None
     if simulator.reward_data is not None:
+        made = align(canonical(onto @ mean, drop_zeros=False), pattern)[0]
+        del mean
+        flow = among @ on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
+        paid = align(canonical(onto @ flow, drop_zeros=False), pattern)[0]
+        rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
+        np.divide(paid, made, out=rewards, where=made > 0)
+        del flow, paid, made
         own, defined = align(simulator.transition_rewards, pattern)
-        flow = on_pattern(simulator.transitions, simulator.transitions.data * simulator.reward_data)
-        paid, _ = align(canonical(onto @ sparse.csr_array(among @ flow), drop_zeros=False), pattern)
-        made, _ = align(canonical(onto @ mean, drop_zeros=False), pattern)
-        expected = simulator.rewards.reshape(-1)[row_of_entry(pattern)]
-        other = np.divide(paid, made, out=expected, where=made > 0)
-        rewards = np.where(defined, own, other)
+        np.copyto(rewards, own, where=defined)
+        del own
     padded = ReweightedModel(
-        model.n_states, n_actions, on_pattern(pattern, data), model.rewards, rewards, model.initial, model.discount,
-        model.terminal_state,
+        model.n_states, n_actions, on_pattern(pattern, align(model.transitions, pattern)[0], own=True), model.rewards,
+        rewards, model.initial, model.discount, model.terminal_state,
     )  # fmt: skip
-    return padded, align(reference, pattern)[0]
+    return padded, weights
+
+
+def _ones(matrix: sparse.csr_array) -> sparse.csr_array:
+    """1 at each entry."""
+    return sparse.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), matrix.shape)
 
 
 def _table_of(indptr: Any, rows: Any) -> tuple[Any, BoolArray]:
