@@ -114,6 +114,10 @@ def test_entries_of_some_of_a_blocks_rows():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("oee_tabular.mdp.rows.BLOCK", 10)
         _, second, *_ = whole.blocks()
+        patch.setattr("oee_tabular.mdp.rows.BLOCK", 4)
+        inner = [block.entries for block in second.blocks()]
+    assert len(inner) > 1
+    assert (inner[0].start, inner[-1].stop) == (second.entries.start, second.entries.stop)
     odd = second.number % 2 == 1
     some = second.chosen(odd)
     expected = np.concatenate([np.arange(*whole.indptr[k : k + 2]) for k in second.number[odd]])
