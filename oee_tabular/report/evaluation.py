@@ -190,7 +190,7 @@ def evaluate(
     for result in raw:
         likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]
         results.append(replace(result, estimate=quoted(result.estimate, likelihood, problem, policy, level, scale)))
-    sure = _told(sure, results, problem, named_policies, scale)
+    sure = _told(sure, results, problem, named_policies, chosen, scale)
     warnings, notes = _noted(problem, results, left_out)
     known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
     known |= facts or {}
@@ -236,16 +236,22 @@ def _estimated(
 
 
 def _told(
-    sure: Sureness, results: Sequence[Result], problem: Problem, policies: Mapping[str, object], scale: float
+    sure: Sureness,
+    results: Sequence[Result],
+    problem: Problem,
+    policies: Mapping[str, object],
+    chosen: Mapping[str, Estimator],
+    scale: float,
 ) -> Sureness:
     """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
     about, values = {}, {}
+    known = next((name for name, estimator in chosen.items() if type(estimator) is Simulator), None)
     for name, policy in policies.items():
         own = [result for result in results if result.policy == name]
         values[name] = headline(own).estimate.value
         by_name = {result.estimator: result.estimate for result in own}
-        simulator = Simulator()(problem, policy).value
-        about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator, scale))))
+        simulator = Simulator()(problem, policy) if known is None else by_name[known]
+        about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator.value, scale))))
     return ranked(replace(sure, policies=about), values)
 
 

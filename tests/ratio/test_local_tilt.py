@@ -7,7 +7,7 @@ import pytest
 from helpers import random_mdp, rngs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
@@ -15,7 +15,7 @@ from oee_tabular import exact
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior import local_tilt
 from oee_tabular.ratio.prior import neighbours as graphs
-from oee_tabular.ratio.prior._kernels import match
+from oee_tabular.ratio.prior._kernels import Edges, match, merge
 from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
 from oee_tabular.ratio.prior.neighbours import REST, neighbours
 from oee_tabular.ratio.prior.tilt import fit_tilt
@@ -295,3 +295,20 @@ def test_matching_by_hand():
     assert match(csr.indptr, csr.indices, csr.data, np.ones(8)).tolist() == [0, 0, 1, 2, 3, 3, 1, 2]
     sizes = np.array([1.0, 1, 1, 1, 1, 1, 100, 1])
     assert match(csr.indptr, csr.indices, csr.data, sizes).tolist() == [0, 0, 1, 1, 2, 2, 1, 1]
+
+
+@given(rngs, st.integers(1, 12), st.integers(1, 6))
+def test_merging_has_the_bits_of_two_products(rng, n, groups):
+    """Compiled, as Python and by scipy's products; sums of numbers of several scales, which show the order."""
+    dense = np.where(rng.random((n, n)) < 0.6, 10 ** rng.uniform(-3, 3, (n, n)), 0.0)
+    group = np.unique(rng.integers(groups, size=n), return_inverse=True)[1]
+    csr = sparse.csr_array(dense)
+    edges = Edges(csr.indptr, csr.indices, csr.data)
+    onto = sparse.csr_array((np.ones(n), (np.arange(n), group)))
+    expected = sparse.csr_array(onto.T) @ (csr @ onto)
+    for way in (merge.compiled, merge.py_func, merge.python):
+        found = way(edges, group)
+        assert_array_equal(found.indptr, expected.indptr)
+        assert_array_equal(found.indices, expected.indices)
+        assert_array_equal(found.data, expected.data)
+        assert found.indices.dtype == csr.indices.dtype

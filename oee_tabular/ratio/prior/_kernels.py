@@ -1,4 +1,4 @@
-"""Loops of the prior: one round of coarsening a graph, and the evidence of Dirichlet rows, one kappa for each kind of rows.
+"""Loops of the prior: rounds of coarsening a graph, and the evidence of Dirichlet rows, one kappa for each kind of rows.
 
 The choice of kappa is 5 times as fast as by scipy's gammaln (a grid of 40 x 40, 20 000 moves).
 """
@@ -7,6 +7,7 @@ from math import log, log1p
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular._kernels import njit
 
@@ -21,6 +22,14 @@ class Counts(NamedTuple):
     counts: Any
     prior: Any
     n: Any
+
+
+class Edges(NamedTuple):
+    """A square matrix as csr has it."""
+
+    indptr: Any
+    indices: Any
+    data: Any
 
 
 @njit(cache=True, error_model="numpy")
@@ -103,3 +112,61 @@ def match(indptr, indices, weights, sizes):
             count += 1
             alone = v
     return group
+
+
+def _merge(matrix, group):
+    """``merge`` by products of scipy's, for few entries."""
+    kind = matrix.indices.dtype
+    onto = sparse.csr_array((np.ones(len(group)), group.astype(kind), np.arange(len(group) + 1, dtype=kind)))
+    whole = sparse.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=(len(group), len(group)))
+    found = sparse.csr_array(sparse.csr_array(onto.T) @ (whole @ onto))
+    return Edges(found.indptr, found.indices, found.data)
+
+
+@njit(cache=True, python=_merge)
+def merge(matrix, group):
+    """The sums of ``matrix`` (> 0) over groups of rows and of columns, in the order and to the bits of scipy's O' (W O).
+
+    Gustavson's product [1] twice: a row's entries are added up in the order in which they stand, a group's rows in theirs, and
+    columns come out in the reverse of the order in which they are met. One pass without O, which has a 1 in each row: a third
+    of the time of the products (random graph of 10^6 states, 40 million edges).
+
+    Reference: [1] F. Gustavson, Two fast algorithms for sparse matrices, ACM Trans. Math. Software 4, 1978.
+    """
+    count = group.max() + 1
+    ends = np.zeros(count + 1, np.int64)
+    for v in range(len(group)):
+        ends[group[v] + 1] += 1
+    ends = np.cumsum(ends)
+    members, place = np.empty(len(group), np.int64), ends.copy()
+    for v in range(len(group)):
+        members[place[group[v]]] = v
+        place[group[v]] += 1
+    indptr = np.zeros(count + 1, matrix.indptr.dtype)
+    indices, data = np.empty(len(matrix.indices), matrix.indices.dtype), np.empty(len(matrix.data))
+    sums = np.zeros((count, 2))  # of a column, over a row and over its group; 0: not met
+    columns, of_row = np.empty(count, np.int64), np.empty(count, np.int64)
+    filled = 0
+    for g in range(count):
+        width = 0
+        for m in range(ends[g], ends[g + 1]):
+            v, row_width = members[m], 0
+            for k in range(matrix.indptr[v], matrix.indptr[v + 1]):
+                column = group[matrix.indices[k]]
+                if sums[column, 0] == 0.0:
+                    of_row[row_width] = column
+                    row_width += 1
+                sums[column, 0] += matrix.data[k]
+            for k in range(row_width - 1, -1, -1):
+                column = of_row[k]
+                if sums[column, 1] == 0.0:
+                    columns[width] = column
+                    width += 1
+                sums[column, 1] += sums[column, 0]
+                sums[column, 0] = 0.0
+        for k in range(width - 1, -1, -1):
+            indices[filled], data[filled] = columns[k], sums[columns[k], 1]
+            sums[columns[k], 1] = 0.0
+            filled += 1
+        indptr[g + 1] = filled
+    return Edges(indptr, indices[:filled], data[:filled])

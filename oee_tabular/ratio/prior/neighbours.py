@@ -22,7 +22,7 @@ from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.prior._kernels import match
+from oee_tabular.ratio.prior._kernels import Edges, match, merge
 
 REST = 1e-4
 LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor
@@ -99,9 +99,10 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
             if len(sizes) <= 2 or factored.entries <= FILL:
                 return Neighbours(group, penalty, factored.log_determinant())
         joined = match(weights.indptr, weights.indices, weights.data, sizes)
-        onto = sparse.csr_array((np.ones(len(joined)), (np.arange(len(joined)), joined)))
         del weights  # it is large
-        mirrored = sparse.csr_array(sparse.csr_array(onto.T) @ (mirrored @ onto))
+        merged = merge(Edges(mirrored.indptr, mirrored.indices, mirrored.data), joined)
+        left = len(merged.indptr) - 1
+        mirrored = sparse.csr_array((merged.data, merged.indices, merged.indptr), shape=(left, left))
         weights = sparse.csr_array(mirrored.T)
         group = joined[group]
 
@@ -137,9 +138,9 @@ def smooth_functions(simulator: FiniteMDP, count: int, graph: Neighbours | None 
 def _weights(simulator: FiniteMDP) -> sparse.csr_array:
     """w(s, s') as a symmetric (S, S) matrix."""
     matrix, n_actions = simulator.transitions, simulator.n_actions
-    states = np.repeat(np.arange(simulator.n_states), np.diff(matrix.indptr[::n_actions]))
-    shape = (simulator.n_states, simulator.n_states)
-    one_way = sparse.csr_array((matrix.data / n_actions, (states, matrix.indices)), shape)
+    shape = (simulator.n_states, simulator.n_states)  # a state's rows stand one behind another
+    one_way = sparse.csr_array((matrix.data / n_actions, matrix.indices.copy(), matrix.indptr[::n_actions].copy()), shape)
+    one_way.sum_duplicates()
     both: sparse.csr_array = sparse.csr_array(one_way + one_way.T)
     both.data *= 0.5
     both.sort_indices()
