@@ -139,7 +139,9 @@ def _weights(simulator: FiniteMDP) -> sparse.csr_array:
     """w(s, s') as a symmetric (S, S) matrix."""
     matrix, n_actions = simulator.transitions, simulator.n_actions
     shape = (simulator.n_states, simulator.n_states)  # a state's rows stand one behind another
-    one_way = sparse.csr_array((matrix.data / n_actions, matrix.indices.copy(), matrix.indptr[::n_actions].copy()), shape)
+    one_way = sparse.csr_array(
+        (matrix.data / n_actions, matrix.indices.copy(), matrix.indptr[::n_actions].copy()), shape
+    )
     one_way.sum_duplicates()
     both: sparse.csr_array = sparse.csr_array(one_way + one_way.T)
     both.data *= 0.5
