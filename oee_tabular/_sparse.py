@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+
+_BLOCK = (
+    1 << 18
+)  # entries looked up at a time: of 24 000 000 in .3 to .8 of the time of all at once, and in little memory
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
@@ -178,7 +183,11 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
 def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntArray, BoolArray]:
     """The position in ``csr.data`` of each (row, column), and whether it is stored (position 0 where it is not)."""
     keys = row_of_entry(csr) * csr.shape[1] + csr.indices
-    wanted = np.asarray(rows, dtype=np.int64) * csr.shape[1] + columns
+    return _places(keys, np.asarray(rows, dtype=np.int64) * csr.shape[1] + columns)
+
+
+def _places(keys: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
+    """Where each that is wanted stands among sorted keys, and whether it does (place 0 where it does not)."""
     if keys.size == 0:
         return np.zeros(wanted.shape, dtype=np.int64), np.zeros(wanted.shape, dtype=np.bool_)
     position = np.searchsorted(keys, wanted)
@@ -194,15 +203,25 @@ def _alike(one: sparse.csr_array, other: sparse.csr_array) -> bool:
 
 
 def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, BoolArray]:
-    """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one."""
+    """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one; rows are sorted."""
     if _alike(source, pattern):
         return np.array(source.data, dtype=np.float64), np.ones(pattern.nnz, dtype=np.bool_)
-    if source.nnz < pattern.nnz:  # the fewer are looked up
-        position, inside = find(pattern, row_of_entry(source), source.indices.astype(np.int64))
-        values, stored = np.zeros(pattern.nnz), np.zeros(pattern.nnz, dtype=np.bool_)
-        values[position[inside]], stored[position[inside]] = source.data[inside], True
-        return values, stored
-    position, stored = find(source, row_of_entry(pattern), pattern.indices.astype(np.int64))
-    values = source.data[position]
-    values[~stored] = 0.0
-    return np.asarray(values), stored
+    values, stored = np.zeros(pattern.nnz), np.zeros(pattern.nnz, dtype=np.bool_)
+    entries = source.indptr.astype(np.int64) + pattern.indptr
+    ends = np.unique([*np.searchsorted(entries, np.arange(0, entries[-1], _BLOCK)), len(entries) - 1])
+    for first, last in itertools.pairwise(ends):
+        (own, at), (wanted, to) = (_keys(matrix, first, last) for matrix in (source, pattern))
+        if len(own) < len(wanted):  # the fewer are looked up
+            place, inside = _places(wanted, own)
+            values[to][place[inside]], stored[to][place[inside]] = source.data[at][inside], True
+        elif len(own):
+            place, inside = _places(own, wanted)
+            values[to], stored[to] = np.where(inside, source.data[at][place], 0.0), inside
+    return values, stored
+
+
+def _keys(matrix: sparse.csr_array, first: int, last: int) -> tuple[IntArray, slice]:
+    """row * columns + column of the entries of some rows, and where they are."""
+    at = slice(int(matrix.indptr[first]), int(matrix.indptr[last]))
+    rows = np.repeat(np.arange(first, last, dtype=np.int64), np.diff(matrix.indptr[first : last + 1]))
+    return rows * matrix.shape[1] + matrix.indices[at], at

@@ -37,6 +37,7 @@ from oee_tabular.ratio import Conditional
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
 _SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
+_SOME = 1 << 16  # rows at a time: a table of all 4 000 000 of a deterministic grid takes 1 GB
 _ROUNDING = 1e-24  # of the largest cost, and 1e-28 of what the largest may be: less is the rounding of 0
 
 
@@ -72,16 +73,15 @@ def row_costs(
         model, weights = _on_reference(simulator, model, rows)
     indptr, probability = model.transitions.indptr.astype(np.int64), model.transitions.data
     table = np.zeros((len(policies), len(alone)))
-    if rows.size:
-        place, inside = _table_of(indptr, rows)
-        weight, model_row = (np.where(inside, x[place], 0.0) for x in (weights, probability))
-        low, high = _box_around(weight, model_row, box, counts[rows], confidence)
     for k, policy in enumerate(policies):
         gradient = transition_gradient(model, policy, horizon=horizon)
         table[k] = row_variances(model.transitions, probability, gradient)
-        if rows.size:
+        for some in np.split(rows, range(_SOME, len(rows), _SOME)) if rows.size else ():
+            place, inside = _table_of(indptr, some)
+            weight, model_row = (np.where(inside, x[place], 0.0) for x in (weights, probability))
             values = np.where(inside, gradient[place], gradient[place[:, :1]])
-            table[k, rows] = largest_variance(values, low, high)
+            ends = _box_around(weight, model_row, box, counts[some], confidence)
+            table[k, some] = largest_variance(values, *ends)
         largest = max(_ROUNDING * table[k].max(initial=0.0), 1e-28 * np.abs(gradient).max(initial=0.0) ** 2)
         table[k, table[k] <= largest] = 0.0
     return Costs(table, alone)

@@ -142,8 +142,10 @@ def policy_system(model: Model, policy: Array) -> System:
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
     """(S, S): sum_a policy[s, a] K(s' | s, a)."""
-    indptr, columns, values, _ = policy_system(model, policy).kernel
-    parts = values.copy(), columns.astype(np.int32), indptr.astype(np.int32)
+    indptr, columns, values, _ = policy_system(model, policy).kernel  # made for this: nobody else has it
+    for part in (columns, values):
+        part.flags.writeable = True
+    parts = values, columns.view(np.int32), indptr.astype(np.int32)
     kernel = sparse.csr_array(parts, shape=(model.n_states, model.n_states))
     kernel.sort_indices()
     return kernel

@@ -160,7 +160,7 @@ class Conditional(Method):
             lam = np.array([_checks.ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
-        zeta, bent, *ends = np.empty((4 if self.solver == "dual" else 2, len(observed)))
+        zeta, bent, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
         gaps = [part.gap for part in prior.parts]
         whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
         for some in (rows,) if whole else rows.blocks():

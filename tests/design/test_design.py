@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions, _checks
-from oee_tabular.design import collection
+from oee_tabular.design import collection, costs
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.costs import largest_variance, next_pairs, row_costs
 from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
@@ -124,6 +124,19 @@ def test_deterministic_rows_have_an_optimistic_cost():
     # R(. | 0, 0) = 0.975 on state 1 (the mean of both actions gives 0.05 / 2), 0.075 on state 0; at most 2 R
     boxed = plan_data_collection(chain, ahead, n=100, upper_ratio=2.0, lower_ratio=0.5)
     assert_allclose(boxed.costs["policy"][0, 0], 81 * 0.1**2 * 0.8**2 * 0.15 * 0.85, rtol=1e-9)
+
+
+def test_rows_are_costed_some_at_a_time(monkeypatch):
+    mdp = oee.tasks.gridworld(5, 0.0)
+    box, counts = _checks.box(None, 3.0, normalized=True), np.arange(100.0) % 3
+    policies = [oee.uniform_policy(mdp), oee.tasks.gridworld_expert(5)]
+    tables = []
+    for some in (10**6, 7):
+        monkeypatch.setattr(costs, "_SOME", some)
+        found = row_costs(mdp, mdp, policies, counts, horizon=None, box=box, confidence=0.95, optimistic=True)
+        tables.append(found.table)
+    assert_allclose(tables[1], tables[0], rtol=1e-12)
+    assert (tables[0] > 0).any()
 
 
 def test_optimism_fades_with_observations():
