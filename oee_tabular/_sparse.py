@@ -220,6 +220,12 @@ def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, B
     return values, stored
 
 
+def laid_on(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[sparse.csr_array, Array]:
+    """``source``, and its values on the entries of ``pattern``; where it has the same entries it takes the pattern's arrays."""
+    values = freeze(align(source, pattern)[0])
+    return (on_pattern(pattern, values, own=True) if _alike(source, pattern) else source), values
+
+
 def _keys(matrix: sparse.csr_array, first: int, last: int) -> tuple[IntArray, slice]:
     """row * columns + column of the entries of some rows, and where they are."""
     at = slice(int(matrix.indptr[first]), int(matrix.indptr[last]))

@@ -80,7 +80,7 @@ class ModelBased(ExactLimit):
         repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
         known = coverage(problem, model, pi, repeated.reshape(shape), time)["coverage"]
         single = seen["coverage"] - known
-        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=found.values)
+        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=found.values, time=time)
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
         certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
         least = ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max()))

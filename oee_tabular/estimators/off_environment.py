@@ -213,23 +213,24 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     )
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
         return Estimate(found.value, diagnostics=diagnostics, findings=told)
-    seen = coverage(problem, model, policy, zeta.counts)
+    time = time_in_pairs(model, policy, problem.horizon)
+    seen = coverage(problem, model, policy, zeta.counts, time)
     diagnostics |= seen
     diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
     diagnostics["standard_error_of"] = None
     basis = Basis(model_value=found.value, measured=seen["coverage"])
     exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
-    step = _moved(problem, zeta, policy, model, exact, found.values)
+    step = _moved(problem, zeta, policy, model, exact, found.values, time)
     unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied=zeta.tied)
     return replace(step, findings=(*unseen, *step.findings))
 
 
 def _moved(
-    problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate, values: Array
+    problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate, values: Array, time: Array
 ) -> Estimate:
     """The exact value, moved towards the log where that speaks against the centre; its standard error and interval."""
     likeliest = _likeliest(problem, zeta, policy)  # before the gradient, which is as large as its model
-    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=values)
+    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=values, time=time)
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if within is None or step is None:
         return exact

@@ -130,6 +130,7 @@ def transition_gradient(
     horizon: int | None = None,
     values_of: Model | None = None,
     values: Array | None = None,
+    time: Array | None = None,
 ) -> Array:
     """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
@@ -144,6 +145,7 @@ def transition_gradient(
     values_of : V is that model's (its rewards too), which may have entries of its own: the result is then aligned with
         ``values_of.transitions.data``; None: ``model``
     values : (S,) that V, where it is known; it is not looked at with a horizon
+    time : (S, A) ``occupancy(model, policy)``, where it is known; it is looked at below discount 1 without a horizon
 
     Notes
     -----
@@ -173,7 +175,11 @@ def transition_gradient(
         found = (model.discount * known)[valued.transitions.indices]
         if valued.reward_data is not None:
             found += valued.reward_data
-        found *= np.repeat((infinite_visits(model, pi)[:, None] * pi).reshape(-1), lengths)
+        if time is None or model.discount == 1.0:
+            visited = infinite_visits(model, pi)
+        else:
+            visited = time.sum(axis=1) / (1.0 - model.discount)
+        found *= np.repeat((visited[:, None] * pi).reshape(-1), lengths)
         return np.asarray(found)
     from oee_tabular.exact import _finite
 

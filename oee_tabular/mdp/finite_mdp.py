@@ -17,7 +17,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, checked_rows, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, checked_rows, laid_on, row_of_entry, row_sums
 from oee_tabular.mdp.arrays import (
     Sampling,
     canonical_table,
@@ -133,8 +133,9 @@ class FiniteMDP(Made):
     ) -> None:
         matrix, n_states, n_actions = transition_rows(transitions)
         table, expected = reward_table(rewards, matrix, n_states, n_actions)
-        data = None if table is None else _checks.freeze(align(table, matrix)[0])
-        if data is not None:
+        data = None
+        if table is not None:
+            table, data = laid_on(table, matrix)
             expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
         if terminal_state is None:
             terminal = np.arange(n_states, dtype=np.int64)

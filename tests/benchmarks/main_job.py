@@ -128,7 +128,7 @@ def started_rows():
 
 
 def million_rows():
-    """``oee evaluate --quick`` at 10^6 states with 10^5 moves, from files, kernels compiled before; memory of the most so far."""
+    """``oee evaluate --quick`` at 10^6 states with 10^5 moves, from files, kernels compiled; the most memory so far."""
     grid, slippery = oee.tasks.gridworld(1000, 0.1), oee.tasks.gridworld(1000, 0.3)
     likely = oee.mix(oee.tasks.gridworld_expert(1000), oee.uniform_policy(grid), 0.8)
     graph = random_graph(10**6)

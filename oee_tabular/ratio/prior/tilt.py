@@ -194,7 +194,12 @@ def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "du
 
 def _powers(most: int) -> Columns:
     """log P, and its square."""
-    return lambda rows: np.log(rows.weights)[:, None] ** np.arange(1, most + 1)
+
+    def columns(rows: Rows) -> Array:
+        logs = np.log(rows.weights)
+        return np.column_stack([logs, logs * logs][:most])
+
+    return columns
 
 
 def _dirichlet_evidence(tilt: Tilt, counts: Array, rows: Rows) -> float:
