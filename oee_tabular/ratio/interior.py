@@ -10,7 +10,9 @@ With g and w apart, tied by g = offset + Phi w with multiplier v, the dual funct
 each term in closed form: a lower bound on the optimum whatever v and eta are (without penalty v is first projected onto
 Phi^T v = 0). The gap that is reported is the primal value at a feasible w less this. The method is a primal-dual
 interior-point method from an infeasible start, with a line search on the conditions' residual [1, section 11.7] and
-Mehrotra's choice of the centring [2]; a step costs O(n d^2).
+Mehrotra's choice of the centring [2]; a step costs O(n d^2). The slope of -p log g is a multiplier of its own, z with
+z g = p, as those of the bounds are with z (g - lower) = 0: what is left of the conditions is linear, and a g that falls by
+decades does not hold the steps up.
 
 References: [1] S. Boyd and L. Vandenberghe, Convex Optimization, 2004. [2] S. Mehrotra, On the implementation of a primal-dual
 interior point method, SIAM J. Optimization 2, 1992.
@@ -138,7 +140,7 @@ def solve(program: LinearProgram, *, tolerance: float = 1e-14) -> LinearSolution
 
 @dataclass(eq=False)
 class _Point:
-    """An iterate: w, g, its distances to the bounds (sides, n), and multipliers: of g = offset + Phi w, the bounds, the sum.
+    """An iterate: w, g, its distances to the bounds and 0 (sides, n), and multipliers: of g = offset + Phi w, those, the sum.
 
     The distances have digits of their own: near a bound the difference g - lower has few.
     """
@@ -156,7 +158,7 @@ class _Point:
     @property
     def complementarity(self) -> float:
         """The sum of multiplier times distance over all bounds."""
-        return float((self.z * self.room).sum())
+        return float((self.z * self.room)[:-1].sum())
 
 
 class _Linearised:
@@ -165,12 +167,13 @@ class _Linearised:
     def __init__(self, program: LinearProgram, point: _Point) -> None:
         self.program, self.point = program, point
         phi, q, g = program.features, program.q, point.g
-        self.side = np.array([[1.0], [-1.0]])[: len(point.z)]
-        self.r_g = program.b + point.eta * q - program.p / g - (self.side * point.z).sum(axis=0) + point.tie
+        self.side = np.ones((len(point.z), 1))
+        self.side[1:-1] = -1.0  # of the upper bound, where there is one
+        self.r_g = program.b + point.eta * q - (self.side * point.z).sum(axis=0) + point.tie
         self.r_w = program.penalty * point.w - phi.T @ point.tie
         self.r_tie = g - program.offset - phi @ point.w
         self.r_one = float(q @ g) - 1.0 if program.normalized else 0.0
-        self.diagonal = program.p / g**2 + (point.z / point.room).sum(axis=0)
+        self.diagonal = (point.z / point.room).sum(axis=0)
 
     @cached_property
     def system(self) -> _Bordered:
@@ -180,15 +183,22 @@ class _Linearised:
         border = phi.T @ program.q if program.normalized else np.zeros(phi.shape[1])
         return _Bordered(phi, self.diagonal, program.penalty, border, program.normalized)
 
+    def missed(self, aim: float) -> Array:
+        """Multiplier times distance, less what it is to be: p for the distance to 0, ``aim`` for those to the bounds."""
+        found = self.point.z * self.point.room
+        found[:-1] -= aim
+        found[-1] -= self.program.p
+        return found
+
     def distance(self, aim: float) -> float:
-        """The Euclidean norm of the conditions' residuals, multiplier times distance being ``aim``."""
+        """The Euclidean norm of the conditions' residuals."""
         total = float(self.r_g @ self.r_g + self.r_w @ self.r_w + self.r_tie @ self.r_tie) + self.r_one**2
-        return float(np.sqrt(total + ((self.point.z * self.point.room - aim) ** 2).sum()))
+        return float(np.sqrt(total + (self.missed(aim) ** 2).sum()))
 
     def step(self, aim: float) -> _Point:
-        """Newton's step to multiplier times distance = aim."""
+        """Newton's step."""
         phi, q, z, room = self.program.features, self.program.q, self.point.z, self.point.room
-        r_z = z * room - aim
+        r_z = self.missed(aim)
         rest = self.r_g + (self.side * r_z / room).sum(axis=0)
         right = -self.r_w - phi.T @ (rest - self.diagonal * self.r_tie)
         w, eta = self.system.solve(right, -self.r_one + float(q @ self.r_tie))
@@ -199,7 +209,7 @@ class _Linearised:
     def longest(self, step: _Point) -> float:
         """The longest length that leaves every distance and multiplier nonnegative."""
         found, point = np.inf, self.point
-        for value, change in ((point.room, step.room), (point.g, step.g), (point.z, step.z)):
+        for value, change in ((point.room, step.room), (point.z, step.z)):
             falling = change < 0
             found = min(found, float((-value[falling] / change[falling]).min(initial=np.inf)))
         return found
@@ -210,10 +220,10 @@ def _start(program: LinearProgram) -> _Point:
     n, low, high = len(program.p), program.lower, program.upper
     start = 1.0 if low < 1.0 < high else (0.5 * (low + high) if np.isfinite(high) else low + 1.0)
     g = np.full(n, start)
-    room = np.array([g - low, high - g])[: 1 + np.isfinite(high)]
+    room = np.array([g - low, high - g, g] if np.isfinite(high) else [g - low, g])
     fill = (float(program.p.sum()) + float(np.abs(program.b).sum())) / (2.0 * n)
     w = np.asarray(np.linalg.lstsq(program.features, g - program.offset)[0])
-    return _Point(w, g, room, np.zeros(n), fill / room, 0.0)
+    return _Point(w, g, room, np.zeros(n), np.vstack([fill / room[:-1], program.p / g]), 0.0)
 
 
 @np.errstate(divide="ignore", invalid="ignore")
@@ -224,12 +234,12 @@ def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
     """
     point = _start(program)
     best = LinearSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
-    stalled, local = 0, _Linearised(program, point)
+    stalled, mark, local = 0, np.full(2, np.inf), _Linearised(program, point)
     for iteration in range(1, ITERATIONS + 1):
         total = point.complementarity
         forward = local.step(0.0)
         after = point.moved(forward, min(1.0, local.longest(forward))).complementarity
-        aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / point.z.size
+        aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / point.z[:-1].size
         step = local.step(aim)
         length = min(1.0, 0.99 * local.longest(step))
         before = local.distance(aim)
@@ -244,9 +254,10 @@ def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
             continue
         feasible = found.violation <= 1e-12
         better = found.gap < best.gap if feasible and best.violation <= 1e-12 else found.violation < best.violation
-        progress = (found.gap < 0.7 * best.gap) if best.violation <= 1e-12 else better
         best = found if better else best
-        stalled = 0 if progress else stalled + 1
+        reached = np.array([best.gap if best.violation <= 1e-12 else np.inf, local.distance(0.0)])
+        progress = reached < 0.7 * mark  # of the gap or of the conditions
+        stalled, mark = 0 if progress.any() else stalled + 1, np.where(progress, reached, mark)
         size = max(1.0, abs(objective(program, best.weights, best.ratio)))
         if (best.violation <= 1e-12 and best.gap <= tolerance * size) or stalled >= 15:
             break
@@ -259,7 +270,7 @@ def _measure(program: LinearProgram, local: _Linearised, iteration: int) -> Line
     g = program.offset + program.features @ point.w
     if not (g > 0).all():
         return None
-    suggested = program.p / g - program.b - point.eta * program.q + (local.side * point.z).sum(axis=0)
+    suggested = program.p / g - program.b - point.eta * program.q + (local.side * point.z)[:-1].sum(axis=0)
     found = [(*certificate(program, point.w, g, tie, point.eta), tie) for tie in (point.tie, suggested)]
     gap, violation, tie = min(found, key=lambda item: item[0])
     return LinearSolution(point.w, g, tie, point.eta, gap, violation, iteration)
@@ -282,15 +293,15 @@ class _Bordered:
         x = self._scale * (self._vectors @ (self._inverse * (self._vectors.T @ (self._scale * right))))
         return np.asarray(x)
 
-    def _definite(self, right: Array) -> Array:
-        x = self._once(right)
-        return x + self._once(right - self._matrix @ x)
+    def _whole(self, right: Array, last: float) -> tuple[Array, float]:
+        x, curvature = self._once(right), float(self._border @ self._bent)
+        eta = (float(self._border @ x) - last) / curvature if self._bordered and curvature > 0 else 0.0
+        return x - eta * self._bent, eta
 
     def solve(self, right: Array, last: float) -> tuple[Array, float]:
-        """(x, eta), with a step of refinement."""
-        x = self._definite(right)
-        if not self._bordered:
-            return x, 0.0
-        curvature = float(self._border @ self._bent)
-        eta = (float(self._border @ x) - last) / curvature if curvature > 0 else 0.0
-        return self._definite(right - eta * self._border), eta
+        """(x, eta), with two steps of refinement."""
+        x, eta = self._whole(right, last)
+        for _ in range(2):
+            rest, more = self._whole(right - self._matrix @ x - eta * self._border, last - float(self._border @ x))
+            x, eta = x + rest, eta + more
+        return x, eta
