@@ -148,16 +148,6 @@ class Rows:
         """(entries,) counts divided by their row's; 0 in rows without counts."""
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
 
-    def aligned(self, matrix: sparse.csr_array) -> tuple[Array, BoolArray]:
-        """The values of a csr (S*A, S) on the entries, 0 where it has none; and which of its entries are among them."""
-        keys = np.repeat(self.number, np.diff(self.indptr)) * self.n_states + self.arrival
-        wanted = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)) * self.n_states + matrix.indices
-        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        found = keys[place] == wanted
-        values = np.zeros(len(keys))
-        values[place[found]] = matrix.data[found]
-        return values, found
-
 
 def distinct(table: Array) -> tuple[Array, IntArray]:
     """The distinct rows of a table (n, c) in order, and which of them each row is.

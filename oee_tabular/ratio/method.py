@@ -162,7 +162,7 @@ class Method:
         rows = made.get(Rows)
         if rows is None:
             rows = made[Rows] = Rows.of(simulator)
-        observed = supported_counts(counts, simulator, rows)
+        observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
             raise ValueError("log_or_counts must have at least one move; it has none")
         given = Given(

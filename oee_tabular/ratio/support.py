@@ -14,7 +14,6 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
-from oee_tabular.mdp.rows import Rows
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
@@ -168,13 +167,13 @@ def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> s
 
 def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
-    return supported_counts(checked_counts(counts, simulator), simulator, Rows.of(simulator))
+    return supported_counts(checked_counts(counts, simulator), simulator)
 
 
-def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP, rows: Rows) -> Array:
-    """The same of canonical counts and all ``rows`` of the simulator: errors for support alone."""
-    values, found = rows.aligned(counts)
-    if not found.all() or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any():
+def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
+    """The same of canonical counts: errors for support alone."""
+    values, stored = align(counts, simulator.transitions)
+    if np.count_nonzero(stored) < counts.nnz or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any():
         refuse_unsupported(counts, simulator)
     return values
 

@@ -26,6 +26,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike, Seed
+from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
@@ -192,6 +193,5 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     """
     require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")
-    rows = Rows.of(simulator)
-    data, _ = rows.aligned(target.transitions)
-    return Given(data, simulator, rows).ratio(data / simulator.transitions.data, "true", 0.0, {})
+    data, _ = align(target.transitions, simulator.transitions)
+    return Given(data, simulator, Rows.of(simulator)).ratio(data / simulator.transitions.data, "true", 0.0, {})

@@ -185,12 +185,13 @@ def test_the_draws_of_all_moves_have_the_whole_logs_risk(ragged, ridge):
     """A batch with each move as often as the log has it, against sums over rows in numpy."""
     from jax import enable_x64
 
+    from oee_tabular._sparse import align
     from oee_tabular.mdp.rows import Rows
     from oee_tabular.ratio import _neural
 
     simulator, log, _ = ragged
     rows = Rows.of(simulator)
-    counts, _ = rows.aligned(log.counts(16, 4))
+    counts, _ = align(log.counts(16, 4), simulator.transitions)
     p = counts / counts.sum()
     f = np.random.default_rng(0).normal(0.0, 3.0, len(p))
     zeta = np.exp(f) / rows.spread(rows.sums(rows.weights * np.exp(f)))
