@@ -440,6 +440,14 @@ TABLE = {
         lambda: oee.density_ratio([0, 2, 1], [1, 1, 1], features=np.arange(3.0)),
         r"features must span a function that is above 0, with sum q g = 1; none is at all points \(a constant",
     ),
+    "a class that is 0 at a point": (
+        lambda: oee.density_ratio(
+            [2, 1, 1, 0, 2, 2],
+            [0, 2, 1, 0, 0, 0],
+            features=[[2, -2, -2], [2, -1, 2], [1, 1, 0], [0, 0, 0], [-1, -1, -1], [2, 1, 2]],
+        ),
+        r"features must span a function that is above 0, with sum q g = 1; none is at all points \(a constant",
+    ),
     "all-zero p": (lambda: oee.density_ratio([0, 0], [1, 1]), r"p must have a positive, finite sum; it is 0"),
     "all-zero q": (lambda: oee.density_ratio([1, 1], [0, 0]), r"q must have a positive, finite sum; it is 0"),
     "unequal lengths": (lambda: oee.density_ratio([1], [1, 1]), r"p and q must have one length; they have 1 and 2"),

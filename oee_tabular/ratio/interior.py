@@ -226,17 +226,19 @@ def _start(program: LinearProgram) -> _Point:
     return _Point(w, g, room, np.zeros(n), np.vstack([fill / room[:-1], program.p / g]), 0.0)
 
 
-@np.errstate(divide="ignore", invalid="ignore")
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
     """Differs from [2] in a line search on the residual's norm [1], and in ending at the certificate, not at the residual.
 
-    Where the class has no room within the bounds, the points reach one (0 / 0): none is taken from there on.
+    Where the class has no room within the bounds, the points reach one (0 / 0), and the search ends.
     """
     point = _start(program)
     best = LinearSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
     stalled, mark, local = 0, np.full(2, np.inf), _Linearised(program, point)
     for iteration in range(1, ITERATIONS + 1):
         total = point.complementarity
+        if not np.isfinite(local.diagonal).all():
+            break
         forward = local.step(0.0)
         after = point.moved(forward, min(1.0, local.longest(forward))).complementarity
         aim = max(min(max(after / total, 0.0), 1.0) ** 3, 0.02) * total / point.z[:-1].size
