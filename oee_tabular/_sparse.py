@@ -214,7 +214,7 @@ def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, B
         if len(own) < len(wanted):  # the fewer are looked up
             place, inside = _places(wanted, own)
             values[to][place[inside]], stored[to][place[inside]] = source.data[at][inside], True
-        elif len(own):
+        else:
             place, inside = _places(own, wanted)
             values[to], stored[to] = np.where(inside, source.data[at][place], 0.0), inside
     return values, stored

@@ -285,7 +285,7 @@ class _Bordered:
         matrix = (phi * diagonal[:, None]).T @ phi
         matrix[np.diag_indices(len(border))] += penalty
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        self._scale, self._matrix = scale, matrix
+        self._scale = scale
         values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
         self._inverse = np.where(values > 1e-15 * values.max(initial=0.0), 1.0 / np.maximum(values, 1e-300), 0.0)
         self._vectors, self._border, self._bordered = vectors, border, bordered
@@ -295,15 +295,8 @@ class _Bordered:
         x = self._scale * (self._vectors @ (self._inverse * (self._vectors.T @ (self._scale * right))))
         return np.asarray(x)
 
-    def _whole(self, right: Array, last: float) -> tuple[Array, float]:
+    def solve(self, right: Array, last: float) -> tuple[Array, float]:
+        """(x, eta)."""
         x, curvature = self._once(right), float(self._border @ self._bent)
         eta = (float(self._border @ x) - last) / curvature if self._bordered and curvature > 0 else 0.0
         return x - eta * self._bent, eta
-
-    def solve(self, right: Array, last: float) -> tuple[Array, float]:
-        """(x, eta), with two steps of refinement."""
-        x, eta = self._whole(right, last)
-        for _ in range(2):
-            rest, more = self._whole(right - self._matrix @ x - eta * self._border, last - float(self._border @ x))
-            x, eta = x + rest, eta + more
-        return x, eta

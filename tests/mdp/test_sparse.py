@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy import sparse
 
+import oee_tabular as oee
 from oee_tabular import _sparse
 from oee_tabular._sparse import align, canonical, find
 
@@ -39,3 +40,9 @@ def test_where_moves_are(rng, n_rows, n_columns):
     assert_array_equal(stored, dense != 0)
     assert_array_equal(matrix.data[place[stored]], dense[stored])
     assert not place[~stored].any()
+
+
+def test_rewards_of_the_moves_that_there_are_take_no_room_for_places():
+    grid = oee.tasks.gridworld(3, 0.1)
+    assert np.shares_memory(grid.transition_rewards.indices, grid.transitions.indices)
+    assert np.shares_memory(grid.transition_rewards.data, grid.reward_data)

@@ -317,6 +317,9 @@ def test_rows_of_three_values_get_a_second_number():
     found = fit_default_tilt(observed, simulator)
     assert found.theta.shape == (2,)
     assert found.evidence > fit_tilt(observed, simulator).evidence + 10.0
+    log_p = np.log(simulator.transitions.data)
+    given = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]))
+    assert_allclose(found.theta, given.theta, rtol=1e-9)
     truth = oee.true_ratio(target, simulator).values.data
     weights = simulator.transitions.data
     errors = [weights @ np.abs(tilt.ratio - truth) for tilt in (found, fit_tilt(observed, simulator))]
