@@ -12,10 +12,11 @@ from scipy import integrate, optimize, sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
+from oee_tabular.exact.system import Csr
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior import local_tilt
 from oee_tabular.ratio.prior import neighbours as graphs
-from oee_tabular.ratio.prior._kernels import Edges, match, merge
+from oee_tabular.ratio.prior._kernels import match, merge
 from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
 from oee_tabular.ratio.prior.neighbours import REST, neighbours
 from oee_tabular.ratio.prior.tilt import fit_tilt
@@ -303,7 +304,7 @@ def test_merging_has_the_bits_of_two_products(rng, n, groups):
     dense = np.where(rng.random((n, n)) < 0.6, 10 ** rng.uniform(-3, 3, (n, n)), 0.0)
     group = np.unique(rng.integers(groups, size=n), return_inverse=True)[1]
     csr = sparse.csr_array(dense)
-    edges = Edges(csr.indptr, csr.indices, csr.data)
+    edges = Csr(csr.indptr, csr.indices, csr.data)
     onto = sparse.csr_array((np.ones(n), (np.arange(n), group)))
     expected = sparse.csr_array(onto.T) @ (csr @ onto)
     for way in (merge.compiled, merge.py_func, merge.python):

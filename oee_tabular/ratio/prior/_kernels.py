@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._kernels import njit
+from oee_tabular.exact.system import Csr
 
 FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
 
@@ -22,14 +23,6 @@ class Counts(NamedTuple):
     counts: Any
     prior: Any
     n: Any
-
-
-class Edges(NamedTuple):
-    """A square matrix as csr has it."""
-
-    indptr: Any
-    indices: Any
-    data: Any
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,7 +113,7 @@ def _merge(matrix, group):
     onto = sparse.csr_array((np.ones(len(group)), group.astype(kind), np.arange(len(group) + 1, dtype=kind)))
     whole = sparse.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=(len(group), len(group)))
     found = sparse.csr_array(sparse.csr_array(onto.T) @ (whole @ onto))
-    return Edges(found.indptr, found.indices, found.data)
+    return Csr(found.indptr, found.indices, found.data)
 
 
 @njit(cache=True, python=_merge)
@@ -169,4 +162,4 @@ def merge(matrix, group):
             sums[columns[k], 1] = 0.0
             filled += 1
         indptr[g + 1] = filled
-    return Edges(indptr, indices[:filled], data[:filled])
+    return Csr(indptr, indices[:filled], data[:filled])

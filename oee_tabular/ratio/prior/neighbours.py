@@ -21,8 +21,9 @@ from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array, IntArray
+from oee_tabular.exact.system import Csr
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio.prior._kernels import Edges, match, merge
+from oee_tabular.ratio.prior._kernels import match, merge
 
 REST = 1e-4
 LARGEST, FILL = 1024, 60_000  # nodes, and entries of the factor
@@ -100,7 +101,7 @@ def neighbours(simulator: FiniteMDP, *, width: int = 1) -> Neighbours:
                 return Neighbours(group, penalty, factored.log_determinant())
         joined = match(weights.indptr, weights.indices, weights.data, sizes)
         del weights  # it is large
-        merged = merge(Edges(mirrored.indptr, mirrored.indices, mirrored.data), joined)
+        merged = merge(Csr(mirrored.indptr, mirrored.indices, mirrored.data), joined)
         left = len(merged.indptr) - 1
         mirrored = sparse.csr_array((merged.data, merged.indices, merged.indptr), shape=(left, left))
         weights = sparse.csr_array(mirrored.T)
