@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import functools
 from importlib import resources
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @functools.cache
 def published() -> pd.DataFrame:
     """figure, setting, series, x, mean, lo, hi."""
+    import pandas as pd
+
     with resources.files("oee_tabular.experiments").joinpath("paper.csv").open() as handle:
         return pd.read_csv(handle)
 
