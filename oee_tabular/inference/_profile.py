@@ -40,50 +40,32 @@ def kernel_of(chain, p):
 
 
 @njit(cache=True, error_model="numpy")
-def backup(chain, p, gamma, ahead, out):
-    """One step of V's recursion, from ``ahead`` into ``out``."""
-    for s in range(len(out)):
-        total = 0.0
-        for r in range(chain.first[s], chain.first[s + 1]):
-            part = 0.0
-            for i in range(chain.indptr[r], chain.indptr[r + 1]):
-                part += p[i] * (chain.pay[i] + gamma * ahead[chain.column[i]])
-            total += chain.weight[r] * part
-        out[s] = total
-
-
-@njit(cache=True, error_model="numpy")
-def forward(chain, p, now, out):
-    """P_pi^T now."""
-    out[:] = 0.0
-    for s in range(len(now)):
-        if now[s] != 0.0:
-            for r in range(chain.first[s], chain.first[s + 1]):
-                share = now[s] * chain.weight[r]
-                for i in range(chain.indptr[r], chain.indptr[r + 1]):
-                    out[chain.column[i]] += share * p[i]
-
-
-@njit(cache=True, error_model="numpy")
-def flows(chain, p, gamma, steps, to_go, gradient):
-    """V_t into ``to_go`` (T + 1, S), and sum_t gamma^t alpha_t(s) weight_r (pay + gamma V_{t+1}) into ``gradient``."""
-    n = to_go.shape[1]
-    to_go[steps] = 0.0
+def flows(graph, share, paid, initial, gamma, to_go, visits, worth):
+    """V_t into ``to_go`` (T + 1, S), d = sum_t gamma^t alpha_t into ``visits``; of each edge, gamma sum_t gamma^t alpha_t(s)
+    V_{t+1}(s') into ``worth``. ``share`` is P_pi on the graph's edges, ``paid`` r_pi."""
+    steps, n = len(to_go) - 1, len(initial)
+    for s in range(n):
+        to_go[steps, s], visits[s] = 0.0, 0.0
     for t in range(steps - 1, -1, -1):
-        backup(chain, p, gamma, to_go[t + 1], to_go[t])
-    now, ahead = chain.initial.copy(), np.empty(n)
-    gradient[:] = 0.0
-    factor = 1.0
+        for s in range(n):
+            total = 0.0
+            for k in range(graph.indptr[s], graph.indptr[s + 1]):
+                total += share[k] * to_go[t + 1, graph.column[k]]
+            to_go[t, s] = paid[s] + gamma * total
+    now, ahead = initial.copy(), np.zeros(n)
+    for k in range(len(worth)):
+        worth[k] = 0.0
     for t in range(steps):
         for s in range(n):
             if now[s] != 0.0:
-                for r in range(chain.first[s], chain.first[s + 1]):
-                    share = factor * now[s] * chain.weight[r]
-                    for i in range(chain.indptr[r], chain.indptr[r + 1]):
-                        gradient[i] += share * (chain.pay[i] + gamma * to_go[t + 1, chain.column[i]])
-        forward(chain, p, now, ahead)
+                visits[s] += now[s]
+                weight = gamma * now[s]
+                for k in range(graph.indptr[s], graph.indptr[s + 1]):
+                    j = graph.column[k]
+                    worth[k] += weight * to_go[t + 1, j]
+                    ahead[j] += weight * share[k]
+                now[s] = 0.0
         now, ahead = ahead, now
-        factor *= gamma
 
 
 def _moments_of_rows(indptr, phat, v, mean, best, spread):

@@ -36,6 +36,14 @@ class Chain(NamedTuple):
     initial: Array
 
 
+class Graph(NamedTuple):
+    """Which state may follow which, CSR; entry i of the chain is edge edge[i]."""
+
+    indptr: IntArray
+    column: IntArray
+    edge: IntArray
+
+
 class Point(NamedTuple):
     """Rows of the set, their J and V, and d (with a horizon: the gradient)."""
 
@@ -128,11 +136,23 @@ class Taken:
     def _dense(self, p: Array, transpose: bool) -> Array:
         """V, or transposed d, by LAPACK."""
         chain, n = self.chain, len(self.chain.initial)
-        taken = np.repeat(chain.weight, np.diff(chain.indptr)) * p
+        taken = self.weight * p
         matrix = np.eye(n) - self.discount * np.bincount(self.places, taken, n * n).reshape(n, n)
         if transpose:
             return np.asarray(np.linalg.solve(matrix.T, chain.initial))
         return np.asarray(np.linalg.solve(matrix, np.bincount(self.places // n, taken * chain.pay, n)))
+
+    @cached_property
+    def weight(self) -> Array:
+        """(entries,) pi(a | s)."""
+        return np.repeat(self.chain.weight, np.diff(self.chain.indptr))
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Of the states that are reached."""
+        n = len(self.chain.initial)
+        places, edge = np.unique(self.places, return_inverse=True)
+        return Graph(np.searchsorted(places, np.arange(n + 1) * n), places % n, edge)
 
     @cached_property
     def places(self) -> IntArray:
@@ -150,8 +170,11 @@ class Taken:
 
         chain, gamma, n = self.chain, self.discount, len(self.chain.initial)
         if self.steps is not None:
-            to_go, gradient = np.empty((self.steps + 1, n)), np.empty(len(p))
-            kernel.flows(chain, p, gamma, self.steps, to_go, gradient)
+            graph, state, share = self.graph, self.places // n, self.weight * p
+            to_go, visits, worth = np.empty((self.steps + 1, n)), np.empty(n), np.empty(len(graph.column))
+            edges = np.bincount(graph.edge, share, len(worth))
+            kernel.flows(graph, edges, np.bincount(state, share * chain.pay, n), chain.initial, gamma, to_go, visits, worth)
+            gradient = self.weight * (visits[state] * chain.pay + worth[graph.edge])
             return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient)
         before, visits = (np.zeros(n), np.full(n, 1.0 / ((1.0 - gamma) * n))) if near is None else near[2:4]
         values, missed = self._solved(p, before, left, False)
