@@ -42,7 +42,8 @@ def kernel_of(chain, p):
 @njit(cache=True, error_model="numpy")
 def flows(graph, share, paid, initial, gamma, to_go, visits, worth):
     """V_t into ``to_go`` (T + 1, S), d = sum_t gamma^t alpha_t into ``visits``; of each edge, gamma sum_t gamma^t alpha_t(s)
-    V_{t+1}(s') into ``worth``. ``share`` is P_pi on the graph's edges, ``paid`` r_pi."""
+    V_{t+1}(s') into ``worth``. ``share`` is P_pi on the graph's edges, ``paid`` r_pi.
+    """
     steps, n = len(to_go) - 1, len(initial)
     for s in range(n):
         to_go[steps, s], visits[s] = 0.0, 0.0

@@ -121,6 +121,16 @@ class Taken:
         """(entries,) those of rows with data."""
         return np.repeat(self.chain.n > 0, np.diff(self.chain.indptr))
 
+    @cached_property
+    def blank(self) -> IntArray:
+        """The rows without data."""
+        return np.flatnonzero(self.chain.n == 0)
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """(entries,) the least and the largest probabilities."""
+        return self.evidence.low[self.entries], self.evidence.high[self.entries]
+
     def _solved(self, p: Array, near: Array, left: float, transpose: bool) -> tuple[Array, Array]:
         """V, or transposed d, corrected until ``left`` of what the one near by misses is missed, and that."""
         from oee_tabular.inference import _profile as kernel
@@ -173,7 +183,9 @@ class Taken:
             graph, state, share = self.graph, self.places // n, self.weight * p
             to_go, visits, worth = np.empty((self.steps + 1, n)), np.empty(n), np.empty(len(graph.column))
             edges = np.bincount(graph.edge, share, len(worth))
-            kernel.flows(graph, edges, np.bincount(state, share * chain.pay, n), chain.initial, gamma, to_go, visits, worth)
+            kernel.flows(
+                graph, edges, np.bincount(state, share * chain.pay, n), chain.initial, gamma, to_go, visits, worth
+            )
             gradient = self.weight * (visits[state] * chain.pay + worth[graph.edge])
             return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient)
         before, visits = (np.zeros(n), np.full(n, 1.0 / ((1.0 - gamma) * n))) if near is None else near[2:4]

@@ -15,7 +15,9 @@ import numpy as np
 
 from oee_tabular import _kernels
 
-_kernels.PATIENCE = 0.0  # compile at once: what Python runs until a kernel is worth compiling is the first start's affair
+_kernels.PATIENCE = (
+    0.0  # compile at once: what Python runs until a kernel is worth compiling is the first start's affair
+)
 
 
 def cpu(call, *arguments):
