@@ -121,8 +121,14 @@ def sparse_problem(seed):
     return oee.Problem(simulator, log, horizon=horizon), rng.dirichlet(np.ones(n_actions), size=n_states)
 
 
-@pytest.mark.parametrize("afforded", [likelihood.AFFORDED, 0])
-@pytest.mark.parametrize(("seed", "sign"), [(14, 1), (137, -1), (200, 1), (254, -1), (447, 1), (679, -1)])
+LED_BY_ONE = [(14, 1), (137, -1), (200, 1), (254, -1), (447, 1), (679, -1)]  # seed, sign
+LED_BY_MANY = [(149, 1), (369, 1), (561, -1)]
+
+
+@pytest.mark.parametrize(
+    ("seed", "sign", "afforded"),
+    [(*case, 0) for case in LED_BY_ONE] + [(*case, likelihood.AFFORDED) for case in LED_BY_ONE + LED_BY_MANY],
+)
 def test_the_farthest_of_many_ends_is_found(seed, sign, afforded, monkeypatch):
     """Farther than from the frequencies alone, by 2.4 to 22% of the width; and not nearer than from six more random starts."""
     monkeypatch.setattr(likelihood, "AFFORDED", afforded)
