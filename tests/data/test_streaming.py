@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 
 import numpy as np
 import pandas as pd
@@ -109,6 +110,22 @@ def test_batches_change_nothing(tmp_path, ending, monkeypatch):
         monkeypatch.setattr(batches, "_BLOCK", block)
         same(Transitions.open(folder), whole)
         same(Transitions.open(folder, kept_moves=60), some)
+
+
+@pytest.mark.parametrize("group", [50_000, 2_000_000], ids=["many groups", "one group"])
+def test_of_a_parquet_file_a_batch_is_held_and_not_the_file(tmp_path, group):
+    n, rng = 2_000_000, np.random.default_rng(0)
+    columns = {name: rng.integers(high, size=n) for name, high in (("state", 50), ("action", 3), ("next_state", 50))}
+    path = tmp_path / "log.parquet"
+    pd.DataFrame(columns | {"reward": rng.random(n)}).to_parquet(path, row_group_size=group)
+    Transitions.open(path)  # modules and kernels
+    tracemalloc.start()
+    try:
+        assert len(Transitions.open(path)) == n
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 0.6 * os.path.getsize(path)  # rows of a batch are 4 MB; the file has 20
 
 
 def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path):
