@@ -26,8 +26,9 @@ from oee_tabular.inference.ambiguity import (
     require_squares,
     unseen_time,
 )
+from oee_tabular.inference.ascent import ProfileEnd
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
-from oee_tabular.inference.likelihood import ProfileEnd, Start, profile_end
+from oee_tabular.inference.likelihood import Start, profile_end
 from oee_tabular.inference.margins import Found, sampling_margin, stray_end, stray_share
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")

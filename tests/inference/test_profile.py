@@ -11,9 +11,10 @@ from scipy import stats
 
 import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
-from oee_tabular.inference import _profile, likelihood
+from oee_tabular.inference import _profile, ascent, likelihood
 from oee_tabular.inference import taken as rows_taken
 from oee_tabular.inference.ambiguity import gather
+from oee_tabular.inference.ascent import Ascent
 from oee_tabular.inference.taken import Direction, Taken
 
 LIMIT = stats.chi2.ppf(0.95, 1) / 2
@@ -62,7 +63,7 @@ def test_a_step_is_the_linear_program_s_optimum(rng):
     taken = Taken.of(gather(problem, policy))
     chain = taken.chain
     gradient = rng.normal(size=len(chain.phat))
-    p, used, _ = likelihood._step(taken, Direction(gradient, gradient), LIMIT, 0.0, 1e-8)
+    p, used, _ = ascent.step(taken, Direction(gradient, gradient), LIMIT, 0.0, 1e-8)
     assert used <= LIMIT * (1 + 1e-12)
     row = np.repeat(np.arange(len(chain.n)), np.diff(chain.indptr))
     assert_allclose(np.bincount(row, p), 1.0, rtol=1e-12)
@@ -139,7 +140,7 @@ def test_the_farthest_of_many_ends_is_found(seed, sign, afforded, monkeypatch):
     base, _ = taken.direction(taken.valued(taken.chain.phat.copy(), None), 1.0)
 
     def ascended(point, wander):
-        return likelihood._Ascent(taken, sign, LIMIT, base.value).end(point, 200, wander=wander)[0].value
+        return Ascent(taken, sign, LIMIT, base.value).end(point, 200, wander=wander)[0].value
 
     assert sign * (end - ascended(base, 2)) > 0.015 * abs(end - other)
     lengths, rng = np.diff(taken.chain.indptr), np.random.default_rng(0)
