@@ -21,7 +21,7 @@ from oee_tabular.data.tables import csv_header, require_columns, require_module,
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
 ENDINGS = (*TABLES, ".npz")
 _ENDS = 2**20  # bytes at either end of a file by which it is known again
-_READ = 2**20  # bytes of a column that are read at once
+_READ = 2**20  # bytes of a column that are read at once; without a buffer pyarrow holds all that it has read
 FLAGS = ("terminated", "truncated")
 NUMBERS = ("reward", "behavior_probability")
 NAMES = " (names take a simulator that has them: simulator=, --simulator)"
@@ -171,9 +171,7 @@ class as_parquet:
 
         self.handle = open(self.part.path, "rb")
         try:
-            return parquet.ParquetFile(
-                self.handle, pre_buffer=False, buffer_size=_READ
-            )  # else it holds all that it has read
+            return parquet.ParquetFile(self.handle, pre_buffer=False, buffer_size=_READ)
         except Exception as error:
             self.handle.close()
             raise unreadable(self.part, error) from None

@@ -27,10 +27,8 @@ from oee_tabular.inference.taken import FINE, Point, Taken
 DRAWN = 16  # ascents from drawn rows, of small problems (25 ms for 100 states)
 AFFORDED = 10**6  # moves of the simulator, times the steps of a value, that share such ascents among them
 SWEEPS = 15  # steps of a value without a horizon, in time
-HASTE, CARE = (
-    1e-2,
-    1e-4,
-)  # by which ascents leave off before a known end: large problems, and those that afford several draws
+HASTE = 1e-2  # of the way from the frequencies' value: how near to a known end ascents leave off, in large problems
+CARE = 1e-4  # the same in those that afford several draws: of 1186 ends 5 are missed by 1e-5 of the width; 23 by HASTE
 
 
 @dataclass(frozen=True, eq=False)

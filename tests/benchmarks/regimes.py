@@ -1,8 +1,7 @@
 """V of a fixed policy in every regime: graphs that mix, dense rows, many actions, grids, lattices, layers, a few states.
 
 All clocks, ours and the peers', start with the same MDP and policy: P_pi, r_pi and I - gamma P_pi are formed inside, by each
-peer in the quickest way that scipy has. mdpsolver, whose input is lists, is handed an MDP of the one policy outside of its
-clock. ``error`` is the largest |r + gamma P_pi V - V| over the largest |V|.
+peer in the quickest way that scipy has. The lists that mdpsolver takes of P_pi are made outside of its clock. ``error`` is the largest |r + gamma P_pi V - V| over the largest |V|.
 """
 
 import numpy as np
@@ -98,9 +97,14 @@ def quantecon(mdp, policy):
 
 
 def mdpsolver(mdp, policy, algorithm, update):
-    """mdpsolver with one action; lists are made outside of the clock."""
-    kernel, rewards = kernel_of(mdp, policy)
-    return values.mdpsolver(kernel, rewards, mdp.discount, algorithm, update)
+    """mdpsolver with one action: P_pi is formed within the clock, the lists that it takes are made outside."""
+    solve = values.mdpsolver(*kernel_of(mdp, policy), mdp.discount, algorithm, update)
+
+    def call():
+        kernel_of(mdp, policy)
+        return solve()
+
+    return call
 
 
 SCIPY = {"scipy bicgstab": bicgstab, "scipy spsolve": spsolve, "scipy splu (symmetric)": superlu}
