@@ -1,7 +1,8 @@
 """V of a fixed policy in every regime: graphs that mix, dense rows, many actions, grids, lattices, layers, a few states.
 
 All clocks, ours and the peers', start with the same MDP and policy: P_pi, r_pi and I - gamma P_pi are formed inside, by each
-peer in the quickest way that scipy has. The lists that mdpsolver takes of P_pi are made outside of its clock. ``error`` is the largest |r + gamma P_pi V - V| over the largest |V|.
+peer in the quickest way that scipy has. The lists that mdpsolver takes of P_pi are made outside of its clock.
+``error`` is the largest |r + gamma P_pi V - V| over the largest |V|.
 """
 
 import numpy as np
