@@ -104,29 +104,32 @@ def moments_of_rows(indptr, phat, v, mean, best, spread):
 
 
 @njit(cache=True, error_model="numpy")
-def root(start, stop, phat, v, mean, slope):
-    """e with sum phat / (1 + e - u) = 1: 1 / sum is concave in e, so that Newton's steps from below never pass the root."""
-    e = 0.0
+def root(start, stop, phat, v, mean, slope, e):
+    """e with sum phat / (1 + e - u) = 1, from one near by: 1 / sum is concave in e, so that Newton's steps end below it."""
+    low = 0.0
     for i in range(start, stop):
-        e = max(e, slope * (v[i] - mean) + phat[i] - 1.0)
+        low = max(low, slope * (v[i] - mean) + phat[i] - 1.0)
+    e = max(e, low)
     for _ in range(100):
-        excess, square = 0.0, 0.0
+        excess, square, least = 0.0, 0.0, 1.0
         for i in range(start, stop):
             x = max(e - slope * (v[i] - mean), phat[i] - 1.0)  # no p is above 1, which 1 + e - u loses where u is huge
             share = phat[i] / (1.0 + x)
             excess -= share * x
             square += share / (1.0 + x)
+            least = min(least, 1.0 + x)
         step = (1.0 + excess) * excess / square
-        e += step
-        if not abs(step) > 1e-15 * (abs(e) + 1e-300) or abs(step) < 1e-17:
+        e = max(e + step, low)
+        if not abs(step) > max(1e-15 * e, 1e-9 * least * min(e, 1.0), 1e-17):  # what is left is as its square / least
             break
     return e
 
 
 @njit(cache=True, error_model="numpy")
-def fill(tau, rows, scale, chain, v, mean, best, p):
+def fill(tau, rows, scale, chain, v, mean, best, bent, p):
     """P of ``rows`` into p, where entries never seen are 0 already; sum n KL, and its derivative in log tau.
 
+    ``bent`` is e / tau^2, by which e of one tau is near that of the next; for a small tau the variance of scale v.
     Mass goes to a next state that was never seen where its u is at least 1 + e: then 1 + e = u there, and it gets what the
     others leave.
     """
@@ -135,13 +138,21 @@ def fill(tau, rows, scale, chain, v, mean, best, p):
     for r in rows:
         start, stop, slope, top = chain.indptr[r], chain.seen[r], tau * scale[r], best[r]
         unseen = top >= stop
-        e = 0.0 if stop == start + 1 else root(start, stop, phat, v, mean[r], slope)
+        if stop == start + 1 and not slope * (v[top] - mean[r]) > 1.0:  # the only one that was seen keeps all
+            p[start] = 1.0
+            if unseen:
+                p[top] = 0.0
+            continue
+        e = 0.0
+        if stop > start + 1:
+            e = root(start, stop, phat, v, mean[r], slope, tau * tau * bent[r])
+            bent[r] = e / (tau * tau)
         if unseen:
             p[top] = 0.0
             unseen = slope * (v[top] - mean[r]) - 1.0 > e
             if unseen:
                 e = slope * (v[top] - mean[r]) - 1.0
-        kl, mass, along, square, bent = 0.0, 0.0, 0.0, 0.0, 0.0
+        kl, mass, along, square, across = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(start, stop):
             u = slope * (v[i] - mean[r])
             x = max(e - u, phat[i] - 1.0)
@@ -150,12 +161,12 @@ def fill(tau, rows, scale, chain, v, mean, best, p):
             mass += p[i]
             along += p[i] * u
             square += p[i] / (1.0 + x)
-            bent += p[i] / (1.0 + x) * u
+            across += p[i] / (1.0 + x) * u
         if unseen:
             p[top] = max(1.0 - mass, 0.0)
             growth += chain.n[r]
         else:
-            growth += chain.n[r] * (bent / square - along)
+            growth += chain.n[r] * (across / square - along)
         total += chain.n[r] * kl
     return total, growth
 
@@ -169,18 +180,16 @@ def greedy(rows, chain, low, high, v, p):
         for i in range(start, stop):
             p[i] = low[i]
             rest -= low[i]
-        done = np.zeros(stop - start, dtype=np.bool_)
-        for _ in range(stop - start):
+        while rest > 0.0:
             best = -1
             for i in range(start, stop):
-                if not done[i - start] and (best < 0 or v[i] > v[best]):
+                if p[i] < high[i] and (best < 0 or v[i] > v[best]):
                     best = i
-            done[best - start] = True
-            room = min(high[best] - low[best], rest)
-            p[best] += room
-            rest -= room
-            if rest <= 0.0:
+            if best < 0:
                 break
+            room = high[best] - p[best]
+            p[best] = high[best] if room <= rest else p[best] + rest
+            rest -= room
 
 
 @njit(cache=True, error_model="numpy")

@@ -141,9 +141,9 @@ class Ascent:
 
     def _extrapolated(self, past: list[tuple[Direction, Direction]], share: float) -> Direction:
         """The mixture of the last directions whose own steps cancel best, and ``share`` of the step that is left."""
-        steps = [self.taken.metric * (found.gradient - x.gradient) for x, found in past]
-        apart = np.stack([steps[-1] - other for other in steps[:-1]], axis=1)
-        factors = np.linalg.lstsq(apart.T @ apart, apart.T @ steps[-1], rcond=1e-10)[0]
+        steps = np.stack([self.taken.weighed(found.gradient - x.gradient) for x, found in past])
+        apart = steps[-1] - steps[:-1]
+        factors = np.linalg.lstsq(apart @ apart.T, apart @ steps[-1], rcond=1e-10)[0]
         return _mixed(past, np.append(factors, 1.0 - factors.sum()), share)
 
 
@@ -182,7 +182,8 @@ def step(taken: Taken, direction: Direction, limit: float, tau: float, room: flo
     if tau == 0.0:
         total = float(np.sum(scale[moving] * variance[moving]))
         tau = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / float(size.max())
-    tau, used = root_of(lambda tau: kernel.fill(tau, moving, scale, chain, v, mean, best, p), tau, limit, room)
+    bent = scale * scale * variance
+    tau, used = root_of(lambda tau: kernel.fill(tau, moving, scale, chain, v, mean, best, bent, p), tau, limit, room)
     return p, used, tau
 
 

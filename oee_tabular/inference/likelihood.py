@@ -73,7 +73,7 @@ def profile_end(
     frequencies and from mixtures of them, as far as the set allows, with each row's best (worst) next state by the simulator's
     values and by values that are drawn (the same draws each time): once in large problems, more often in smaller ones, up to
     16 times; the farthest end is taken. Of 1186 ends of random problems, half of them with many rows without data, 5 were more
-    than 1e-5 of the interval's width behind the best of 40 further draws, 1.3% of it at most; 48 (21%) by what large problems
+    than 1e-5 of the interval's width behind the best of 40 further draws, 1.3% of it at most; 49 (21%) by what large problems
     get, 75 (21%) from the frequencies alone.
     """
     limit = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile

@@ -45,13 +45,14 @@ class Graph(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Rows of the set, their J and V, and d (with a horizon: the gradient)."""
+    """Rows of the set, their J and V, and d (with a horizon: the gradient); their P_pi, where solvers iterate."""
 
     p: Array
     value: float
     values: Array
     visits: Array
     gradient: Array
+    kernel: Kernel | None
 
 
 class Direction(NamedTuple):
@@ -110,11 +111,16 @@ class Taken:
         return self.evidence.model.discount
 
     @cached_property
-    def metric(self) -> Array:
-        """(entries,) by which steps of a direction are weighed: how far the rows follow them."""
-        return np.asarray(
-            np.sqrt(self.chain.phat / np.repeat(np.maximum(self.chain.n, 1.0), np.diff(self.chain.indptr)))
-        )
+    def loose(self) -> tuple[IntArray, Array]:
+        """Entries of rows with several next states in the data, and how far the rows follow a direction there."""
+        spread = np.repeat(np.maximum(self.chain.n, 1.0), np.diff(self.chain.indptr))
+        found = np.flatnonzero((self.chain.phat > 0.0) & (self.chain.phat < 1.0))
+        return found, np.sqrt(self.chain.phat[found] / spread[found])
+
+    def weighed(self, change: Array) -> Array:
+        """A change of a direction by how far the rows follow it; others have none."""
+        found, follow = self.loose
+        return np.asarray(follow * change[found])
 
     @cached_property
     def seen(self) -> BoolArray:
@@ -131,17 +137,12 @@ class Taken:
         """(entries,) the least and the largest probabilities."""
         return self.evidence.low[self.entries], self.evidence.high[self.entries]
 
-    def _solved(self, p: Array, near: Array, left: float, transpose: bool) -> tuple[Array, Array]:
-        """V, or transposed d, corrected until ``left`` of what the one near by misses is missed, and that."""
+    def _kernel(self, p: Array) -> tuple[Kernel, Array]:
+        """P_pi and r_pi."""
         from oee_tabular.inference import _profile as kernel
 
-        if len(near) <= DENSE:
-            return self._dense(p, transpose), np.zeros(len(near))
         indptr, columns, shares, paid = kernel.kernel_of(self.chain, p)
-        rows = Kernel(readable(indptr), readable(columns), readable(shares), self.discount)
-        system = System(rows, 1.0, 1.0 + 1e-12, 1.0, transpose)
-        found = solvers.corrected(system, self.chain.initial if transpose else paid, near, left)
-        return found.x, found.missed
+        return Kernel(readable(indptr), readable(columns), readable(shares), self.discount), paid
 
     def _dense(self, p: Array, transpose: bool) -> Array:
         """V, or transposed d, by LAPACK."""
@@ -187,25 +188,36 @@ class Taken:
                 graph, edges, np.bincount(state, share * chain.pay, n), chain.initial, gamma, to_go, visits, worth
             )
             gradient = self.weight * (visits[state] * chain.pay + worth[graph.edge])
-            return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient)
+            return Point(p, float(chain.initial @ to_go[0]), to_go[0].copy(), np.zeros(0), gradient, None)
         before, visits = (np.zeros(n), np.full(n, 1.0 / ((1.0 - gamma) * n))) if near is None else near[2:4]
-        values, missed = self._solved(p, before, left, False)
-        return Point(p, float(chain.initial @ values + visits @ missed), values, visits, np.zeros(0))
+        if n <= DENSE:
+            values = self._dense(p, False)
+            return Point(p, float(chain.initial @ values), values, visits, np.zeros(0), None)
+        rows, paid = self._kernel(p)
+        found = solvers.corrected(_system(rows, False), paid, before, left)
+        value = float(chain.initial @ found.x + visits @ found.missed)
+        return Point(p, value, found.x, visits, np.zeros(0), rows)
 
     def direction(self, point: Point, sign: float, left: float = LEFT) -> tuple[Point, Direction]:
         """Where J rises (sign 1) or falls (-1) at the point, which is returned with its d."""
         chain, gamma = self.chain, self.discount
         ahead = chain.pay + gamma * point.values[chain.column]
-        if self.steps is not None:
-            starts = chain.indptr[:-1]
-            flat = np.maximum.reduceat(point.gradient, starts) == np.minimum.reduceat(point.gradient, starts)
-            order = np.where(np.repeat(flat, np.diff(chain.indptr)), ahead, point.gradient)
-            return point, Direction(sign * point.gradient, sign * order)
-        visits, _ = self._solved(point.p, point.visits, left, True)
-        weight = np.repeat(np.maximum(visits, 0.0), np.diff(chain.first)) * chain.weight
         starts, lengths = chain.indptr[:-1], np.diff(chain.indptr)
+        if self.steps is not None:
+            flat = np.maximum.reduceat(point.gradient, starts) == np.minimum.reduceat(point.gradient, starts)
+            order = np.where(np.repeat(flat, lengths), ahead, point.gradient)
+            return point, Direction(sign * point.gradient, sign * order)
+        if point.kernel is None:
+            visits = self._dense(point.p, True)
+        else:
+            visits = solvers.corrected(_system(point.kernel, True), chain.initial, point.visits, left).x
         ahead -= np.repeat(
             np.add.reduceat(chain.phat * ahead, starts), lengths
         )  # a constant in a row counts for nothing
+        weight = np.repeat(np.maximum(visits, 0.0), np.diff(chain.first)) * chain.weight
         gradient = np.repeat(weight, lengths) * ahead
         return point._replace(visits=visits), Direction(sign * gradient, sign * ahead)
+
+
+def _system(kernel: Kernel, transpose: bool) -> System:
+    return System(kernel, 1.0, 1.0 + 1e-12, 1.0, transpose)
