@@ -53,14 +53,15 @@ def backup(kernel, rewards, ahead, out, first, last):
 
 @njit(cache=True)
 def dot(x, y, size):
-    """x . y over the first ``size`` entries."""
-    total = 0.0
-    for low in range(0, size, CHUNK):
-        part = 0.0
-        for i in range(low, min(size, low + CHUNK)):
+    """x . y over the first ``size`` entries; where x is 0, y may be infinite."""
+    total, part, terms = 0.0, 0.0, 0
+    for i in range(size):
+        if x[i] != 0.0:
             part += x[i] * y[i]
-        total += part
-    return total
+            terms += 1
+            if terms == CHUNK:
+                total, part, terms = total + part, 0.0, 0
+    return total + part
 
 
 @njit(cache=True)

@@ -82,8 +82,7 @@ def expected(model: Model, policy: Array, values: Array) -> float:
 
     if policy.ndim == 3:
         return value_to_horizon(model, policy, len(policy))
-    first = np.flatnonzero(model.initial)
-    return float(_finite.dot(model.initial[first], values[first], len(first)))
+    return float(_finite.dot(model.initial, values, len(values)))
 
 
 def visits(model: Model, policy: Array, steps: int) -> Array:

@@ -53,10 +53,11 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
         if indptr[-1] >= 2**32:
             raise ValueError(f"transitions must have fewer than 2**32 entries; they have {int(indptr[-1])}")
         indptr, indices = indptr.astype(np.uint32), indices.astype(np.uint32)
-    rows = Csr(np.ascontiguousarray(indptr).view(np.uint32), np.ascontiguousarray(indices).view(np.uint32), data.view())
-    for part in rows:
-        part.flags.writeable = False
-    return rows
+    parts = []
+    for part in (indptr, indices, data):
+        flags = part.flags
+        parts.append(part if flags.c_contiguous and not flags.writeable else readable(part))
+    return Csr(parts[0].view(np.uint32), parts[1].view(np.uint32), parts[2])
 
 
 def readable(array: object) -> Any:

@@ -31,6 +31,8 @@ from oee_tabular.exact.system import (
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_steps, steps_of
 
+EPS = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True)
 class PolicyValues:
@@ -136,9 +138,8 @@ def infinite_values(
     if certify:
         return _certified(model, policy, paid, shift, system, recurrent, norm)
     x, _, _, bound, _, method = solvers.answer(system, rewards, near)
-    begin = np.flatnonzero(model.initial)
-    value = _finite.dot(model.initial[begin], x[begin], len(begin))
-    slack = (model.n_actions + 1) * np.finfo(float).eps * largest
+    value = _finite.dot(model.initial, x, len(x))
+    slack = (model.n_actions + 1) * EPS * largest
     return PolicyValues(x, float(value), float(norm * (bound + slack)), method)
 
 
@@ -157,7 +158,7 @@ def _certified(
     low, pay, pay_low = _twofold.average_rest(rows, policy, paid, lost, system.kernel)
     if recurrent is not None:
         low[entries_of(system, recurrent)] = 0.0
-    slack = (0.5 * np.finfo(float).eps * (model.n_actions + widest + 8)) ** 2 * largest
+    slack = (0.5 * EPS * (model.n_actions + widest + 8)) ** 2 * largest
     found = solve_certified(system, low, pay, pay_low, norm, slack)
     value = _twofold.dot(model.initial, found.high, found.low)
     return PolicyValues(found.high, float(value), found.error_bound, found.method, found.certified)

@@ -56,11 +56,11 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         policy = policy_table(policy, mdp, name)
     array = _checks.float_array(policy, name)
-    own = len(mdp.terminal_state)
-    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
     horizon = _checks.optional_horizon(horizon)
     if array.shape == (mdp.n_states, mdp.n_actions) and _are_fine(array, policy):
         return array
+    own = len(mdp.terminal_state)
+    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
     if horizon is not None:
         shapes += [(horizon, *shape) for shape in shapes]
     if array.shape not in shapes:
