@@ -17,8 +17,6 @@ from __future__ import annotations
 
 import importlib
 
-from oee_tabular import _forks  # noqa: F401  from here on, forks are noticed
-
 TYPE_CHECKING = False  # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
 if TYPE_CHECKING:
     from typing import Any

@@ -1,6 +1,6 @@
 """What is being done, for people who wait: a line on stderr once the work has taken two seconds, at most one every two.
 
-Who waits for the compiler gets one sentence from ``waited``; the command sets ``tell``.
+Who waits for the compiler gets one sentence; the command sets ``tell``.
 """
 
 from __future__ import annotations
@@ -15,16 +15,28 @@ SECONDS = 2.0
 LONG = 2.0  # seconds of compiling
 
 tell: Callable[[str], object] | None = None
-_compiling = 0.0  # seconds
 
 
-def waited(seconds: float) -> None:
-    """One sentence, once compiling has taken long."""
-    global _compiling, tell
-    _compiling += seconds
-    if tell is not None and _compiling > LONG:
-        tell("compiling (once)")
-        tell = None
+def announce_compiling(tell: Callable[[str], object]) -> None:
+    """One sentence to ``tell``, once numba has compiled for two seconds."""
+    from numba.core import event
+
+    class Listener(event.Listener):
+        depth, start, seconds = 0, 0.0, 0.0
+
+        def on_start(self, _: object) -> None:
+            self.depth += 1
+            if self.depth == 1:
+                self.start = time.perf_counter()
+
+        def on_end(self, _: object) -> None:
+            self.depth -= 1
+            if self.depth == 0:
+                before, self.seconds = self.seconds, self.seconds + time.perf_counter() - self.start
+                if before <= LONG < self.seconds:
+                    tell("compiling (once)")
+
+    event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
 
 
 class _Steps:
@@ -39,6 +51,8 @@ class _Steps:
     def begin(self, step: str) -> None:
         self.step = step
         if self._thread is None:
+            if tell is not None:
+                announce_compiling(tell)
             self._begun = time.monotonic()
             self._thread = threading.Thread(target=self._tell, daemon=True)
             self._thread.start()

@@ -13,17 +13,9 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.simulate import _lanes, _rollout
 
 SEEDS = range(2)
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-
-
-@pytest.fixture(autouse=True)
-def _compiled(monkeypatch):
-    """Samples of this size would be Python's, which shares no threads."""
-    for kernel in (_rollout.episode_lengths, _rollout.episodes, _rollout.transitions, _lanes.returns):
-        monkeypatch.setattr(kernel, "patience", 0.0)
 
 
 def bits(seed):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _moved
 from oee_tabular.data.counted import TransitionCounts
 from oee_tabular.data.parts import Paths
 from oee_tabular.data.transitions import Transitions
@@ -66,7 +65,7 @@ __all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
 def __getattr__(name: str) -> Any:
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)
-    return _moved.former(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

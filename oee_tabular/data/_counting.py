@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 FULL = 0.6  # share of the slots that are taken: beyond it a table is made larger
 _A, _B, _C = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

@@ -1,6 +1,6 @@
 """Sums over weighted episodes of any lengths that stand in a row, ``starts`` (n + 1,) apart; in a fixed order."""
 
-from oee_tabular._kernels import njit
+from numba import njit
 
 
 @njit(cache=True)

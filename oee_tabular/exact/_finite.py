@@ -9,8 +9,8 @@ Every sum keeps the order of its row, so that a value has the same bits in which
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
-from oee_tabular._kernels import njit, put
 from oee_tabular.exact._policy_rows import transposed
 from oee_tabular.exact.system import Kernel
 
@@ -20,17 +20,7 @@ CHUNK = 128  # terms of a long sum that are added before the sum of these sums: 
 Cone = namedtuple("Cone", "states ends kernel rewards initial")
 
 
-def _backup(kernel, rewards, ahead, out, first, last):
-    """``backup`` by numpy: ``bincount`` too adds one term after the other, 10 to 20 times quicker than Python's loop."""
-    indptr, indices, data, gamma = kernel
-    first, last = int(first), int(last)
-    row = np.repeat(np.arange(last - first), np.diff(indptr[first : last + 1]))
-    held = slice(indptr[first], indptr[last])
-    total = np.bincount(row, data[held] * ahead[indices[held]], last - first)
-    out[first:last] = rewards[first:last] + gamma * total
-
-
-@njit(cache=True, python=_backup)
+@njit(cache=True)
 def backup(kernel, rewards, ahead, out, first, last):
     """out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
     indptr, indices, data, gamma = kernel
@@ -81,7 +71,8 @@ def grown(array, size):
     if size <= len(array):
         return array
     longer = np.zeros(2 * size, array.dtype)
-    put(array, longer)
+    for i in range(len(array)):  # a slice's copy takes two seconds more to compile
+        longer[i] = array[i]
     return longer
 
 
@@ -188,7 +179,8 @@ def cone_visits(cone):
     back = Kernel(*transposed(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
     here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
-    put(cone.initial, here)
+    for i in range(len(cone.initial)):
+        here[i] = cone.initial[i]
     weight = 1.0
     for t in range(len(ends)):
         for i in range(ends[t]):
@@ -251,26 +243,7 @@ def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs,
     return found
 
 
-def _gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, found):
-    """``gradient_flows`` by numpy, some 30 times quicker than Python's loops."""
-    steps, n = to_go.shape[0] - 1, to_go.shape[1]
-    to_go[steps] = 0.0
-    for t in range(steps - 1, -1, -1):
-        backup(kernel, rewards, to_go[t + 1], to_go[t], np.uint64(0), np.uint64(n))
-    row = np.repeat(np.arange(policy.size), np.diff(rows[0]))
-    taken = np.flatnonzero(policy.reshape(-1)[row])
-    state, column = row[taken] // policy.shape[1], rows[1][taken]
-    paid = pay[taken] if len(pay) else 0.0
-    nothing, here, there = np.zeros(n), initial.copy(), np.zeros(n)
-    weight = 1.0
-    for t in range(steps):
-        found[taken] += (weight * here)[state] * (paid + kernel.discount * to_go[t + 1][column])
-        backup(back, nothing, here, there, np.uint64(0), np.uint64(n))
-        here, there = there, here
-        weight *= kernel.discount
-
-
-@njit(cache=True, python=_gradient_flows)
+@njit(cache=True)
 def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, found):
     """found[x] += sum_t gamma^t d_t(s) (pay[x] + gamma V_{t+1}(s')) for the entries x of the actions that are taken.
 

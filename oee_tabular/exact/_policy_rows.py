@@ -1,8 +1,7 @@
 """What a policy makes of the rows s*A + a: the kernel of its states, and residuals of its linear system."""
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 
 @njit(cache=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from oee_tabular import _moved  # noqa: F401  experiments that moved to the wing keep their names
 from oee_tabular.experiments.common import Embedded, embedded_default
 from oee_tabular.experiments.paper import curve as published
 

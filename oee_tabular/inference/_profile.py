@@ -12,8 +12,7 @@ pi(a | s).
 from math import log1p
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
@@ -69,22 +68,7 @@ def flows(graph, share, paid, initial, gamma, to_go, visits, worth):
         now, ahead = ahead, now
 
 
-def _moments_of_rows(indptr, phat, v, mean, best, spread):
-    """``moments_of_rows`` by numpy, 20 times quicker than Python's loops; ``bincount`` adds one term after the other."""
-    n, starts, sizes = len(mean), indptr[:-1], np.diff(indptr)
-    if not sizes.all():
-        raise ValueError("rows must have entries here; compiled they may do without")
-    row = np.repeat(np.arange(n), sizes)
-    mean[:] = np.bincount(row, phat * v, n)
-    largest = np.maximum.reduceat(v, starts)
-    top = np.flatnonzero(v == largest[row])
-    best[:] = top[np.searchsorted(top, starts)]
-    spread[:] = largest - np.minimum.reduceat(v, starts)
-    away = v - mean[row]
-    return np.bincount(row, phat * (away * away), n)
-
-
-@njit(cache=True, error_model="numpy", python=_moments_of_rows)
+@njit(cache=True, error_model="numpy")
 def moments_of_rows(indptr, phat, v, mean, best, spread):
     """Of v under phat in each row: the mean and the variance; the first of the largest v, and the range of v."""
     variance = np.zeros(len(mean))

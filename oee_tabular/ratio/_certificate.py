@@ -9,8 +9,7 @@ its sum: a wrong g, a wrong multiplier and a point outside the constraints all s
 from math import log1p
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,8 +9,7 @@ the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancel
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 
 class Form(NamedTuple):

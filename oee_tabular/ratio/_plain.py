@@ -7,8 +7,7 @@ in blocks of 256 entries, for accuracy, in an order that depends on the row alon
 """
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 BLOCK = 256
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _moved
 from oee_tabular.report.contest import Contest, contest
 from oee_tabular.report.evaluation import Report, evaluate
 from oee_tabular.report.files import check_output, check_page
@@ -31,7 +30,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)
-    return _moved.former(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

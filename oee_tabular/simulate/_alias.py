@@ -13,8 +13,7 @@ TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Eng
 from collections import namedtuple
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 _PLACE = np.uint64(8)  # bits that hold k
 _NONE, _ONE, _BITS = np.uint64(0), np.uint64(1), np.uint64(64)
@@ -72,7 +71,7 @@ def units(chance, n, out):
     return kept, most
 
 
-@njit(cache=True, wraps=True)
+@njit(cache=True)
 def sizes(outcomes, widest, out):
     """k of each state: the least with 2^k slots for its outcomes."""
     chance, unit, row = np.empty(widest), np.empty(widest, np.uint64), np.empty(widest, np.int64)
@@ -109,7 +108,7 @@ def pair(mass, k, word, small, large):
         word[large[i]] = np.uint64(large[i])
 
 
-@njit(cache=True, wraps=True)
+@njit(cache=True)
 def fill(outcomes, pay, ratio, widest, size, code, slots):
     """All slots, state by state; ``pay`` is aligned with rows or with entries, ``ratio`` may be empty."""
     indptr, indices, prob, policy, _ = outcomes

@@ -7,10 +7,8 @@ Thresholds there have 64 bits: where the first 32 do not decide, in one step of 
 from collections import namedtuple
 
 import numpy as np
-from numba import prange
+from numba import njit
 
-from oee_tabular._compiled import threads_share
-from oee_tabular._kernels import njit
 from oee_tabular.simulate._rollout import philox
 
 _LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -224,9 +222,9 @@ def lanes_of(begin, end, plan, slots, outcome):
                         n_stopped += 1
 
 
-@threads_share
+@njit(cache=True, nogil=True)
 def returns(n, chunk, plan, slots, outcome):
     """``lanes_of`` for all n trajectories, in chunks that threads share; no output depends on either."""
-    for c in prange((n + chunk - 1) // chunk):
+    for c in range((n + chunk - 1) // chunk):
         begin = np.int64(c) * chunk  # prange counts in uint64, and uint64 * int64 would be a float64
         lanes_of(begin, min(n, begin + chunk), plan, slots, outcome)

@@ -9,14 +9,8 @@ Until the loops are compiled, Python walks the same episodes, with the numbers o
 Reference: [1] Salmon, Moraes, Dror and Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
-import functools
-from bisect import bisect_right
-
 import numpy as np
-from numba import prange
-
-from oee_tabular._compiled import threads_share
-from oee_tabular._kernels import njit
+from numba import njit
 
 _LOW = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
@@ -73,82 +67,13 @@ def pick(cumulative, low, high, u):
     return low
 
 
-def _first_above(sums, low, high, u):
-    """``pick`` from a list."""
-    return bisect_right(sums, u * sums[high - 1], low, high - 1)
-
-
-def _block(key, begin, most, initial, policy, indptr, indices, cumulative, over):
-    """The entries that some episodes take, a list each: ``begin`` and those behind it, of at most ``most`` steps each.
-
-    All but ``key`` and ``begin`` are lists; an episode ends where ``over`` is true.
-    """
-    n_actions = len(policy) // len(initial)
-    who = np.arange(begin, begin + len(most))
-    state = [_first_above(initial, 0, len(initial), u) for u in uniforms.watched(key, who, 0)[0].tolist()]
-    paths = [[] for _ in most]
-    going, t = [i for i, steps in enumerate(most) if steps > 0], 0
-    while going:
-        drawn = uniforms.watched(key, who[going][:, None], np.arange(t + 1, t + 1 + _BLOCK))
-        on = []
-        for i, *numbers in zip(going, *(part.tolist() for part in drawn), strict=True):
-            s, path = state[i], paths[i]
-            for u, v in zip(*numbers, strict=True):
-                row = _first_above(policy, s * n_actions, (s + 1) * n_actions, u)
-                path.append(_first_above(cumulative, indptr[row], indptr[row + 1], v))
-                s = indices[path[-1]]
-                if len(path) == most[i] or over[s]:
-                    break
-            else:
-                on.append(i)
-            state[i] = s
-        going, t = on, t + _BLOCK
-    return paths
-
-
-def _walked(key, most, over, initial, *tables):
-    """The paths of all episodes."""
-    lists = [initial.tolist(), *(table.reshape(-1).tolist() for table in tables), over.tolist()]
-    for begin in range(0, len(most), _BLOCK):
-        yield from _block(key, begin, most[begin : begin + _BLOCK].tolist(), *lists)
-
-
-def _episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulative, over):
-    """``episode_lengths`` by Python."""
-    most = np.full(n, horizon)
-    return np.array([len(path) for path in _walked(key, most, over, initial, policy, indptr, indices, cumulative)])
-
-
-def _episodes(key, starts, initial, policy, indptr, indices, cumulative):
-    """``episodes`` by Python."""
-    over = np.zeros(len(initial), dtype=np.bool_)
-    paths = _walked(key, np.diff(starts), over, initial, policy, indptr, indices, cumulative)
-    entries = np.array([entry for path in paths for entry in path], dtype=np.int64)
-    return np.searchsorted(indptr, entries, side="right") - 1, entries
-
-
-def _transitions(key, n, distribution, indptr, cumulative):
-    """``transitions`` by Python."""
-    ends, sums = indptr.tolist(), cumulative.tolist()
-    rows, entries = np.empty((2, n), dtype=np.int64)
-    for begin in range(0, n, _BLOCK * _BLOCK):
-        who = np.arange(begin, min(n, begin + _BLOCK * _BLOCK))
-        u, v = uniforms(key, who, 0)
-        rows[who] = np.minimum(np.searchsorted(distribution, u * distribution[-1], side="right"), len(distribution) - 1)
-        entries[who] = [
-            _first_above(sums, ends[row], ends[row + 1], x)
-            for row, x in zip(rows[who].tolist(), v.tolist(), strict=True)
-        ]
-    return rows, entries
-
-
-@functools.partial(threads_share, python=_episode_lengths)
+@njit(cache=True, nogil=True)
 def episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulative, over):
     """The number of steps of each of n episodes: up to the horizon, or to the first state that is over."""
     n_states, n_actions = policy.shape
     flat = policy.reshape(-1)
     lengths = np.empty(n, dtype=np.int64)
-    for i in prange(n):
+    for i in range(n):
         u, _ = uniforms(key, i, 0)
         state = pick(initial, 0, n_states, u)
         t = 0
@@ -163,14 +88,14 @@ def episode_lengths(key, n, horizon, initial, policy, indptr, indices, cumulativ
     return lengths
 
 
-@functools.partial(threads_share, python=_episodes)
+@njit(cache=True, nogil=True)
 def episodes(key, starts, initial, policy, indptr, indices, cumulative):
     """The same episodes, written out: row and entry of each move, in the ragged places that ``starts`` gives."""
     n_states, n_actions = policy.shape
     flat = policy.reshape(-1)
     rows = np.empty(starts[-1], dtype=np.int64)
     entries = np.empty(starts[-1], dtype=np.int64)
-    for i in prange(len(starts) - 1):
+    for i in range(len(starts) - 1):
         u, _ = uniforms(key, i, 0)
         state = pick(initial, 0, n_states, u)
         for t in range(starts[i + 1] - starts[i]):
@@ -183,12 +108,12 @@ def episodes(key, starts, initial, policy, indptr, indices, cumulative):
     return rows, entries
 
 
-@functools.partial(threads_share, python=_transitions)
+@njit(cache=True, nogil=True)
 def transitions(key, n, distribution, indptr, cumulative):
     """n independent moves: a row from ``distribution`` (running sums), then a stored entry of the row."""
     rows = np.empty(n, dtype=np.int64)
     entries = np.empty(n, dtype=np.int64)
-    for i in prange(n):
+    for i in range(n):
         u, v = uniforms(key, i, 0)
         row = pick(distribution, 0, len(distribution), u)
         rows[i] = row

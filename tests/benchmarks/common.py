@@ -13,12 +13,6 @@ import time
 
 import numpy as np
 
-from oee_tabular import _kernels
-
-_kernels.PATIENCE = (
-    0.0  # compile at once: what Python runs until a kernel is worth compiling is the first start's affair
-)
-
 
 def cpu(call, *arguments):
     """The call's result, and its CPU seconds (all threads of the process)."""

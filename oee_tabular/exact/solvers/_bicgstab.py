@@ -14,8 +14,8 @@ Stat. Comput. 2 (1981).
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
-from oee_tabular._kernels import njit
 from oee_tabular.exact._policy_rows import transposed
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x

@@ -12,8 +12,7 @@ Reference: [1] Gabow, Path-based depth-first search for strong and biconnected c
 """
 
 import numpy as np
-
-from oee_tabular._kernels import njit
+from numba import njit
 
 _ONE = np.uint32(1)
 

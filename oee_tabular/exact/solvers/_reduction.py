@@ -10,8 +10,8 @@ Reference: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 
 from collections import namedtuple
 
 import numpy as np
+from numba import njit
 
-from oee_tabular._kernels import njit
 from oee_tabular.exact.solvers import _bicgstab as bicgstab
 from oee_tabular.exact.system import Kernel
 

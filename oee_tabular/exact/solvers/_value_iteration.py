@@ -8,8 +8,8 @@ Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
 
 import numpy as np
+from numba import njit
 
-from oee_tabular._kernels import njit
 from oee_tabular.exact._policy_rows import times
 
 

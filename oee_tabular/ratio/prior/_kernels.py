@@ -7,9 +7,8 @@ from math import log, log1p
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
+from numba import njit
 
-from oee_tabular._kernels import njit
 from oee_tabular.exact.system import Csr
 
 FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
@@ -107,16 +106,7 @@ def match(indptr, indices, weights, sizes):
     return group
 
 
-def _merge(matrix, group):
-    """``merge`` by products of scipy's, for few entries."""
-    kind = matrix.indices.dtype
-    onto = sparse.csr_array((np.ones(len(group)), group.astype(kind), np.arange(len(group) + 1, dtype=kind)))
-    whole = sparse.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=(len(group), len(group)))
-    found = sparse.csr_array(sparse.csr_array(onto.T) @ (whole @ onto))
-    return Csr(found.indptr, found.indices, found.data)
-
-
-@njit(cache=True, python=_merge)
+@njit(cache=True)
 def merge(matrix, group):
     """The sums of ``matrix`` (> 0) over groups of rows and of columns, in the order and to the bits of scipy's O' (W O).
 
