@@ -315,7 +315,7 @@ def _readers():
     import oee_tabular as oee
     from oee_tabular.cli.files import described
     from oee_tabular.mdp import check_policy
-    from oee_tabular.mdp.policies import policy_array
+    from oee_tabular.mdp.policies import read_policy_array
 
     grid = oee.tasks.gridworld(3, 0.3)
 
@@ -340,7 +340,7 @@ def _readers():
         return finite(found.rewards, found.transitions.data, found.initial, value)
 
     def policy(name):
-        return finite(check_policy(policy_array(name, "policy"), grid, name=f"policy {name!r}"))
+        return finite(check_policy(read_policy_array(name, "policy"), grid, name=f"policy {name!r}"))
 
     def info(name):
         return bool(described(name))

@@ -7,7 +7,7 @@ import numpy as np
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.bench.family import Family, Moves, Recorded, model, poisson, shifted
 from oee_tabular.mdp import uniform_policy
-from oee_tabular.mdp.policy_forms import deterministic_policy
+from oee_tabular.mdp.policies import deterministic_policy
 
 Line = tuple[float, float, float]  # arrivals, slow and fast service of a queue
 

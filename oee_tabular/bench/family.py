@@ -21,7 +21,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy, mix, uniform_policy
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes
@@ -76,7 +76,7 @@ class Family:
             object.__setattr__(self, name, check_policy(getattr(self, name), self.simulator, name=name))
         if not isinstance(self.about, str) or not self.about.strip():
             raise ValueError(f"about must be a sentence that says what the simulator has wrong; got {self.about!r}")
-        object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
+        object.__setattr__(self, "horizon", optional_horizon_length(self.horizon, self.simulator))
         object.__setattr__(self, "length", _checks.positive_integer(self.length, "length"))
 
     def __repr__(self) -> str:

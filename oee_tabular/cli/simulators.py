@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
+    from oee_tabular.mdp import FiniteMDP
     from oee_tabular.tasks import NamedTask
 
 
@@ -158,8 +159,7 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
-    from oee_tabular.mdp.policies import policy_array
-    from oee_tabular.mdp.policy_forms import by_state
+    from oee_tabular.mdp.policies import read_policy_array
 
     _progress.doing(f"reading the policy {spec}")
     if spec == "uniform":
@@ -183,8 +183,46 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     if suffix not in (".npy", ".npz", ".csv"):
         raise ValueError(f"{name} must be {_FORMS}; got {spec!r}{_meant(spec)}")
     if suffix == ".csv":
-        return check_policy(by_state(csv_frame(spec), task.mdp, repr(spec)), task.mdp, name=f"{name} {spec!r}")
-    return check_policy(policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
+        return check_policy(_policy_by_state(csv_frame(spec), task.mdp, repr(spec)), task.mdp, name=f"{name} {spec!r}")
+    return check_policy(read_policy_array(spec, name), task.mdp, name=f"{name} {spec!r}")
+
+
+def _policy_by_state(frame: Any, mdp: FiniteMDP, name: str) -> dict[Any, Any]:
+    """The mapping of a table with the columns state, action (and probability), or state and one for each action."""
+    from oee_tabular.mdp.naming import numbers_of
+
+    labels, known = list(frame.columns), numbers_of(mdp.action_names or ())
+    actions = {label: int(label) if label.isdigit() else label for label in labels if label != "state"}
+    is_wide = all(action in known or action in range(mdp.n_actions) for action in actions.values())
+    if "state" not in labels or not actions or not ("action" in labels or is_wide) or len(frame) == 0:
+        raise ValueError(
+            f"{name} must have the columns state and action, with probability or without, or state and one for each action, "
+            f"and at least one row; it has {', '.join(labels)} and {len(frame)} rows"
+        )
+    policy: dict[Any, Any] = {}
+    for row in frame.to_dict("records"):
+        state = row["state"]
+        if "action" in labels and "probability" in labels:
+            choice = policy.setdefault(state, {})
+            if row["action"] in choice:
+                raise ValueError(
+                    f"{name} must have each state's action once; state {state}, action {row['action']} is there twice"
+                )
+            choice[row["action"]] = _number(row["probability"], name)
+        elif state in policy:
+            raise ValueError(f"{name} must have a row for each state; state {state} has two")
+        elif "action" in labels:
+            policy[state] = row["action"]
+        else:
+            policy[state] = {action: _number(row[label], name) for label, action in actions.items()}
+    return policy
+
+
+def _number(value: Any, name: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must have numbers as probabilities; it has {value!r}") from None
 
 
 def _meant(spec: str) -> str:

@@ -151,7 +151,7 @@ def recorded_states(
 
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; the expert where there are none."""
-    from oee_tabular.mdp.policies import policy_array
+    from oee_tabular.mdp.policies import read_policy_array
     from oee_tabular.tasks.arguments import named_specs
 
     if specs is None and simulator.expert is None:
@@ -163,7 +163,7 @@ def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[s
         is_file = Path(source).suffix.lower() in (".npy", ".npz")
         if is_file:
             _refuse_arrays(source, simulator, "--policy")
-        found[label] = policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
+        found[label] = read_policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
     return found
 
 
@@ -173,10 +173,10 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
         return simulator.policy(spec, name)
     _refuse_arrays(spec, simulator, name)
     from oee_tabular.continuous.on_cells import as_function, as_table
-    from oee_tabular.mdp.policies import policy_array
+    from oee_tabular.mdp.policies import read_policy_array
 
     model = simulator.build()
-    return as_function(as_table(policy_array(spec, name), model, spec), model)
+    return as_function(as_table(read_policy_array(spec, name), model, spec), model)
 
 
 def _refuse_arrays(spec: str, simulator: ContinuousSimulator, name: str) -> None:

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states
-from oee_tabular.mdp.horizons import followed
+from oee_tabular.mdp.horizons import limit_horizon
 
 CHUNK = 4096  # episodes of one random stream
 
@@ -81,7 +81,7 @@ def monte_carlo_value(
     _checks.instance(task, ContinuousTask, "task")
     n, gamma = _checks.positive_integer(n_episodes, "n_episodes"), _checks.number_in(discount, "discount", 0.0, 1.0)
     _checks.boolean(normalized, "normalized")
-    steps = followed(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
+    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
     if normalized and gamma == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     returns = []

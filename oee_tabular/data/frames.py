@@ -13,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Column
 from oee_tabular.data.files import COLUMNS, MOVE
 from oee_tabular.data.tables import SEPARATORS, meant
-from oee_tabular.mdp.naming import Name, check_names, is_name, plain, reads_as_number
+from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
 
@@ -209,14 +209,14 @@ def _names_in(value: object, name: str) -> list[Any] | None:
         if array.dtype.kind not in "UO" or array.ndim != 1:
             return None
         items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
-    if not items or not isinstance(items[0], told) or not is_name(plain(items[0])):
+    if not items or not isinstance(items[0], told) or not is_name(to_plain(items[0])):
         return None
-    names = [item if type(item) is str else plain(item) for item in items]
+    names = [item if type(item) is str else to_plain(item) for item in items]
     try:
         distinct = dict.fromkeys(names)
     except TypeError as error:
         raise ValueError(f"{name} must be a column of names; {error}") from None
-    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and reads_as_number(item))]
+    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and is_number_text(item))]
     if len(odd) == len(distinct):
         return None
     if odd:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oee_tabular._checks import BoolArray, Column, IntArray
-from oee_tabular.mdp.naming import Name, nearest, numbers_of
+from oee_tabular.mdp.naming import Name, numbers_of, suggest_name
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
 _TRUE, _FALSE = ("true", "1", "1.0"), ("false", "0", "0.0")
@@ -82,7 +82,7 @@ def _named(column: Column, names: tuple[Name, ...] | None, size: int) -> tuple[C
     rule = "must be one of the simulator's names"
 
     def told(k: int) -> str:
-        return f"it is {column[k]!r}{nearest(column[k], names)}"
+        return f"it is {column[k]!r}{suggest_name(column[k], names)}"
 
     return np.where(unknown, 0, code), [(unknown, rule, told)]
 

@@ -22,7 +22,7 @@ from oee_tabular.data.columns import Log, integers, spans
 from oee_tabular.data.frames import coded, episode_columns, frame_columns, is_frame
 from oee_tabular.data.moves import Moves, counts_of, distinct, numbered_pairs
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, renumbered, worded
+from oee_tabular.mdp.naming import Name, name_text, renumber
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -115,7 +115,7 @@ class Transitions(Log):
         return np.asarray(following != state)
 
     def _shown(self, state: Column) -> Any:
-        return state.tolist() if self.state_names is None else worded(self.state_names, state)
+        return state.tolist() if self.state_names is None else name_text(self.state_names, state)
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats; names where it has names."""
@@ -198,7 +198,7 @@ class Transitions(Log):
         )
         for column, own, names, size in matched:
             if own is not None:
-                columns[column] = renumbered(columns[column], own, names, size, f"{name}.{column}")
+                columns[column] = renumber(columns[column], own, names, size, f"{name}.{column}")
         return type(self)(**columns)
 
     def __repr__(self) -> str:

@@ -32,8 +32,8 @@ from oee_tabular.design.programs import Design, conic_design, evaluate, fill, fr
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
-from oee_tabular.mdp.horizons import optional_steps
-from oee_tabular.mdp.policy_forms import is_policy_by_state
+from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp.policies import is_policy_by_state
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.ratio.support import refuse_unsupported
@@ -233,7 +233,7 @@ def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
 def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
-        return np.zeros(problem.n_states * problem.n_actions), problem, optional_steps(horizon, problem)
+        return np.zeros(problem.n_states * problem.n_actions), problem, optional_horizon_length(horizon, problem)
     _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ValueError(

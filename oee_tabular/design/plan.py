@@ -12,7 +12,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.costs import sentence
 from oee_tabular.design.programs import evaluate
-from oee_tabular.mdp.naming import NAMELESS, Names, worded
+from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Plan:
 
         def pair(s: int, a: int) -> dict[str, Any]:
             numbers = {"state": int(s), "action": int(a)}
-            return {key: k if called[key] is None else worded(called[key], k) for key, k in numbers.items()}
+            return {key: k if called[key] is None else name_text(called[key], k) for key, k in numbers.items()}
 
         top = [
             divmod(int(k), self.distribution.shape[1])

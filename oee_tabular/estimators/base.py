@@ -18,7 +18,7 @@ from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 
@@ -233,7 +233,7 @@ def population(
     behavior = None
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    steps = optional_steps(horizon, simulator)
+    steps = optional_horizon_length(horizon, simulator)
     return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
 
 

@@ -26,7 +26,7 @@ from oee_tabular.estimators.findings import (
 )
 from oee_tabular.estimators.rewards import RewardConflict, conflict, simulator_rewards, with_log_rewards
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
@@ -137,7 +137,7 @@ class Problem:
         if self.episodes is not None:
             _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
-        object.__setattr__(self, "horizon", optional_steps(self.horizon, self.simulator))
+        object.__setattr__(self, "horizon", optional_horizon_length(self.horizon, self.simulator))
         if self.behavior_policy is not None:
             checked = check_policy(self.behavior_policy, self.simulator, name="behavior_policy")
             object.__setattr__(self, "behavior_policy", checked)

@@ -73,7 +73,7 @@ def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewar
     moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
     k = int(differ[np.argmax(np.abs(far - expected)[differ])])
     example = (
-        f"{simulator.names.move(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
+        f"{simulator.names.transition(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
         f"{expected[k]:g} in the simulator"
     )
     varies = bool((least[differ] < most[differ]).any())

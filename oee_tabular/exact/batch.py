@@ -14,7 +14,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.exact.reweighted import Model, ReweightedModel, require_model
 from oee_tabular.exact.values import evaluate_policy
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import SHORT, steps_of
+from oee_tabular.mdp.horizons import SHORT_HORIZON, horizon_length
 
 SMALL = 32  # states of an MDP that is made dense
 
@@ -166,8 +166,8 @@ def evaluate_batch(
     stack = models if isinstance(models, ModelStack) else stack_models([models] if single else models)  # type: ignore[list-item, arg-type]
     policies = _policies(policies, None if single else len(stack))
     count = len(policies)
-    if steps is not None and steps > SHORT:
-        steps = max(steps_of(steps, model) for model in stack.models)
+    if steps is not None and steps > SHORT_HORIZON:
+        steps = max(horizon_length(steps, model) for model in stack.models)
     values: list[Array] = [np.full(1, np.nan)] * count
     value, errors = np.zeros(count), np.full(count, np.nan)
     for group in stack.groups:

@@ -25,7 +25,7 @@ from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.mdp.horizons import horizon_length
 
 
 def efficiency_bound(
@@ -218,7 +218,7 @@ def trajectory_efficiency_bound(
     14.04
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    steps = steps_of(horizon, mdp, kept=12 * mdp.n_states)
+    steps = horizon_length(horizon, mdp, kept=12 * mdp.n_states)
     _checks.one_of(model, "model", ("mdp", "tree", "stationary"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)

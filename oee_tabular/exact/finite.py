@@ -15,7 +15,7 @@ from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import readable, rows_of
 from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import followed
+from oee_tabular.mdp.horizons import limit_horizon
 
 if TYPE_CHECKING:
     from oee_tabular.exact._finite import Cone
@@ -25,7 +25,7 @@ STRICT = 1e-9  # the compiled check is stricter than check_policy, which decides
 
 def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    from oee_tabular.mdp._policies import are_distributions
+    from oee_tabular.mdp._policies import is_stochastic_matrix
 
     shape = (model.n_states, model.n_actions)
     if (
@@ -33,7 +33,7 @@ def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
         and policy.dtype == np.float64
         and policy.flags.c_contiguous
         and policy.shape in (shape, (horizon, *shape))
-        and are_distributions(readable(policy.reshape(-1, model.n_actions)), STRICT)
+        and is_stochastic_matrix(readable(policy.reshape(-1, model.n_actions)), STRICT)
     ):
         return policy
     return check_policy(policy, model, horizon=horizon)
@@ -139,5 +139,5 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
     [0.0, 0.5, 0.75, 0.875]
     """
     require_model(mdp)
-    steps = followed(_checks.positive_integer(horizon, "horizon"), 1.0, work=mdp.transitions.nnz, kept=3)
+    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), 1.0, work=mdp.transitions.nnz, kept=3)
     return values_by_horizon(mdp, policy_to_read(policy, mdp, steps), steps)

@@ -26,7 +26,7 @@ from oee_tabular.exact.system import (
 )
 from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 
 
 @overload
@@ -72,7 +72,7 @@ def occupancy(
     """
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
-    steps = optional_steps(horizon, mdp, policy)
+    steps = optional_horizon_length(horizon, mdp, policy)
     pi = check_policy(policy, mdp) if steps is None else policy_to_read(policy, mdp, steps)
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
@@ -166,7 +166,7 @@ def transition_gradient(
             raise ValueError(
                 f"values_of must have the model's states and actions, {model.rewards.shape}; it has {values_of.rewards.shape}"
             )
-    steps = optional_steps(horizon, model, kept=model.n_states)
+    steps = optional_horizon_length(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)
     valued = model if values_of is None else values_of
     lengths = np.diff(valued.transitions.indptr)

@@ -9,8 +9,8 @@ from oee_tabular._checks import Array
 from oee_tabular.exact.system import rows_of
 from oee_tabular.exact.values import action_values, infinite_values, said
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import followed
-from oee_tabular.mdp.policy_forms import deterministic_policy
+from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.mdp.policies import deterministic_policy
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
@@ -47,7 +47,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     steps = _checks.optional_horizon(horizon)
     if steps is not None:
         size = mdp.rewards.size
-        return _backward_induction(mdp, followed(steps, 1.0, work=mdp.transitions.nnz, kept=size))
+        return _backward_induction(mdp, limit_horizon(steps, 1.0, work=mdp.transitions.nnz, kept=size))
     model = rows_of(mdp.transitions), mdp.rewards, mdp.discount
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)

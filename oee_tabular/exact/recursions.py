@@ -18,7 +18,7 @@ from oee_tabular._threads import dot
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
 from oee_tabular.exact.system import exponent, readable
 from oee_tabular.exact.walks import Walk, radius_of
-from oee_tabular.mdp.horizons import SHORT, followed
+from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
 
 if TYPE_CHECKING:
     from oee_tabular.exact._moments import Extras
@@ -103,14 +103,14 @@ def largest_exponent(walk: Walk) -> int:
 
 def steps_followed(walk: Walk, steps: int, lasting: bool, sources: bool) -> int:
     """The steps of a horizon that are carried out; weights that grow faster than the discount, or stay, keep all of them."""
-    if steps <= SHORT or len(walk.act) > 1:
+    if steps <= SHORT_HORIZON or len(walk.act) > 1:
         return steps
     rate = walk.discount
     if not (_all_one(walk.u) and _all_one(walk.w)):
         first, second = (radius_of(walk.weighted_kernel(power)) for power in (1, 2))
         rate = 1.0 if lasting else max(rate, rate * first, rate**2 * second)
     kept = 10.0 * walk.n_states if sources or lasting else 4.0
-    return followed(steps, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
+    return limit_horizon(steps, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
 
 
 def per_decision(walk: Walk, steps: int, *, sources: bool = False, **given: Array | None) -> Moments:

@@ -29,7 +29,7 @@ from oee_tabular.exact.system import (
     without,
 )
 from oee_tabular.mdp import check_policy
-from oee_tabular.mdp.horizons import optional_steps, steps_of
+from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 
 EPS = float(np.finfo(float).eps)
 
@@ -98,7 +98,7 @@ def evaluate_policy(
     """
     _checks.instance(model, MODELS, "model", "FiniteMDP")
     _checks.boolean(certify, "certify")
-    steps = None if horizon is None else steps_of(horizon, model, policy)
+    steps = None if horizon is None else horizon_length(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if certify and steps is not None:
         raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
@@ -214,7 +214,7 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
         return value if np.isfinite(value) else float(said(value))
-    steps = steps_of(horizon, mdp, policy)
+    steps = horizon_length(horizon, mdp, policy)
     return float(said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
 
 
@@ -253,7 +253,7 @@ def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None)
     [[10.0, 18.0], [20.0, 20.0]]
     """
     require_model(mdp)
-    steps = optional_steps(horizon, mdp, policy)
+    steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
     return np.asarray(said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))

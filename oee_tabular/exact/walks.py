@@ -13,7 +13,7 @@ from oee_tabular._sparse import ratio_on, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import readable, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import followed
+from oee_tabular.mdp.horizons import limit_horizon
 
 
 class Walk(NamedTuple):
@@ -144,7 +144,7 @@ def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, ho
     steps = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator, horizon=steps)
     walk = walk_of(simulator, pi, ratio=zeta)
-    steps = followed(steps, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
+    steps = limit_horizon(steps, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
     first, second = (walk.reaches(steps, power=power)[:, 0].sum(axis=1) for power in (1, 2))
     return first, second
 

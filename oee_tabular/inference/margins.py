@@ -41,7 +41,7 @@ from oee_tabular.exact.system import policy_kernel
 from oee_tabular.inference.ambiguity import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import canonical_table
-from oee_tabular.mdp.horizons import steps_of, total_discount
+from oee_tabular.mdp.horizons import horizon_length, total_discount
 
 ROUNDS = 20  # of improving u; it stays after two or three
 ALLOWED = 0.5  # probability of the stray moves in the model whose support the counts need; no value depends on it
@@ -120,7 +120,7 @@ def _step_by_step(problem: Problem, evidence: Evidence, horizon: int, sign: floa
     model, policy, gamma = evidence.with_rows(evidence.phat), evidence.policy, evidence.model.discount
     rows, values = np.flatnonzero(problem.dropped), np.zeros(len(evidence.policy))
     share = (problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0))[rows]
-    for _ in range(steps_of(horizon, model)):
+    for _ in range(horizon_length(horizon, model)):
         worth = model.rewards.reshape(-1) + gamma * (model.transitions @ values)
         _, led = _extremes(problem.model, rows, gamma * values[None, :], np.ones(len(rows)), sign)
         worth[rows] = (1.0 - share) * worth[rows] + share * led
@@ -165,7 +165,7 @@ def _ahead(model: ReweightedModel, policy: Array, states: IntArray, horizon: int
     n_states = len(policy)
     pay = (policy * model.rewards).sum(axis=1)
     mixed = policy_kernel(model, policy)
-    steps = steps_of(horizon, model)
+    steps = horizon_length(horizon, model)
     _checks.require_memory(float(steps * n_states + len(states) * (steps + n_states)), "horizon", horizon)
     values = np.zeros((steps, n_states))  # after step t
     for t in range(steps - 2, -1, -1):
@@ -246,7 +246,7 @@ def _beyond_by_step(evidence: Evidence, fitted: ReweightedModel, unmet: Array, h
     """What may lie beyond, down and up, each step's with the V of the steps that are left."""
     policy, gamma = evidence.policy, fitted.discount
     values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
-    for _ in range(steps_of(horizon, fitted)):
+    for _ in range(horizon_length(horizon, fitted)):
         each = np.column_stack([unmet * _beyond(evidence, values, sign) for sign in (-1.0, 1.0)])
         ahead = (each + gamma * (fitted.transitions @ beyond)).reshape(*policy.shape, 2)
         beyond = np.einsum("sa,sak->sk", policy, ahead)

@@ -15,7 +15,7 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import solvers
 from oee_tabular.exact.system import Kernel, System, readable
 from oee_tabular.inference.ambiguity import Evidence, reached_rows
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 
 DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms), and needs no compiling
 LEFT = 1e-3  # of what the last V and d miss in new rows: what is left of it
@@ -103,7 +103,7 @@ class Taken:
             evidence.n[rows],
             model.initial[states],
         )
-        return cls(evidence, entries, chain, optional_steps(evidence.horizon, model, kept=model.n_states))
+        return cls(evidence, entries, chain, optional_horizon_length(evidence.horizon, model, kept=model.n_states))
 
     @property
     def discount(self) -> float:

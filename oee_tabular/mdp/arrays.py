@@ -17,7 +17,7 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 def name_move(matrix: sparse.csr_array, entry: int, n_actions: int, names: Names = NAMELESS) -> str:
     """``s=3, a=1 -> s'=7`` for a stored entry of a matrix with rows s*A + a; names in place of numbers where there are some."""
     row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
-    return names.move(*divmod(row, n_actions), matrix.indices[entry])
+    return names.transition(*divmod(row, n_actions), matrix.indices[entry])
 
 
 def transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:

@@ -30,7 +30,7 @@ from oee_tabular.mdp.arrays import (
     transition_rows,
 )
 from oee_tabular.mdp.made import Made
-from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, start_law, to_text
+from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, initial_distribution, to_text
 
 KIND = "finite_mdp"
 
@@ -142,7 +142,7 @@ class FiniteMDP(Made):
         else:
             terminal = terminal_states(terminal_state, n_states)
         called = None if state_names is None else check_names(state_names, "state_names", n_states)
-        start = start_law(initial, called, n_states)
+        start = initial_distribution(initial, called, n_states)
         places = None if layout is None else check_layout(layout, n_states)
         values = {
             "n_states": n_states,

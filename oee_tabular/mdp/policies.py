@@ -1,25 +1,35 @@
-"""Policies are arrays: (S, A) for stationary ones, (T, S, A) where a function has a horizon."""
+"""Policies pi(a | s): in every form that people have them, checked and made (S, A), or (T, S, A) with a horizon."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.mdp.policy_forms import Sized, are_several, deterministic_policy, is_policy_by_state, policy_table
+from oee_tabular._checks import Array, IntArray, PolicyLike
+from oee_tabular.mdp.naming import is_name, names_of, number_of, numbers_of, to_plain
 
 
-def require_sized(mdp: object) -> None:
-    """A ValueError for what has no states and actions."""
-    if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+class Sized(Protocol):
+    """Anything with numbers of states and actions, and the states that the environment itself knows."""
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+
+    @property
+    def terminal_state(self) -> IntArray:
+        """(S0,): its length is the number of the environment's own states."""
 
 
 def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
-    """``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
+    """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
     A policy of the environment's own number of states is extended to the twins that termination appended, where any
     action does.
@@ -27,8 +37,8 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     Parameters
     ----------
     policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single precision are scaled to sum to 1.
-        Or (S,): an action a state, by number or name; a mapping state -> action, or its distribution ((A,), or a mapping
-        action -> probability), in which states that are over may be left out; a function of a state that returns such.
+        Or (S,): an action for each state, by number or name; a mapping state -> action, or its distribution ((A,), or a
+        mapping action -> probability), in which terminal states may be left out; a function of a state that returns such.
         A function is given a state's name, or its number where there are no names
     mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
     name : what errors call the policy
@@ -37,7 +47,7 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     Raises
     ------
     ValueError
-        With the place, the rule and the value found.
+        With the place, the rule and the value.
 
     Examples
     --------
@@ -51,16 +61,21 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     Traceback (most recent call last):
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
+    from oee_tabular.mdp._policies import is_stochastic_matrix
+
     require_sized(mdp)
     _checks.instance(name, str, "name")
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         policy = policy_table(policy, mdp, name)
     array = _checks.float_array(policy, name)
     horizon = _checks.optional_horizon(horizon)
-    if array.shape == (mdp.n_states, mdp.n_actions) and _are_fine(array, policy):
-        return array
-    own = len(mdp.terminal_state)
-    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, own))]
+    n_own = len(mdp.terminal_state)
+    is_double = getattr(policy, "dtype", None) != np.float32
+    if is_double and array.shape == (mdp.n_states, mdp.n_actions):
+        tolerance = 0.99 * _checks.SUM_TOLERANCE  # what misses it by a rounding is looked at again below
+        if is_stochastic_matrix(np.ascontiguousarray(array), tolerance):
+            return array
+    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, n_own))]
     if horizon is not None:
         shapes += [(horizon, *shape) for shape in shapes]
     if array.shape not in shapes:
@@ -70,34 +85,26 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     array = _checks.scaled_if_single(array, policy)
     _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
     if array.shape[-2] < mdp.n_states:
-        twins = (*array.shape[:-2], mdp.n_states - own, mdp.n_actions)
+        twins = (*array.shape[:-2], mdp.n_states - n_own, mdp.n_actions)
         array = np.concatenate([array, np.full(twins, 1.0 / mdp.n_actions)], axis=-2)
     return array
 
 
-def _are_fine(array: Array, given: object) -> bool:
-    """Whether nothing more is to be looked at: single precision is, and what misses the tolerance by a rounding."""
-    from oee_tabular.mdp import _policies
-
-    double = getattr(given, "dtype", None) != np.float32
-    return double and bool(_policies.are_distributions(np.ascontiguousarray(array), 0.99 * _checks.SUM_TOLERANCE))
-
-
 def check_policies(policies: Any, mdp: Sized, *, name: str = "policies", alone: str = "policy") -> dict[str, Array]:
-    """Name -> (S, A) from a policy (called ``alone``), a list of them, or a mapping name -> policy; none: an empty one.
+    """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a mapping name -> policy.
 
     A mapping all of whose keys are states is one policy.
     """
     require_sized(mdp)
     if isinstance(policies, Mapping) and not is_policy_by_state(policies, mdp):
         return {str(key): check_policy(policy, mdp, name=f"{name} {str(key)!r}") for key, policy in policies.items()}
-    if are_several(policies, mdp):
+    if is_policy_list(policies, mdp):
         return {f"policy {k}": check_policy(p, mdp, name=f"{name} 'policy {k}'") for k, p in enumerate(policies)}
     return {alone: check_policy(policies, mdp, name=f"{name} {alone!r}")}
 
 
 def uniform_policy(mdp: Sized) -> Array:
-    """The (S, A) policy that takes each action with probability 1/A.
+    """Return the (S, A) policy that takes each action with probability 1/A.
 
     Parameters
     ----------
@@ -113,8 +120,13 @@ def uniform_policy(mdp: Sized) -> Array:
     return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
 
 
+def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
+    """Return the (S, A) policy that takes ``actions[s]`` in state s."""
+    return np.eye(n_actions)[actions]
+
+
 def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
-    """weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in each state.
+    """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in each state.
 
     Parameters
     ----------
@@ -127,35 +139,204 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     [[0.8, 0.2]]
     """
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
-    given = (policy_a, "policy_a", policy_b), (policy_b, "policy_b", policy_a)
-    arrays = [_checks.float_array(_beside(p, n, other), n, ndim=(2, 3)) for p, n, other in given]
-    if arrays[0].shape != arrays[1].shape:
-        raise ValueError(
-            f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
-        )
-    for array, name in zip(arrays, ("policy_a", "policy_b"), strict=True):
+    arrays = []
+    for policy, name, other in ((policy_a, "policy_a", policy_b), (policy_b, "policy_b", policy_a)):
+        given = _checks.as_array(policy, name)
+        if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
+            given = _action_rows(given, np.shape(other)[1], name)
+        array = _checks.float_array(given, name, ndim=(2, 3))
         _checks.require_nonnegative(array, name)
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
+        arrays.append(array)
+    if arrays[0].shape != arrays[1].shape:
+        shapes = f"{arrays[0].shape} and {arrays[1].shape}"
+        raise ValueError(f"policy_a and policy_b must have one shape; they have {shapes}")
     return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
 
 
-def _beside(policy: PolicyLike, name: str, other: Any) -> Any:
-    """(S,) integers as (S, A), where the other policy is (S, A)."""
-    array = _checks.as_array(policy, name)
-    if array.ndim != 1 or array.dtype.kind not in "iu" or np.ndim(other) != 2:
-        return policy
-    n_actions = np.shape(other)[1]
-    bad = np.flatnonzero((array < 0) | (array >= n_actions))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {array[bad[0]]}")
-    return deterministic_policy(array.astype(np.int64), n_actions)
-
-
-def policy_array(spec: str, name: str) -> Array:
-    """The array that a .npy or .npz file holds."""
-    arrays = _files.read_npz(spec)
-    if _files.npz_kind(arrays) is not None:
-        raise ValueError(f"{name} must be a file with an (S, A) array; {spec!r} holds a {_files.npz_kind(arrays)}")
+def read_policy_array(path: str, name: str) -> Array:
+    """Return the array that a .npy or .npz file holds."""
+    arrays = _files.read_npz(path)
+    kind = _files.npz_kind(arrays)
+    if kind is not None:
+        raise ValueError(f"{name} must be a file with an (S, A) array; {path!r} holds a {kind}")
     if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {spec!r} has {sorted(arrays)}")
+        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {path!r} has {sorted(arrays)}")
     return arrays.get("policy", next(iter(arrays.values())))
+
+
+def require_sized(mdp: object) -> None:
+    """Raise a ValueError for what has no states and actions."""
+    if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
+        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+
+
+def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
+    """Say whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
+    known = numbers_of(names_of(mdp).states or ())
+    return bool(policies) and all(
+        (to_plain(key) in known or _checks.is_integer(key)) and not (callable(value) or _ndim(value) >= 2)
+        for key, value in policies.items()
+    )
+
+
+def is_policy_list(policies: object, mdp: Sized) -> bool:
+    """Say whether a list holds policies, and is not one: an action, or a row, for each state."""
+    if not isinstance(policies, list | tuple) or not policies:
+        return isinstance(policies, list | tuple)
+    first, sizes = policies[0], (mdp.n_states, len(mdp.terminal_state))
+    if callable(first) or isinstance(first, Mapping) or _ndim(first) >= 2:
+        return True
+    is_table = len(policies) in sizes and _ndim(first) == 1 and len(first) == mdp.n_actions
+    return _ndim(first) == 1 and len(first) in sizes and not is_table
+
+
+def is_time_dependent(policy: PolicyLike | None) -> bool:
+    """Say whether a policy is (T, S, A)."""
+    return _ndim(policy) == 3
+
+
+def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
+    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is.
+
+    Raises
+    ------
+    ValueError
+        A state or an action that the MDP has not (with the nearest); a state without an action that is not terminal; what
+        is neither an action nor a distribution; a data frame.
+    """
+    if isinstance(policy, str | bytes | int | np.integer) or policy is None:
+        hint = f"the same in every state: lambda state: {policy!r:.40}; a file: numpy.load"
+        if policy in ("uniform", "optimal"):
+            hint = f"oee.{policy}_policy(simulator)"
+        raise ValueError(
+            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} ({hint})"
+        )
+    if isinstance(policy, Mapping):
+        states = names_of(mdp).states
+        choices: Any = (
+            (number_of(state, states, mdp.n_states, f"{name}'s state", "the MDP's"), f"{name}[{state!r}]", choice)
+            for state, choice in policy.items()
+        )
+    elif hasattr(policy, "to_dict"):
+        raise ValueError(
+            f"{name} must be an array or a mapping by state; got {type(policy).__name__} (of a table with an action a column: "
+            'policy.to_dict("index"); of a series: policy.to_dict(); of either by order: policy.to_numpy())'
+        )
+    elif callable(policy) and not hasattr(policy, "__array__"):
+        choices = _call_policy(policy, mdp, name)
+    else:
+        return _action_table(policy, mdp, name)
+    return _choice_table(choices, mdp, name)
+
+
+def _call_policy(policy: Callable[[Any], Any], mdp: Sized, name: str) -> Iterator[tuple[int, str, Any]]:
+    """Yield the number, the label and the choice of each of the environment's own states."""
+    states, is_terminal = names_of(mdp).states or range(mdp.n_states), _terminal(mdp)
+    for s, state in zip(range(len(mdp.terminal_state)), states, strict=False):
+        label = f"{name}({state!r})"
+        try:
+            choice = policy(state)
+        except Exception as error:
+            raise ValueError(
+                f"{label} must be an action or a distribution; it raises {type(error).__name__}: {error}"
+            ) from error
+        if choice is not None or not is_terminal[s]:
+            yield s, label, choice
+
+
+def _choice_table(choices: Iterator[tuple[int, str, Any]], mdp: Sized, name: str) -> Array:
+    """Return (S, A) from state, label and choice; terminal states may be left out."""
+    table, names = np.full((mdp.n_states, mdp.n_actions), np.nan), names_of(mdp)
+    for s, label, choice in choices:
+        if not np.isnan(table[s, 0]):
+            raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
+        table[s] = _choice_row(choice, mdp, label)
+    is_missing, needed = np.isnan(table[:, 0]), ~_terminal(mdp)
+    needed[len(mdp.terminal_state) :] = False
+    missing = np.flatnonzero(is_missing & needed)
+    if missing.size:
+        more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
+        raise ValueError(
+            f"{name} must have every state that is not terminal; state {names.state(missing[0])} is not there{more}"
+        )
+    table[is_missing] = 1.0 / mdp.n_actions
+    return table
+
+
+def _choice_row(choice: Any, mdp: Sized, name: str) -> Array:
+    """Return an action, a mapping action -> probability, or A probabilities, as (A,)."""
+    row, names, given = np.zeros(mdp.n_actions), names_of(mdp).actions, to_plain(choice)
+    if isinstance(choice, Mapping):
+        for action, probability in choice.items():
+            a = number_of(action, names, mdp.n_actions, f"{name}'s action", "the MDP's")
+            row[a] += _checks.number_in(probability, f"{name}[{action!r}]", 0.0, 1.0)
+    elif (
+        _checks.is_integer(given) or isinstance(choice, str) or (isinstance(choice, tuple) and _is_known(given, names))
+    ):
+        row[number_of(given, names, mdp.n_actions, name, "the MDP's")] = 1.0
+    else:
+        if _ndim(choice) == 0 or np.shape(choice) != row.shape:
+            raise ValueError(
+                f"{name} must be an action, or a distribution over the {mdp.n_actions} actions; it is {choice!r:.80}"
+            )
+        row = _checks.float_array(choice, name, ndim=1)
+        _checks.require_nonnegative(row, name)
+        row = _checks.scaled_if_single(row, choice)
+    _checks.require_sums_to_one(np.asarray(row.sum()), name)
+    return row
+
+
+def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
+    """Return the (S, A) of an action for each state, by number or name; anything else as it is."""
+    names, sizes = names_of(mdp).actions, (mdp.n_states, len(mdp.terminal_state))
+    if (
+        isinstance(policy, list | tuple)
+        and policy
+        and all(isinstance(a, tuple) and _is_known(a, names) for a in policy)
+    ):
+        texts = any(isinstance(part, str) for action in policy for part in action)
+        if not texts and all(len(action) == mdp.n_actions and _ndim(action) == 1 for action in policy):
+            return policy  # as many numbers as there are actions: rows of probabilities
+        actions: Any = policy
+    else:
+        try:
+            actions = np.asarray(policy)
+        except (TypeError, ValueError):
+            return policy
+        if actions.ndim != 1 or actions.dtype.kind not in "iuUO":
+            return policy
+        if actions.dtype.kind in "UO" and not all(isinstance(action, str) for action in actions):
+            return policy
+    if len(actions) not in sizes:
+        return policy
+    if not (isinstance(actions, np.ndarray) and actions.dtype.kind in "iu"):
+        numbered = (number_of(a, names, mdp.n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(actions))
+        actions = np.fromiter(numbered, np.int64, len(actions))
+    return _action_rows(actions, mdp.n_actions, name)
+
+
+def _action_rows(actions: Any, n_actions: int, name: str) -> Array:
+    """Return (S, A) from (S,) integers, checked."""
+    bad = np.flatnonzero((actions < 0) | (actions >= n_actions))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {actions[bad[0]]}")
+    return deterministic_policy(actions.astype(np.int64), n_actions)
+
+
+def _is_known(action: object, names: Any) -> bool:
+    return is_name(action) and action in numbers_of(names or ())
+
+
+def _terminal(mdp: Sized) -> _checks.BoolArray:
+    """Return the mask of the states in which any action does."""
+    absorbing = getattr(mdp, "absorbing", None)
+    return np.zeros(mdp.n_states, dtype=np.bool_) if absorbing is None else np.array(absorbing())
+
+
+def _ndim(value: Any) -> int:
+    """Return the dimensions of an array; 0 of anything else."""
+    try:
+        return 0 if isinstance(value, Mapping) else int(np.ndim(value))
+    except (TypeError, ValueError):
+        return 0

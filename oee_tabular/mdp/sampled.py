@@ -12,7 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular.mdp.arrays import Sampling, check_layout, sampling_of
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
-from oee_tabular.mdp.naming import Name, Names, check_names, plain, renumbered, start_law
+from oee_tabular.mdp.naming import Name, Names, check_names, initial_distribution, renumber, to_plain
 from oee_tabular.mdp.support import require_log
 
 
@@ -34,14 +34,14 @@ def arguments_of_log(
         ("state", state_names, own[0]), ("action", action_names, own[1]), ("next_state", state_names, own[0])
     ):  # fmt: skip
         codes = getattr(log, column)
-        columns.append(codes if mine is None else renumbered(codes, mine, called, len(called or ()), f"log.{column}"))
+        columns.append(codes if mine is None else renumber(codes, mine, called, len(called or ()), f"log.{column}"))
     state, action, following = columns
     if initial is None:
         starts = log.episode_starts
         first = state if starts is None else state[starts[:-1]]
         law = np.bincount(first, minlength=n_states) / len(first)
     else:
-        law = _checks.distribution(start_law(initial, state_names, n_states), "initial", (n_states,))
+        law = _checks.distribution(initial_distribution(initial, state_names, n_states), "initial", (n_states,))
     if rewards is None and log.reward is None:
         raise ValueError("rewards must be given where the log has none; they are None")
     reward = np.zeros(len(state)) if log.reward is None else log.reward
@@ -106,7 +106,7 @@ def _walked(
     first_seed: int | None = int(generator.integers(2**31))
     while len(moves) < limit:
         if over:
-            state = plain(env.reset(seed=first_seed)[0])
+            state = to_plain(env.reset(seed=first_seed)[0])
             first_seed = None
             starts.append(state)
         if state not in tried:
@@ -117,7 +117,7 @@ def _walked(
         choices = least if min(counts) < wanted else range(n_actions)
         action = int(choices[int(generator.integers(len(choices)))])
         observation, reward, terminated, truncated, _ = env.step(action)
-        following = plain(observation)
+        following = to_plain(observation)
         moves.append((state, action, following, float(reward), bool(terminated)))
         counts[action] += 1
         lacking -= counts[action] == wanted

@@ -11,7 +11,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
 from oee_tabular.mdp.arrays import canonical_table
-from oee_tabular.mdp.policy_forms import Sized
+from oee_tabular.mdp.policies import Sized
 
 LEAST = 1e-300  # a smaller probability supports no ratio
 _LOG = (

@@ -17,8 +17,8 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
-from oee_tabular.mdp.policy_forms import are_several
+from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp.policies import is_policy_list
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
@@ -171,7 +171,7 @@ class Method:
             rows,
             log,
             policies=() if values_of is None else _policies(values_of, simulator),
-            horizon=None if horizon is None else optional_steps(horizon, simulator),
+            horizon=None if horizon is None else optional_horizon_length(horizon, simulator),
             behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
             **beside,
         )
@@ -206,7 +206,7 @@ class Method:
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
-    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and are_several(values_of, simulator)
+    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and is_policy_list(values_of, simulator)
     given = list(values_of) if several else [values_of]
     names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))

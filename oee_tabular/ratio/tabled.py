@@ -75,7 +75,7 @@ def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Colu
     entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
 
     def move(row: int) -> str:
-        return simulator.names.move(s[row], a[row], following[row])
+        return simulator.names.transition(s[row], a[row], following[row])
 
     outside = np.flatnonzero(~stored)
     if outside.size:

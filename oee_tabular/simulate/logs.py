@@ -10,7 +10,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.mdp.horizons import horizon_length
 
 
 def stream_key(seed: Seed) -> np.uint64:
@@ -56,7 +56,7 @@ def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.positive_integer(horizon, "horizon")
     if steps > 10**6 / n:  # no log of a million moves is cut
-        steps = max(steps_of(horizon, mdp), 10**6 // n)
+        steps = max(horizon_length(horizon, mdp), 10**6 // n)
     pi = check_policy(policy, mdp)
     key = stream_key(seed)
     indptr = mdp.transitions.indptr.astype(np.int64)

@@ -16,7 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import steps_of
+from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.simulate.logs import stream_key
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def sampler(
     from oee_tabular.exact.walks import factors_of  # not at import: logs do without
 
     _checks.require_memory(9.0 * n, name, n)
-    steps, over = steps_of(horizon, mdp), mdp.absorbing()
+    steps, over = horizon_length(horizon, mdp), mdp.absorbing()
     ratio = np.zeros(0) if zeta is None else factors_of(mdp, zeta, over)
     return Sampler(mdp, alias_table(mdp, policy, ratio, over), ratio, stream_key(seed), n, steps, min(lanes, n))
 

@@ -16,7 +16,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp import FiniteMDP, mix
-from oee_tabular.mdp.policy_forms import deterministic_policy
+from oee_tabular.mdp.policies import deterministic_policy
 
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured

@@ -13,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.policy_forms import policy_table
+from oee_tabular.mdp.policies import policy_table
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:

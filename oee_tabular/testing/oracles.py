@@ -15,7 +15,7 @@ from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of, one_thread
 from oee_tabular.testing.cases import recorded
@@ -188,7 +188,7 @@ def compare_with_oracle(
     data: dict[str, object]
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(target.discount, optional_steps(horizon, target))
+        steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
         data = {"behavior_policy": behavior, "data_distribution": recorded(target, behavior, steps)}
         bound = _or_infinite(target, behavior, pi, steps)
     else:

@@ -22,7 +22,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import followed, optional_steps
+from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.simulation_lemma import Sides, check_pair, forward_distributions
 from oee_tabular.theory.theorem_1 import divergence_terms
 
@@ -61,7 +61,7 @@ def unnormalised_bound(
     if steps is None:
         rest = 1.0 - gamma * (1.0 + eta)
         return bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest) if rest > 0.0 else math.inf
-    t = np.arange(followed(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8))
+    t = np.arange(limit_horizon(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8))
     growth = (t + shift) * np.log1p(eta)
     with np.errstate(over="ignore"):
         return float(bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth)))
@@ -117,7 +117,7 @@ def normalised_bound(
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = terms_of_a_sum(gamma) if steps is None else followed(steps, gamma, work=100.0, kept=8)
+    length = terms_of_a_sum(gamma) if steps is None else limit_horizon(steps, gamma, work=100.0, kept=8)
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:
@@ -211,7 +211,7 @@ def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int
     """
     kernel = check_pair(target, model, ratio)
     require_rows(kernel)
-    steps = followed(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
+    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
     pi = check_policy(policy, target, horizon=steps)
     return _path_kl(kernel, pi, steps, _row_kl(target, kernel))
 
@@ -284,7 +284,7 @@ def kl_path_sides(
     _, bound, gamma = measured(target, kernel)
     shift = int(on_moves(target))
     rows = _row_kl(target, kernel)
-    steps = optional_steps(horizon, kernel, policy)
+    steps = optional_horizon_length(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
         return Sides(left, kl_path_bound(_path_kl(kernel, pi, steps, rows)[shift:][:steps], bound, gamma))

@@ -19,7 +19,7 @@ from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import name_move
-from oee_tabular.mdp.horizons import optional_steps
+from oee_tabular.mdp.horizons import optional_horizon_length
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def simulation_lemma(
     (0.075, 0.075, 0.075)
     """
     kernel = check_pair(target, model, ratio)
-    steps = optional_steps(horizon, kernel, policy, kept=kernel.n_states)
+    steps = optional_horizon_length(horizon, kernel, policy, kept=kernel.n_states)
     pi = check_policy(policy, target, horizon=steps)
     difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
     first = _moved_value(target, kernel, pi, steps, measured=target, valued=kernel)

@@ -17,7 +17,7 @@ from oee_tabular._checks import PolicyLike
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import followed
+from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.theory.simulation_lemma import Sides, check_box, check_pair, in_box
 
 
@@ -107,7 +107,7 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
     if bound == 0.0 or size == 0.0:
         return 0.0
-    last = followed(steps, min(1.0, gamma / lower), work=100.0, kept=8)
+    last = limit_horizon(steps, min(1.0, gamma / lower), work=100.0, kept=8)
     t = np.arange(1.0, last + 1.0)
     with np.errstate(over="ignore"):
         return float(steps * (bound * size) * (bound * size) * np.sum(t * (gamma / lower) ** t))
@@ -180,6 +180,6 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     size = _checks.number_in(error, "error", 0.0, math.inf)
     steps = _checks.positive_integer(horizon, "horizon")
-    last = followed(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
+    last = limit_horizon(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
     t = np.arange(1.0, last + 1.0)
     return float(2.0 * steps * (bound * size) * (bound * size) * np.sum(t * gamma ** (2.0 * t)))

@@ -184,7 +184,7 @@ def test_policies_from_tables(capsys, folder):
         ("state,action\nr0c0,n\nr0c0,e", r"must have a row for each state; state r0c0 has two"),
         (
             "state,action\nr0c0,n",
-            r"must have every state in which a task is not over; state r0c1 is not there \(7 such",
+            r"must have every state that is not terminal; state r0c1 is not there \(7 such",
         ),
         ("state,action,probability\nr0c0,n,0.4", r"must sum to 1 .*; it sums to 0.4"),
         ("state,action,probability\nr0c0,n,much", r"must have numbers as probabilities; it has 'much'"),

@@ -358,7 +358,7 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     from pathlib import Path
 
     from oee_tabular.cli import main
-    from oee_tabular.mdp.policies import policy_array
+    from oee_tabular.mdp.policies import read_policy_array
 
     def refuse(*_, **__):
         raise AssertionError("the network")
@@ -367,7 +367,7 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     monkeypatch.setattr(socket, "getaddrinfo", refuse)
     readers = [
         oee.Transitions.load, oee.ContinuousTransitions.load, oee.FiniteMDP.load, LOG.save,
-        lambda path: policy_array(path, "policy"), lambda path: Discretization.load(path, CartPole()),
+        lambda path: read_policy_array(path, "policy"), lambda path: Discretization.load(path, CartPole()),
     ]  # fmt: skip
     for reader in readers:
         for given in (address, Path(address)):

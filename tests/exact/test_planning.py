@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.mdp.policy_forms import deterministic_policy
+from oee_tabular.mdp.policies import deterministic_policy
 
 
 @given(rngs)

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.mdp.horizons import followed
+from oee_tabular.mdp.horizons import limit_horizon
 
 TARGET, SIMULATOR = (oee.tasks.gridworld(3, slip) for slip in (0.1, 0.3))
 POLICY = oee.uniform_policy(TARGET)
@@ -22,7 +22,6 @@ FAR_AND_INFINITE = {
     "state_values": lambda horizon: oee.state_values(TARGET, POLICY, horizon=horizon),
     "action_values": lambda horizon: oee.action_values(TARGET, POLICY, horizon=horizon),
     "occupancy": lambda horizon: oee.occupancy(TARGET, POLICY, horizon=horizon),
-    "evaluate_batch": lambda horizon: oee.exact.evaluate_batch(TARGET, [POLICY, POLICY], horizon=horizon).values,
     "transition_gradient": lambda horizon: oee.exact.transition_gradient(TARGET, POLICY, horizon=horizon),
     "variance": lambda horizon: oee.return_moments(TARGET, POLICY, horizon=horizon).variance,
     "a limit": lambda horizon: oee.estimators.Simulator().limit(SIMULATOR, TARGET, POLICY, horizon=horizon),
@@ -74,7 +73,7 @@ def test_at_discount_1_the_cost_is_said():
         with pytest.raises(ValueError, match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)"):
             call(lasting, POLICY, horizon=FAR)
     with pytest.warns(UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"):
-        assert followed(20_000, 1.0, work=1.2e5) == 20_000
+        assert limit_horizon(20_000, 1.0, work=1.2e5) == 20_000
 
 
 @pytest.mark.parametrize("horizon", [2**63, 2**70])
@@ -93,7 +92,7 @@ def test_arrays_with_an_entry_for_each_step_must_fit():
         with pytest.raises(ValueError, match="horizon must be one that can be carried out"):
             call()
     with pytest.raises(ValueError, match=r"horizon must be small enough .*; 1000000 needs 7.45e\+03 GiB"):
-        followed(10**6, 1.0, kept=10**6)
+        limit_horizon(10**6, 1.0, kept=10**6)
 
 
 def test_sampled_episodes():

@@ -1,6 +1,7 @@
 """The forms of a policy: an action a state, by number or name; a mapping; a function; several of them."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -84,7 +85,7 @@ def test_twins_are_added():
         ({"hal": "go"}, r"policy's state must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
         (
             {"hall": "go"},
-            r"policy must have every state in which a task is not over; state \('room', 1\) is not there$",
+            r"policy must have every state that is not terminal; state \('room', 1\) is not there$",
         ),
         ({}, r"policy must have every state .*; state hall is not there \(2 such states in all\)$"),
         ({"hall": 0, 0: 1}, r"policy's states must differ; state hall is given twice$"),
@@ -96,6 +97,11 @@ def test_twins_are_added():
         ([True, False, True], r"policy must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
         ("go", r"policy must be an action, or a distribution, for each of the \d+ states; it is 'go'"),
         (None, r"policy must "),
+        (
+            pd.DataFrame({"go": [1.0] * 3}),
+            r"policy must be an array or a mapping by state; got DataFrame \(.*to_dict\(",
+        ),
+        (pd.Series([0, 1, 0]), r"policy must be an array or a mapping by state; got Series \(.*to_dict\("),
     ],
 )
 def test_bad_policies(policy, text):
