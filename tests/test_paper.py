@@ -91,10 +91,10 @@ def test_the_convex_program_as_printed(rng, normalized, lam):
     one = (
         (p > 0) | (lam > 0) | (not normalized)
     )  # elsewhere cells share what the others leave as they like, at one risk
-    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-6)
-    assert_allclose(q[~one] @ printed[~one], q[~one] @ fit.ratio[~one], rtol=0, atol=1e-6)
-    assert (printed >= nu - 1e-6).all()
-    assert (printed <= mu + 1e-6).all()
+    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-5)
+    assert_allclose(q[~one] @ printed[~one], q[~one] @ fit.ratio[~one], rtol=0, atol=1e-5)
+    assert (printed >= nu - 1e-5).all()
+    assert (printed <= mu + 1e-5).all()
 
 
 @given(rngs)

@@ -87,6 +87,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "kinova":  # the wing's package of the arm, under the name by which notebook 09 reads it
+        return importlib.import_module("oee_tabular.continuous.kinova")
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
