@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.data.counted import TransitionCounts
@@ -58,6 +59,23 @@ def _open(path: Paths, **options: Any) -> TransitionCounts:
 
 
 Transitions.open = staticmethod(_open)  # here, for counts are made of logs: logs need not know how they are counted
+
+
+def read_log(source: Any, simulator: Any, name: str = "log") -> Transitions | TransitionCounts:
+    """What was recorded, in the simulator's numbers, of whatever form it has.
+
+    ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
+    folder. ``name``: what errors call it.
+    """
+    from oee_tabular.data.counted import holds_counts
+    from oee_tabular.data.transitions import as_log
+
+    if isinstance(source, TransitionCounts):
+        return source
+    if isinstance(source, str | os.PathLike) and holds_counts(source):
+        return TransitionCounts.load(source)
+    return as_log(source, simulator, name)
+
 
 __all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
 

@@ -172,12 +172,18 @@ class Log:
         files.save(self, self.FILES, path)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
+    def load(cls, path: Any) -> Self:
         """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this machine.
 
+        Several files, a pattern or a folder of files are one log, in the order of their names (``concatenate``).
         Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
         vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
         """
+        logs = [cls._load_one(name) for name in files.log_files(path)]
+        return logs[0] if len(logs) == 1 else cls.concatenate(logs)
+
+    @classmethod
+    def _load_one(cls, path: str | os.PathLike[str]) -> Self:
         columns = files.load(cls.FILES, path)
         try:
             return cls(**columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 import tempfile
@@ -135,6 +136,35 @@ def load(form: Format, path: str | os.PathLike[str]) -> Columns:
     form.require(columns, labels, name)
     warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=3)
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def log_files(path: Any) -> list[str]:
+    """The files of a log: a file, a Minari data set, a folder of files, a pattern, or a list of these."""
+    if isinstance(path, list | tuple):
+        names = [name for one in path for name in log_files(one)]
+        if not names:
+            raise ValueError("path must name at least one file; it is an empty list")
+        again = sorted({name for name in names if names.count(name) > 1})
+        if again:
+            raise ValueError(f"path must name each file once; {again[0]!r} is named twice")
+        return names
+    name = _files.local(path)
+    place = Path(name)
+    if place.is_dir():
+        inside = [one for one in sorted(place.rglob("*")) if _is_data_file(one.relative_to(place)) and one.is_file()]
+        return [str(one) for one in inside] or [name]
+    if glob.has_magic(name) and not place.exists():
+        some = [one for one in sorted(glob.glob(name, recursive=True)) if Path(one).is_file()]
+        if not some:
+            raise FileNotFoundError(2, "no such file", name)
+        return some
+    return [name]
+
+
+def _is_data_file(path: Path) -> bool:
+    """Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them."""
+    hidden = any(step.startswith((".", "_")) for step in path.parts)
+    return not hidden and path.suffix.lower() in (*TABLES, ".npz")
 
 
 def _texts(names: Column) -> Column:

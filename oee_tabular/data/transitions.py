@@ -283,7 +283,8 @@ class Transitions(Log):
 
 def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
     """A log in the simulator's numbers: Transitions, a path, a data frame, or episodes; ValueError for anything else."""
-    if isinstance(value, str | os.PathLike):
+    are_paths = isinstance(value, list | tuple) and value and all(isinstance(item, str | os.PathLike) for item in value)
+    if are_paths or isinstance(value, str | os.PathLike):
         return _loaded(value, name).numbered(simulator, name)
     if isinstance(value, list | tuple):
         return Transitions.from_episodes(value, simulator=simulator)
@@ -296,7 +297,7 @@ def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
     return value.numbered(simulator, name)
 
 
-def _loaded(path: str | os.PathLike[str], name: str) -> Transitions:
+def _loaded(path: Any, name: str) -> Transitions:
     """The log in a file; a ValueError names the argument that the path was."""
     try:
         return Transitions.load(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -12,9 +11,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular.data import TransitionCounts, Transitions
-from oee_tabular.data.counted import holds_counts
-from oee_tabular.data.transitions import as_log
+from oee_tabular.data import TransitionCounts, Transitions, read_log
 from oee_tabular.estimators.findings import (
     SAMPLED,
     Finding,
@@ -128,12 +125,9 @@ class Problem:
             moves = checked_counts(self.log, self.simulator)
             moves = moves if drop else _supported(moves, self.simulator)
             object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
-        elif isinstance(self.log, str | os.PathLike) and holds_counts(self.log):
-            object.__setattr__(self, "log", TransitionCounts.load(self.log))
-        for name in ("log", "episodes"):
-            given = getattr(self, name)
-            if not isinstance(given, TransitionCounts) and (name == "log" or given is not None):
-                object.__setattr__(self, name, as_log(given, self.simulator, name))
+        object.__setattr__(self, "log", read_log(self.log, self.simulator))
+        if self.episodes is not None:
+            object.__setattr__(self, "episodes", read_log(self.episodes, self.simulator, "episodes"))
         if self.episodes is not None:
             _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
         _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
