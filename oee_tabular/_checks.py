@@ -6,6 +6,7 @@ import contextlib
 import math
 import operator
 import os
+import reprlib
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +36,46 @@ _PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
 SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
 
+class _Shown(reprlib.Repr):
+    """Reprs of bounded length and depth; of an array or a matrix of more than a few entries only type and shape."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, 200, 200, 60
+
+    def repr_instance(self, x: Any, level: int) -> str:
+        if hasattr(x, "shape") and (is_sparse(x) or (isinstance(x, np.ndarray) and (x.size > 12 or x.dtype.hasobject))):
+            return f"<{type(x).__name__} of shape {x.shape}, dtype {x.dtype}>"
+        return " ".join(super().repr_instance(x, level).split())
+
+    repr_ndarray = repr_instance
+
+
+_SHOWN = _Shown()
+
+
+def show(value: object) -> str:
+    """``repr(value)`` for an error: at most 300 characters, quick and safe whatever the value is, nothing invisible."""
+    try:
+        text = _SHOWN.repr(value)
+    except Exception:  # whatever the repr of an object of somebody else's raises
+        text = f"<{type(value).__name__}>"
+    return escape_controls(text if len(text) <= 300 else f"{text[:200]}...{text[-97:]}")
+
+
+def escape_controls(text: str, keep: str = "") -> str:
+    """``text`` with control characters, which a terminal obeys, as Python writes them; those in ``keep`` stay."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else repr(c)[1:-1] for c in text)
+
+
+def is_sparse(value: object) -> bool:
+    """Whether it is one of scipy's sparse matrices; no method of it is called, since a malformed one may end the process."""
+    sparse = sys.modules.get("scipy.sparse")
+    return sparse is not None and bool(sparse.issparse(value))
+
+
 def place(name: str, index: tuple[int, ...]) -> str:
     """``policy[3, 1]`` for ("policy", (3, 1))."""
     return f"{name}[{', '.join(str(int(i)) for i in index)}]"
@@ -42,6 +83,8 @@ def place(name: str, index: tuple[int, ...]) -> str:
 
 def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None = None) -> Array:
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
+    if is_sparse(value):
+        raise ValueError(f"{name} must be a dense array of numbers; got {show(value)}")
     try:
         given: Any = np.array(value)
         if given.dtype.kind == "c":
@@ -64,6 +107,8 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
 
 def as_array(value: object, name: str) -> NDArray[Any]:
     """``numpy.array(value)``, with an error that names the argument where rows have different lengths."""
+    if is_sparse(value):
+        raise ValueError(f"{name} must be a dense array; got {show(value)}")
     try:
         return np.array(value)
     except (TypeError, ValueError, OverflowError) as error:
@@ -152,11 +197,16 @@ def number_in(
 ) -> float:
     """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
-        if isinstance(value, str | bytes) or np.ndim(value) or np.asarray(value).dtype.kind not in "biufO":
+        if (
+            isinstance(value, str | bytes)
+            or is_sparse(value)
+            or np.ndim(value)
+            or np.asarray(value).dtype.kind not in "biufO"
+        ):
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be a number; got {value!r}") from None
+        raise ValueError(f"{name} must be a number; got {show(value)}") from None
     inside = low < number < high if open_ends else low <= number <= high
     if np.isinf(number) and not infinite:
         raise ValueError(f"{name} must be finite; it is {number:g}")
@@ -205,7 +255,7 @@ def positive_integer(value: Any, name: str) -> int:
             raise TypeError
         number = operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} must be a positive integer; got {value!r}") from None
+        raise ValueError(f"{name} must be a positive integer; got {show(value)}") from None
     if number < 1:
         raise ValueError(f"{name} must be a positive integer; it is {number}")
     if number > LARGEST_INTEGER:
@@ -221,7 +271,7 @@ def is_integer(value: object) -> bool:
 def boolean(value: object, name: str) -> bool:
     """True or False, Python's or numpy's; nothing else stands for them."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False; got {value!r}")
+        raise ValueError(f"{name} must be True or False; got {show(value)}")
     return bool(value)
 
 
@@ -299,23 +349,27 @@ def one_of(value: object, name: str, allowed: tuple[str, ...], hint: str = "") -
     """``value`` is one of the allowed words; ``hint``: what else there is to do."""
     if not isinstance(value, str) or value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
-        raise ValueError(f"{name} must be one of {words}; got {value!r}{hint}")
+        raise ValueError(f"{name} must be one of {words}; got {show(value)}{hint}")
 
 
 def generator(seed: Seed) -> np.random.Generator:
     """``numpy.random.default_rng(seed)``, with an error that names the argument."""
     try:
+        if is_sparse(seed):
+            raise TypeError("a sparse matrix")
         return np.random.default_rng(seed)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"seed must be what numpy.random.default_rng takes; got {seed!r} ({error})") from None
+        raise ValueError(f"seed must be what numpy.random.default_rng takes; got {show(seed)} ({error})") from None
 
 
 def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
     """The stream ``key`` of ``seed``, with an error that names the argument."""
     try:
+        if is_sparse(seed):
+            raise TypeError("a sparse matrix")
         return np.random.SeedSequence(seed, spawn_key=key)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"seed must be what numpy.random.SeedSequence takes; got {seed!r} ({error})") from None
+        raise ValueError(f"seed must be what numpy.random.SeedSequence takes; got {show(seed)} ({error})") from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

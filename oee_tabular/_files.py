@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import math
 import os
 import re
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 
 KIND = "oee_tabular_kind"
+DIGEST = "oee_tabular_digest"
 KINDS = {
     "finite_mdp": "FiniteMDP",
     "transitions": "log of numbered states (Transitions)",
@@ -142,13 +144,28 @@ def _defused(value: object) -> Any:
     return f"'{text}" if FORMULA.match(text) else text
 
 
+def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """A digest over the names, types, shapes and bytes of columns, whatever their order; text may be in arrays of objects."""
+    whole = hashlib.blake2b(digest_size=16)
+    for name in sorted(arrays):
+        array = arrays[name]
+        values = repr(array.tolist()).encode() if array.dtype.hasobject else np.ascontiguousarray(array)
+        content = hashlib.blake2b(values, digest_size=16).hexdigest()
+        whole.update(repr((name, array.dtype.str, array.shape, content)).encode())
+    return whole.hexdigest()
+
+
 def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """An npz of plain arrays, marked with the kind of object that they make; ValueError for arrays of objects."""
+    """An npz of plain arrays with their kind of object and their digest; ValueError for arrays of objects.
+
+    A zip file protects what its members hold, not their names: one that is damaged may lack some of them.
+    """
     for name, array in arrays.items():
         if array.dtype.hasobject:  # it would be a pickle, which numpy 2.0 cannot be told not to write
             raise ValueError(f"{name} must be numbers or text; it is an array of objects")
     with whole_file(path, (".npz",)) as handle:
         stored = {KIND: np.array(kind), **arrays}
+        stored[DIGEST] = np.array(digest(stored))
         # what np.savez_compressed writes; where a disk is full, some of its releases leave their archive open
         with zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, array in stored.items():
@@ -180,7 +197,7 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
 
 
 def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Every array of an npz or npy file (the npy's under the name "array"); pickles are refused.
+    """Every array of an npz or npy file (the npy's under the name "array"). No pickles, and no changed file of ours.
 
     Sizes that a file declares are compared with those that it has before memory is taken. Raises ValueError for what is
     no such file, FileNotFoundError, and MemoryError ("needs 14.9 GiB") where its arrays do not fit.
@@ -192,12 +209,16 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         try:
             zipped = handle.read(4) in _ZIP
             handle.seek(0)
-            return _members(handle, size, name) if zipped else {"array": _array(handle, size, name)}
+            arrays = _members(handle, size, name) if zipped else {"array": _array(handle, size, name)}
         except Exception as error:  # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
             if isinstance(error, MemoryError) and str(error):  # with a size; ast has none for a header that is too deep
                 raise
             words = str(error) or type(error).__name__
             raise ValueError(f"{name!r} must be an npz or npy file of plain arrays; {words:.300}") from None
+    saved = arrays.pop(DIGEST, None)
+    if (KIND in arrays or saved is not None) and str(saved) != digest(arrays):
+        raise ValueError(f"{name!r} must hold the arrays that were saved in it; it is damaged, or was edited")
+    return arrays
 
 
 def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]:
@@ -218,7 +239,7 @@ def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]
                 arrays[member.filename.removesuffix(".npy")] = _array(stream, member.file_size, name)
                 while stream.read(1 << 20):  # to the end, where the checksum is compared
                     pass
-        return arrays
+    return arrays
 
 
 def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:

@@ -23,127 +23,101 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
     if max(csr.nnz, *csr.shape) <= np.iinfo(np.int32).max:
         csr.indices = csr.indices.astype(np.int32, copy=False)
         csr.indptr = csr.indptr.astype(np.int32, copy=False)
-    return frozen(csr)
+    return freeze_csr(csr)
 
 
-def checked(matrix: Any, name: str) -> sparse.csr_array:
+def check_csr(matrix: Any, name: str) -> sparse.csr_array:
     """A sparse matrix that was given, in any of scipy's formats, as CSR of float64 (its arrays may be the given ones).
 
-    Native code follows row pointers and indices wherever they lead, and scipy's own formats may be edited after they were
-    made: everything is looked at here first. Costs O(entries). Raises ValueError, with the part and the place, for what
-    is no real matrix.
+    Native code follows row pointers and indices wherever they lead, and scipy's matrices may be edited after they were
+    made: whoever takes one looks at all of it here first. Costs O(entries). Raises ValueError, with the part and the
+    place, for what is no matrix of real numbers.
     """
+    if not sparse.issparse(matrix):
+        raise ValueError(f"{name} must be a sparse matrix; got {type(matrix).__name__}")
     if matrix.ndim != 2:
         raise ValueError(f"{name} must have 2 dimensions when sparse; it has shape {matrix.shape}")
     if matrix.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
     if matrix.format == "csr":
-        return checked_rows(matrix.data, matrix.indices, matrix.indptr, matrix.shape, name)
-    _check_form(matrix, name)
+        return csr_from_parts(matrix.data, matrix.indices, matrix.indptr, matrix.shape, name)
     try:
-        csr = sparse.csr_array(matrix, dtype=np.float64)
-    except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        return sparse.csr_array(_check_form(matrix, name), dtype=np.float64)
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be a sound sparse matrix; its {matrix.format} form is not ({error})") from None
-    return checked_rows(csr.data, csr.indices, csr.indptr, csr.shape, name)
 
 
-def checked_rows(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> sparse.csr_array:
+def csr_from_parts(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> sparse.csr_array:
     """The CSR of these parts; a ValueError, with the part and the place, where they are not those of a matrix."""
     values = np.asarray(data)
     if values.dtype.kind not in "biuf" or values.ndim != 1:
         raise ValueError(
             f"{name}.data must be real numbers of shape (entries,); it is {values.dtype} of {values.shape}"
         )
-    used = _check_compressed(values, indices, indptr, shape, name)
+    used = _check_pointers(len(values), indices, indptr, shape, name)
     parts = values[:used].astype(np.float64, copy=False), np.asarray(indices)[:used], np.asarray(indptr)
     return sparse.csr_array(parts, shape=shape)
 
 
-def _check_compressed(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> int:
-    """How many entries the pointers use, of parts compressed along the first axis of ``shape``."""
-    for part, array in (("indices", indices), ("indptr", indptr)):
-        kind, ndim = np.asarray(array).dtype, np.ndim(array)
-        if kind.kind not in "iu" or ndim != 1:
-            raise ValueError(f"{name}.{part} must be integers of one dimension; they are {kind} of {ndim}")
-    pointers, columns = np.asarray(indptr), np.asarray(indices)
+def _check_pointers(n_values: int, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> int:
+    """The number of entries that the pointers use; rows (columns of a csc) are the first axis of ``shape``."""
+    columns, pointers = np.asarray(indices), np.asarray(indptr)
+    for part, array in (("indices", columns), ("indptr", pointers)):
+        if array.dtype.kind not in "iu" or array.ndim != 1:
+            raise ValueError(f"{name}.{part} must be integers of one dimension; they are {array.dtype} of {array.ndim}")
     if len(pointers) != shape[0] + 1:
         raise ValueError(f"{name}.indptr must have {shape[0] + 1} entries, one more than rows; it has {len(pointers)}")
+    if n_values != len(columns):
+        raise ValueError(f"{name}.data must have a value for each of the {len(columns)} indices; it has {n_values}")
     if pointers[0] != 0:
         raise ValueError(f"{name}.indptr[0] must be 0; it is {pointers[0]}")
-    if (bad := np.flatnonzero(pointers[1:] < pointers[:-1])).size:
-        k = int(bad[0])
-        raise ValueError(
-            f"{name}.indptr[{k + 1}] must be at least indptr[{k}] = {pointers[k]}; it is {pointers[k + 1]}"
-        )
-    if len(data) != len(columns):
-        raise ValueError(f"{name}.data must have a value for each of the {len(columns)} indices; it has {len(data)}")
-    if pointers[-1] > len(columns):
-        k = int(np.argmax(pointers > len(columns)))
-        raise ValueError(f"{name}.indptr[{k}] must be at most {len(columns)}, the entries; it is {pointers[k]}")
     used = int(pointers[-1])
-    _check_within(columns[:used], shape[1], f"{name}.indices")
+    for array, part, bad, rule in (
+        (pointers, "indptr", np.r_[False, pointers[1:] < pointers[:-1]], "at least the one before"),
+        (pointers, "indptr", pointers > len(columns), f"at most {len(columns)}, the entries"),
+        (columns, "indices", (columns[:used] < 0) | (columns[:used] >= shape[1]), f"in 0..{shape[1] - 1}"),
+    ):
+        if bad.any():
+            k = int(bad.argmax())
+            raise ValueError(f"{name}.{part}[{k}] must be {rule}; it is {array[k]}")
     return used
 
 
-def _check_within(numbers: Any, size: int, name: str) -> None:
-    if len(numbers) and not 0 <= numbers.min() <= numbers.max() < size:
-        k = int(np.argmax((numbers < 0) | (numbers >= size)))
-        raise ValueError(f"{name}[{k}] must be in 0..{size - 1}; it is {numbers[k]}")
+def _check_form(matrix: Any, name: str) -> Any:
+    """The same matrix, where conversion to CSR may follow its indices; scipy's constructors look at those of coo and dia."""
+    if matrix.format == "csc":
+        _check_pointers(len(matrix.data), matrix.indices, matrix.indptr, matrix.shape[::-1], name)
+    elif matrix.format == "bsr":
+        (rows, columns), (_, high, wide) = matrix.shape, matrix.data.shape
+        if rows % high or columns % wide:
+            raise ValueError(f"blocks of shape {high, wide} do not fill it")
+        _check_pointers(len(matrix.data), matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
+    elif matrix.format == "lil":
+        if [len(row) for row in matrix.rows] != [len(row) for row in matrix.data] or len(matrix.rows) != matrix.shape[
+            0
+        ]:
+            raise ValueError("its rows have not a column for each value")
+        columns = np.array([column for row in matrix.rows for column in row], dtype=np.int64)
+        rows = np.repeat(np.arange(matrix.shape[0]), [len(row) for row in matrix.rows])
+        return sparse.coo_array((np.concatenate(matrix.data), (rows, columns)), shape=matrix.shape)
+    elif matrix.format == "dia":
+        return sparse.dia_array((matrix.data, matrix.offsets), shape=matrix.shape)
+    elif matrix.format == "coo":
+        return sparse.coo_array((matrix.data, matrix.coords), shape=matrix.shape)
+    return matrix
 
 
-def _check_form(matrix: Any, name: str) -> None:
-    """What conversion to CSR takes for granted; the other formats convert by Python's own indexing."""
-    check = {"csc": _check_csc, "bsr": _check_bsr, "coo": _check_coo, "lil": _check_lil, "dia": _check_dia}.get(
-        matrix.format
-    )
-    if check is not None:
-        check(matrix, name)
-
-
-def _check_csc(matrix: Any, name: str) -> None:
-    _check_compressed(matrix.data, matrix.indices, matrix.indptr, matrix.shape[::-1], name)
-
-
-def _check_bsr(matrix: Any, name: str) -> None:
-    rows, columns = matrix.shape
-    high, wide = matrix.data.shape[1:] if matrix.data.ndim == 3 else (0, 0)
-    if high < 1 or wide < 1 or rows % high or columns % wide:
-        raise ValueError(f"{name}.data must have blocks that fill {matrix.shape}; it has shape {matrix.data.shape}")
-    _check_compressed(matrix.data, matrix.indices, matrix.indptr, (rows // high, columns // wide), name)
-
-
-def _check_coo(matrix: Any, name: str) -> None:
-    if not len(matrix.coords[0]) == len(matrix.coords[1]) == len(matrix.data):
-        lengths = [len(part) for part in (*matrix.coords, matrix.data)]
-        raise ValueError(f"{name} must have a row and a column for each value; it has {lengths}")
-    for part, size, axis in zip(matrix.coords, matrix.shape, ("row", "col"), strict=True):
-        _check_within(np.asarray(part), size, f"{name}.{axis}")
-
-
-def _check_lil(matrix: Any, name: str) -> None:
-    bad = [k for k, (at, of) in enumerate(zip(matrix.rows, matrix.data, strict=True)) if len(at) != len(of)]
-    if bad or len(matrix.rows) != matrix.shape[0]:
-        raise ValueError(f"{name} must have a column for each value; row {bad[0] if bad else len(matrix.rows)} has not")
-
-
-def _check_dia(matrix: Any, name: str) -> None:
-    if matrix.data.ndim != 2 or matrix.offsets.shape != matrix.data.shape[:1]:
-        raise ValueError(
-            f"{name}.offsets must have one for each of {matrix.data.shape[:1]}; it has {matrix.offsets.shape}"
-        )
-
-
-def frozen(csr: sparse.csr_array) -> sparse.csr_array:
+def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
     """The same matrix with read-only arrays."""
     for array in (csr.data, csr.indices, csr.indptr):
         freeze(array)
     return csr
 
 
-def on_pattern(pattern: sparse.csr_array, data: Array, *, own: bool = False) -> sparse.csr_array:
+def csr_on_pattern(pattern: sparse.csr_array, data: Array, *, own: bool = False) -> sparse.csr_array:
     """The matrix with the entries of ``pattern`` and the values ``data``, copied but where they are its ``own``; zeros stay."""
     values = data if own else np.array(data, dtype=np.float64)
-    return frozen(sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape))
+    return freeze_csr(sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape))
 
 
 def row_of_entry(csr: sparse.csr_array) -> IntArray:
@@ -173,9 +147,9 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
     if not sparse.issparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
         raise ValueError(f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}")
-    if values.format == "csr" and values.dtype == np.float64 and _alike(values, pattern):
+    if values.format == "csr" and values.dtype == np.float64 and _has_same_pattern(values, pattern):
         return np.asarray(values.data)
-    return align(canonical(checked(values, name), drop_zeros=False), pattern)[0]
+    return align(canonical(check_csr(values, name), drop_zeros=False), pattern)[0]
 
 
 def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntArray, BoolArray]:
@@ -195,14 +169,14 @@ def _places(keys: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
     return position, stored
 
 
-def _alike(one: sparse.csr_array, other: sparse.csr_array) -> bool:
+def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
     """Whether two have the same entries in the same places."""
     return all(np.array_equal(getattr(one, part), getattr(other, part)) for part in ("indptr", "indices"))
 
 
 def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, BoolArray]:
     """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one; rows are sorted."""
-    if _alike(source, pattern):
+    if _has_same_pattern(source, pattern):
         return np.array(source.data, dtype=np.float64), np.ones(pattern.nnz, dtype=np.bool_)
     values, stored = np.zeros(pattern.nnz), np.zeros(pattern.nnz, dtype=np.bool_)
     entries = source.indptr.astype(np.int64) + pattern.indptr
@@ -218,10 +192,10 @@ def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, B
     return values, stored
 
 
-def laid_on(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[sparse.csr_array, Array]:
+def align_to(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[sparse.csr_array, Array]:
     """``source``, and its values on the entries of ``pattern``; where it has the same entries it takes the pattern's arrays."""
     values = freeze(align(source, pattern)[0])
-    return (on_pattern(pattern, values, own=True) if _alike(source, pattern) else source), values
+    return (csr_on_pattern(pattern, values, own=True) if _has_same_pattern(source, pattern) else source), values
 
 
 def _keys(matrix: sparse.csr_array, first: int, last: int) -> tuple[IntArray, slice]:

@@ -6,7 +6,7 @@ import pytest
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions
+from oee_tabular import FiniteMDP, Problem, Transitions, _files
 from oee_tabular.estimators import ImportanceSampling, ModelBased, OffEnvironment, Oracle
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
@@ -688,7 +688,7 @@ def test_files_that_hold_something_else(tmp_path):
     (tmp_path / "words.csv").write_text("state,action,next_state\nhall,0,2\n")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "surplus.csv").write_text("state,action,next_state\n0,0,1,9\n")
-    np.savez(tmp_path / "parts.npz", oee_tabular_kind=np.array("finite_mdp"), shape=np.array([2, 1]))
+    _files.save_npz(tmp_path / "parts.npz", "finite_mdp", {"shape": np.array([2, 1])})
     table = [
         (FiniteMDP.load, "log.npz", r"must hold a FiniteMDP; it holds a log of numbered states"),
         (Transitions.load, "mdp.npz", r"must hold a log of numbered states \(Transitions\); it holds a FiniteMDP"),

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import BoolArray
-from oee_tabular._sparse import canonical, find, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import canonical, check_csr, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.grid import ENTRIES_AT_A_TIME, Grid, each_action
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -86,10 +86,10 @@ def defensive_mixture(
 
 def supported(counts: sparse.csr_array, transitions: sparse.csr_array) -> tuple[sparse.csr_array, float]:
     """The counts that lie where ``transitions`` has probability, and the share of those that do not: to be reported with it."""
-    matrix = canonical(counts, drop_zeros=True)
-    known = canonical(transitions, drop_zeros=True)
+    matrix = canonical(check_csr(counts, "counts"), drop_zeros=True)
+    known = canonical(check_csr(transitions, "transitions"), drop_zeros=True)
     possible = find(known, row_of_entry(matrix), matrix.indices.astype(np.int64))[1]
-    kept = canonical(on_pattern(matrix, np.where(possible, matrix.data, 0.0)), drop_zeros=True)
+    kept = canonical(csr_on_pattern(matrix, np.where(possible, matrix.data, 0.0)), drop_zeros=True)
     total = float(matrix.data.sum())
     return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
 
@@ -101,7 +101,7 @@ def within_support(counts: sparse.csr_array, model: Discretization) -> tuple[spa
 
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
     """The log's own rows n(s, a, s') / n(s, a); what was never visited stays where it is."""
-    total = row_sums(counts)
+    total = row_sums(check_csr(counts, "counts"))
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     return sparse.csr_array(sparse.diags_array(scale) @ counts + staying(total == 0, n_actions))
 

@@ -16,7 +16,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
-from oee_tabular._sparse import canonical, checked, row_of_entry
+from oee_tabular._sparse import canonical, check_csr, row_of_entry
 from oee_tabular.data.columns import booleans, integers, spans
 from oee_tabular.data.moves import Moves, counts_of
 from oee_tabular.data.transitions import Transitions
@@ -118,7 +118,7 @@ class TransitionCounts:
     @classmethod
     def of(cls, matrix: object, n_actions: int) -> Self:
         """Counts that are given as a matrix, sparse of shape (S*A, S), row s*A + a."""
-        csr = canonical(checked(matrix, "counts"), drop_zeros=True)
+        csr = canonical(check_csr(matrix, "counts"), drop_zeros=True)
         if csr.nnz == 0:
             raise ValueError("counts must have at least one move; all are 0")
         state, action = np.divmod(row_of_entry(csr), n_actions)

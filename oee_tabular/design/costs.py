@@ -28,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, Box, IntArray
-from oee_tabular._sparse import align, canonical, on_pattern, row_sums, row_variances
+from oee_tabular._sparse import align, canonical, csr_on_pattern, row_sums, row_variances
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import Model, ReweightedModel, reweight, transition_gradient
 from oee_tabular.mdp import FiniteMDP
@@ -145,7 +145,7 @@ def _on_reference(simulator: FiniteMDP, model: Model, rows: IntArray) -> tuple[R
     if simulator.reward_data is not None:
         made = align(canonical(onto @ mean, drop_zeros=False), pattern)[0]
         del mean
-        flow = among @ on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
+        flow = among @ csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
         paid = align(canonical(onto @ flow, drop_zeros=False), pattern)[0]
         rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
         np.divide(paid, made, out=rewards, where=made > 0)
@@ -154,7 +154,7 @@ def _on_reference(simulator: FiniteMDP, model: Model, rows: IntArray) -> tuple[R
         np.copyto(rewards, own, where=defined)
         del own
     padded = ReweightedModel(
-        model.n_states, n_actions, on_pattern(pattern, align(model.transitions, pattern)[0], own=True), model.rewards,
+        model.n_states, n_actions, csr_on_pattern(pattern, align(model.transitions, pattern)[0], own=True), model.rewards,
         rewards, model.initial, model.discount, model.terminal_state,
     )  # fmt: skip
     return padded, weights

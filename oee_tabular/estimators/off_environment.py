@@ -11,7 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
-from oee_tabular._sparse import on_pattern
+from oee_tabular._sparse import csr_on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import OF_COUNTS, Basis, Estimate, ExactLimit, identified
@@ -173,7 +173,7 @@ class OffEnvironment(ExactLimit):
         model = self.limit_model(people)
         if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
             return people.value(model)
-        zeta = on_pattern(
+        zeta = csr_on_pattern(
             people.simulator.transitions,
             np.divide(model.transitions.data, people.simulator.transitions.data, out=np.zeros(people.simulator.transitions.nnz),
                       where=people.simulator.transitions.data > 0),

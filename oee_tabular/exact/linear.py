@@ -19,7 +19,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular._sparse import checked
+from oee_tabular._sparse import check_csr
 from oee_tabular.exact.system import DivergentKernelError, Kernel, Solve, System, exponent, readable, scaled_back
 
 __all__ = ["DivergentKernelError", "LinearSolution", "exponent", "solve_policy_system"]
@@ -112,7 +112,7 @@ def _checked(kernel: Any) -> sparse.csr_array:
         raise ValueError(f"kernel must be a sparse matrix; got {type(kernel).__name__}")
     if kernel.ndim != 2 or kernel.shape[0] != kernel.shape[1] or kernel.shape[0] == 0:
         raise ValueError(f"kernel must be square, (S, S); it has shape {kernel.shape}")
-    rows = checked(kernel, "kernel")
+    rows = check_csr(kernel, "kernel")
     bad = np.flatnonzero(~(np.isfinite(rows.data) & (rows.data >= 0.0)))
     if bad.size:
         place = int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1, int(rows.indices[bad[0]])

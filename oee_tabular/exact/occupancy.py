@@ -11,7 +11,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular._sparse import on_pattern, row_of_entry
+from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import policy_to_read, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
@@ -88,7 +88,7 @@ def occupancy(
     if of == "state_action":
         return pairs
     data = pairs.reshape(-1)[row_of_entry(mdp.transitions)] * mdp.transitions.data
-    return on_pattern(mdp.transitions, data)
+    return csr_on_pattern(mdp.transitions, data)
 
 
 def infinite_visits(model: Model, policy: Array) -> Array:

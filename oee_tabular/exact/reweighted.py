@@ -14,7 +14,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular._sparse import on_pattern, ratio_on, row_sums
+from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 from oee_tabular.mdp.naming import NAMELESS, Names
@@ -96,7 +96,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
 
 def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedModel:
     """The model with these rows (entries,) in place of P's, zeros kept; copied but where they are its ``own``."""
-    kernel = on_pattern(mdp.transitions, rows, own=own)
+    kernel = csr_on_pattern(mdp.transitions, rows, own=own)
     rewards = mdp.rewards
     if mdp.reward_data is not None:
         rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import on_pattern
+from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import OffEnvironment, Oracle, Problem
 from oee_tabular.exact import occupancy, policy_value, weighted_return_moments
 from oee_tabular.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, episodes_for, estimators_of, grids
@@ -190,7 +190,7 @@ def estimands(settings: Cell, stream: Stream) -> list[Row]:
 
 def with_next_rewards_averaged(simulator: FiniteMDP) -> FiniteMDP:
     """The same MDP paying r(s, a) = sum_s' P r(s, a, s'): a product estimator then weighs r_t without the last ratio."""
-    return FiniteMDP(on_pattern(simulator.transitions, simulator.transitions.data), simulator.rewards, simulator.initial,
+    return FiniteMDP(csr_on_pattern(simulator.transitions, simulator.transitions.data), simulator.rewards, simulator.initial,
                      simulator.discount, layout=simulator.layout, state_names=simulator.state_names,
                      action_names=simulator.action_names)  # fmt: skip
 

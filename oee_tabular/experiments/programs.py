@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.estimators import OffEnvironment, Problem, Simulator
 from oee_tabular.exact import evaluate_policy, policy_value, reweight, weighted_return_moments
 from oee_tabular.experiments.common import (
@@ -127,7 +127,7 @@ def normalisation_cell(settings: Cell, stream: Stream) -> list[Row]:
             plain = (
                 moves / pairs[row_of_entry(pattern)]
             )  # also where neither side has the move: 1 over the pair's ratio
-            values = on_pattern(pattern, plain)
+            values = csr_on_pattern(pattern, plain)
             sums = float(np.abs(row_sums(pattern, plain * pattern.data) - 1.0).max())
         value = evaluate_policy(reweight(simulator, values), policy, horizon=HORIZON).value
         rows.append({"normalisation": name, "error": abs(SCALE * (value - truth)), "row_sum_error": sums})

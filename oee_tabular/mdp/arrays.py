@@ -10,7 +10,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import align, canonical, checked, checked_rows, find, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, check_csr, csr_from_parts, find, row_of_entry, row_sums
 from oee_tabular.mdp.naming import NAMELESS, Names
 
 
@@ -26,7 +26,7 @@ def transition_rows(transitions: Any) -> tuple[sparse.csr_array, int, int]:
         if transitions.ndim != 2 or transitions.shape[1] == 0 or transitions.shape[0] % transitions.shape[1]:
             raise ValueError(f"transitions must have shape (S*A, S) when sparse; it has shape {transitions.shape}")
         n_states = int(transitions.shape[1])
-        rows = checked(transitions, "transitions")
+        rows = check_csr(transitions, "transitions")
     else:
         dense = _checks.float_array(transitions, "transitions")
         if dense.ndim != 3:
@@ -81,7 +81,7 @@ def reward_table(
         raise ValueError(
             f"rewards must have shape {(n_states * n_actions, n_states)} when sparse; it has shape {rewards.shape}"
         )
-    given = canonical(checked(rewards, "rewards"), drop_zeros=False)
+    given = canonical(check_csr(rewards, "rewards"), drop_zeros=False)
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_move(given, int(bad[0]), n_actions)
@@ -185,7 +185,7 @@ def stored_sampling(arrays: Mapping[str, object], shape: tuple[int, int]) -> Sam
     error = None
     if f"{KEY}error_data" in arrays:
         data, indices, indptr = (arrays[f"{KEY}error_{part}"] for part in ("data", "indices", "indptr"))
-        error = checked_rows(data, indices, indptr, shape, f"{KEY}error")
+        error = csr_from_parts(data, indices, indptr, shape, f"{KEY}error")
     return Sampling(pairs, starts, error)
 
 

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, checked_rows, laid_on, row_of_entry, row_sums
+from oee_tabular._sparse import align, align_to, canonical, csr_from_parts, row_of_entry, row_sums
 from oee_tabular.mdp.arrays import (
     Sampling,
     canonical_table,
@@ -135,7 +135,7 @@ class FiniteMDP(Made):
         table, expected = reward_table(rewards, matrix, n_states, n_actions)
         data = None
         if table is not None:
-            table, data = laid_on(table, matrix)
+            table, data = align_to(table, matrix)
             expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
         if terminal_state is None:
             terminal = np.arange(n_states, dtype=np.int64)
@@ -318,7 +318,7 @@ class FiniteMDP(Made):
 
             def matrix(name: str) -> sparse.csr_array:
                 data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-                return checked_rows(data, indices, indptr, shape, name)
+                return csr_from_parts(data, indices, indptr, shape, name)
 
             rewards = arrays["rewards"] if "rewards" in arrays else matrix("rewards")
             return cls(

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
+from oee_tabular._sparse import check_csr
 from oee_tabular.mdp.arrays import Sampling, check_layout, sampling_of
 from oee_tabular.mdp.gymnasium_table import Outcomes, build
 from oee_tabular.mdp.naming import Name, Names, check_names, initial_distribution, renumber, to_plain
@@ -202,7 +203,7 @@ def _arguments(
     n_own = len(initial)
     array = None
     if rewards is not None:
-        array = rewards.toarray() if sparse.issparse(rewards) else rewards
+        array = check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
         array = _checks.float_array(array, "rewards", ndim=(1, 2, 3))
         if sparse.issparse(rewards) and array.shape == (n_own * n_actions, n_own):
             array = array.reshape(n_own, n_actions, n_own)

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
+from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp.arrays import canonical_table
 from oee_tabular.mdp.policies import Sized
 
@@ -77,7 +77,7 @@ def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
             raise ValueError(
                 f"log must be of shape {mdp.transitions.shape} where it is counts; it has shape {log.shape}"
             )
-        counts = canonical(checked(log, "log"), drop_zeros=True)
+        counts = canonical(check_csr(log, "log"), drop_zeros=True)
         return row_of_entry(counts), counts.indices.astype(np.int64), None
     require_log(log)
     log = log.numbered(mdp)

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, on_pattern, row_of_entry
+from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
@@ -203,7 +203,7 @@ def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.
     inside, _ = align(population.target.transitions, matrix)
     seen = population.support[row_of_entry(matrix)]
     safe = np.where(matrix.data > 0, matrix.data, 1.0)
-    return on_pattern(matrix, np.where(seen, inside / safe, fitted.on(population.simulator)))
+    return csr_on_pattern(matrix, np.where(seen, inside / safe, fitted.on(population.simulator)))
 
 
 def _tilt(

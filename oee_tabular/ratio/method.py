@@ -12,7 +12,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Seed
-from oee_tabular._sparse import on_pattern, row_of_entry
+from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
@@ -96,7 +96,7 @@ class Population:
         """Expected counts of very many moves, csr (S*A, S)."""
         matrix = self.target.transitions
         weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
-        return on_pattern(matrix, weight * matrix.data)
+        return csr_on_pattern(matrix, weight * matrix.data)
 
     def model(self, fallback: sparse.csr_array) -> FiniteMDP:
         """The target's rows where the data have them, ``fallback``'s elsewhere; paying what the simulator pays."""

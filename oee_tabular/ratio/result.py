@@ -13,7 +13,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular._sparse import align, canonical, checked, on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
@@ -82,7 +82,7 @@ class TransitionRatio:
                 f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}, "
                 "another simulator's"
             )
-        zeta, stored = align(canonical(checked(self.values, "ratio"), drop_zeros=False), simulator.transitions)
+        zeta, stored = align(canonical(check_csr(self.values, "ratio"), drop_zeros=False), simulator.transitions)
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
             raise ValueError("ratio must have the support of this simulator's transitions; it is another simulator's")
         return zeta
@@ -103,7 +103,7 @@ class TransitionRatio:
                 f"rows of zeta * P must sum to 1; they sum to {sums.min():.4g} to {sums.max():.4g} (method {self.method!r} "
                 "does not make them; normalize=True divides each row, exact.reweight keeps them as they are)"
             )
-        return simulator.with_transitions(on_pattern(simulator.transitions, data))
+        return simulator.with_transitions(csr_on_pattern(simulator.transitions, data))
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
         """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
@@ -113,7 +113,7 @@ class TransitionRatio:
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
             )
         self.on(simulator)  # or an error
-        return simulator.with_transitions(on_pattern(simulator.transitions, self._influence.likeliest()))
+        return simulator.with_transitions(csr_on_pattern(simulator.transitions, self._influence.likeliest()))
 
     @property
     def likeliest(self) -> Array | None:

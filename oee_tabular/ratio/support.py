@@ -11,7 +11,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align, canonical, checked, find, row_of_entry
+from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.finite_mdp import name_move
 
@@ -122,7 +122,7 @@ def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sp
         raise ValueError(
             f"{name} must be sparse of shape {matrix.shape}; got {getattr(moves, 'shape', type(moves).__name__)}"
         )
-    rows = checked(moves, name)
+    rows = check_csr(moves, name)
     position, stored = find(matrix, row_of_entry(rows), rows.indices.astype(np.int64))
     return rows, stored & (matrix.data[position] >= LEAST_PROBABILITY)
 
@@ -153,7 +153,7 @@ def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> s
         raise ValueError(f"{name} must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
     if counts.dtype.kind not in "fiub":
         raise ValueError(f"{name} must be real numbers; they are {counts.dtype}")
-    matrix = canonical(checked(counts, name), drop_zeros=True)
+    matrix = canonical(check_csr(counts, name), drop_zeros=True)
     for fine, rule in (
         (np.isfinite(matrix.data) & (matrix.data >= 0), "finite and nonnegative"),
         (matrix.data <= LARGEST_COUNT, "at most 2**53"),

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular._sparse import align, on_pattern
+from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -182,7 +182,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
             wanted, found = target.rewards[s, a], model.rewards[s, a]
             raise ValueError(f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is {found:g}")
         return
-    found, shared = align(on_pattern(model.transitions, model.reward_data), target.transitions)
+    found, shared = align(csr_on_pattern(model.transitions, model.reward_data), target.transitions)
     wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
     if wrong.size:
         k = int(wrong[0])

@@ -65,11 +65,7 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
     arrays = dict(np.load(tmp_path / "c.npz"))
     arrays["count"][0] += 1
     np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(ValueError, match=r"c\.npz': the checksum must be that of the arrays; they have changed"):
-        TransitionCounts.load(tmp_path / "c.npz")
-    del arrays["checksum"]
-    np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(ValueError, match=r"must hold every part of counts; 'checksum' is missing"):
+    with pytest.raises(ValueError, match=r"c\.npz' must hold the arrays that were saved"):
         TransitionCounts.load(tmp_path / "c.npz")
     LOG.save(tmp_path / "log.npz")
     with pytest.raises(ValueError, match=r"must hold a counted log .* it holds a log of numbered states"):

@@ -563,7 +563,7 @@ def test_a_stopped_count_goes_on_only_with_the_same(tmp_path):
     arrays = dict(np.load(tmp_path / "c.partial.npz"))
     arrays["sums"][0, 0] += 1
     np.savez(tmp_path / "c.partial.npz", **arrays)
-    with pytest.raises(ValueError, match=r"c\.partial\.npz': the checksum must be that of the arrays"):
+    with pytest.raises(ValueError, match=r"c\.partial\.npz' must hold the arrays that were saved"):
         Transitions.open(folder, output=output)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
+from oee_tabular import FiniteMDP, _files
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.estimators import ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import reweight
@@ -171,7 +171,7 @@ def test_files_without_it_load_and_broken_ones_name_it(tmp_path):
         (np.array([0.0, np.inf, 1.0]), r"'.*mdp.npz': layout\[1\] must be finite; it is inf$"),
         (np.array(["a", "b", "c"]), r"'.*mdp.npz': layout must be an array of numbers"),
     ):
-        np.savez(path, oee_tabular_kind=np.array("finite_mdp"), **three(layout=None).arrays(), layout=broken)
+        _files.save_npz(path, "finite_mdp", three(layout=None).arrays() | {"layout": np.array(broken)})
         with pytest.raises(ValueError, match=text):
             FiniteMDP.load(path)
 

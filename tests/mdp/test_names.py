@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
+from oee_tabular import FiniteMDP, _files
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.estimators import ModelBased
 from oee_tabular.exact import reweight
@@ -74,7 +74,7 @@ def test_a_file_without_names_has_none_and_a_broken_one_says_so(tmp_path):
         (np.array(['"a"', '"a"', '"b"']), r"mdp\.npz': state_names must differ; state_names\[1\] is 'a', as state_names\[0\]"),
         (np.array(['"a"', '"b"']), r"mdp\.npz': state_names must have 3 names, one for each; it has 2$"),
     ):  # fmt: skip
-        np.savez(path, oee_tabular_kind=np.array("finite_mdp"), **bare.arrays(), state_names=broken)
+        _files.save_npz(path, "finite_mdp", bare.arrays() | {"state_names": np.array(broken)})
         with pytest.raises(ValueError, match=text):
             FiniteMDP.load(path)
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular._sparse import on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.ratio import Tied, transition_ratio, true_ratio
 
 
@@ -95,7 +95,7 @@ def test_bad_calls(call, text):
 
 def test_no_mass_left_in_a_row():
     simulator = oee.FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0.0, 1.0], [1.0, 0.0], 0.9)
-    counts = on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
+    counts = csr_on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match=r"strength must be positive here: no key of row \(s=1, a=0\)"):
         fit_tied(counts, simulator, np.array([0, 1, 1]), strength=0.0)
 
