@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -13,8 +14,17 @@ from oee_tabular.cli import files, studies, values
 NAMES = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
-class Grouped(TyperCommand):
-    """A command whose help has its options in groups, by ``rich_help_panel``: those of typer's need boxes."""
+class Command(TyperCommand):
+    """A command that refuses an option given twice, and whose help has options in groups, by ``rich_help_panel``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As ever; ValueError for an option that takes one value and has several, of which all but the last would be lost."""
+        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for parameter, times in Counter(order).items():
+            if times > 1 and not getattr(parameter, "multiple", False):
+                raise ValueError(f"{parameter.opts[0]} must be given once; it is given {times} times")
+        rest: list[str] = super().parse_args(ctx, args)
+        return rest
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """One list a group, in the order of the first of each."""
@@ -55,7 +65,7 @@ COMMANDS: dict[Callable[..., None], str] = {
     studies.check: "Check an estimator of yours against the laws.",
 }
 for command, short in COMMANDS.items():
-    app.command(cls=Grouped, short_help=short)(command)
+    app.command(cls=Command, short_help=short)(command)
 
 
 def _version(asked: bool) -> None:

@@ -167,12 +167,25 @@ def counts(
 
 
 def info(
-    file: Annotated[str, typer.Argument(help="A FiniteMDP, a log, a policy or a report.", metavar="FILE")],
+    file: Annotated[
+        list[str],
+        typer.Argument(help="A FiniteMDP, a log (several files, a pattern or a folder too), a policy or a report."),
+    ],
     json: Annotated[bool, json_option("info")] = False,
 ) -> None:
     """Say what a file holds."""
-    kind, text = described(file)
-    answer("info", text, {"file": file, "kind": kind, "text": text.split("\n")}, json)
+    from oee_tabular.data import Transitions
+
+    kind, text = ("transitions", repr(Transitions.load(file))) if _are_logs(file) else described(file[0])
+    answer("info", text, {"file": ", ".join(file), "kind": kind, "text": text.split("\n")}, json)
+
+
+def _are_logs(files: list[str]) -> bool:
+    """Whether these are several files of one log: by name, by a pattern, or in a folder."""
+    path = Path(files[0])
+    is_pattern = not path.exists() and any(mark in files[0] for mark in "*?[")
+    in_folder = path.is_dir() and any(file.suffix in (".csv", ".parquet", ".npz") for file in path.iterdir())
+    return len(files) > 1 or is_pattern or (in_folder and not (path / "report.json").is_file())
 
 
 def described(file: str) -> tuple[str, str]:

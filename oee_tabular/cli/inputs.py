@@ -92,15 +92,22 @@ def sampled(
 
 
 def problem_of(
-    task: NamedTask, log: Path, *, horizon: int | None, behavior: str | None, rewards: Any, impossible: str = "refuse"
+    task: NamedTask,
+    log: list[str],
+    *,
+    horizon: int | None,
+    behavior: str | None,
+    rewards: Any,
+    impossible: str = "refuse",
 ) -> Problem:
-    """A problem from a task and the file of a log; ``impossible``: refuse, drop or allow=EPS."""
+    """A problem from a task and the files of a log; ``impossible``: refuse, drop or allow=EPS."""
     from oee_tabular import _progress
+    from oee_tabular.data import read_log
     from oee_tabular.estimators import Problem
 
     way, epsilon = impossible_of(impossible)
-    _progress.doing(f"reading the log {log}")
-    found, simulator = _log_of(log), task.mdp
+    _progress.doing(f"reading the log {', '.join(log)}")
+    found, simulator = read_log(log[0] if len(log) == 1 else log, task.mdp), task.mdp
     return Problem(
         simulator if epsilon is None else simulator.with_support_of(_moves(found, simulator), epsilon),
         found,
@@ -134,16 +141,8 @@ def _moves(log: Transitions | TransitionCounts, simulator: FiniteMDP) -> Any:
     return log if isinstance(log, Transitions) else log.counts(simulator.n_states, simulator.n_actions)
 
 
-def _log_of(path: Path) -> Transitions | TransitionCounts:
-    """A log, or the counts of one."""
-    from oee_tabular.data import TransitionCounts, Transitions
-    from oee_tabular.data.counted import holds_counts
-
-    return TransitionCounts.load(path) if holds_counts(path) else Transitions.load(path)
-
-
 def given_problem(
-    simulator: str, log: Path, behavior: str | None, options: dict[str, Any]
+    simulator: str, log: list[str], behavior: str | None, options: dict[str, Any]
 ) -> tuple[NamedTask, Problem]:
     """The task and the problem of the options that ``evaluate``, ``compare`` and ``plan`` share."""
     from dataclasses import replace
@@ -157,7 +156,7 @@ def given_problem(
 
 def from_files(
     simulator: str,
-    log: Path,
+    log: list[str],
     policy: list[str] | None,
     behavior: str | None,
     target: str | None,
@@ -176,10 +175,15 @@ def from_files(
 
     task, problem = given_problem(simulator, log, behavior, options)
     truth = None if target is None else task_of(target, task.mdp.discount, options["initial"]).mdp
-    facts = {"simulator_name": simulator, "log_name": str(log), "action_noise": options["action_noise"]}
+    facts = {
+        "simulator_name": simulator,
+        "log_name": ", ".join(log),
+        "log_files": log,
+        "action_noise": options["action_noise"],
+    }
     facts |= {name: options[name] for name in ("initial", "impossible") if options[name] not in (None, "refuse")}
     specs = named_specs(policy or ["optimal"])
-    facts |= {"policy_names": specs, "date": date_of([simulator, log, *specs.values()])}
+    facts |= {"policy_names": specs, "date": date_of([simulator, *log, *specs.values()])}
     facts |= {} if options["discount"] is None else {"discount": options["discount"]}
     if options["action_noise"]:
         facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -87,8 +86,11 @@ def json_option(command: str) -> Any:
 
 Simulator = Annotated[str, typer.Argument(help=f"{SIMULATOR_HELP}.", metavar="SIM")]
 SimulatorOption = Annotated[str, option(INPUT, f"{SIMULATOR_HELP}.", metavar="SIM")]
-LOG_HELP = "Log of the target: .npz (a log, or its counts), .csv, .parquet, Minari folder or id."
-Log = Annotated[Path, option(INPUT, LOG_HELP, metavar="FILE")]
+LOG_HELP = (
+    "Log of the target, repeatable: .npz (a log, or its counts), .csv, .parquet, a pattern or a folder of them, a Minari "
+    "folder or id."
+)
+Log = Annotated[list[str], option(INPUT, LOG_HELP, metavar="FILE")]
 Policies = Annotated[
     list[str] | None,
     option(INPUT, f"NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY_HELP}.", metavar="NAME=SPEC"),

@@ -53,7 +53,7 @@ from oee_tabular.continuous.command import from_states, is_continuous, settings_
 
 def evaluate(
     simulator: Annotated[str | None, option(INPUT, f"{SIMULATOR_HELP}.", metavar="SIM")] = None,
-    log: Annotated[Path | None, option(INPUT, LOG_HELP, metavar="FILE")] = None,
+    log: Annotated[list[str] | None, option(INPUT, LOG_HELP, metavar="FILE")] = None,
     policy: Policies = None,
     behavior: Annotated[
         str | None, option(INPUT, "Policy that recorded the log, as for --policy.", metavar="SPEC")
@@ -118,10 +118,10 @@ def evaluate(
             simulator, settings | {name: value for name, value in (("state", state), ("actions", actions)) if value}
         )
     common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
-    if simulator is None and log is None:
+    if simulator is None and not log:
         report = embedded(policy, behavior, target, options, normalized, common)
-    elif simulator is None or log is None:
-        given, lacking = ("simulator", "log") if log is None else ("log", "simulator")
+    elif simulator is None or not log:
+        given, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
     elif continuous:
         report = from_states(

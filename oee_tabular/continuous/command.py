@@ -65,7 +65,7 @@ def settings_of(
 
 def from_states(
     spec: str,
-    log: Path,
+    log: list[str],
     policy: list[str] | None,
     behavior: str | None,
     target: str | None,
@@ -117,7 +117,7 @@ def from_states(
         horizon=options["horizon"],
         discount=0.99 if options["discount"] is None else options["discount"],
         normalized=normalized,
-        facts={"simulator_name": spec, "log_name": str(log)},
+        facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
     )
 

@@ -155,9 +155,11 @@ def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
     """Return name -> number; a tuple is there by its text as well, "(0, 1)" or "(0,1)". Made once for a tuple of names."""
     known, numbers = _LOOKUPS.get(id(names), ((), MappingProxyType({})))
     if known is not names:
-        named = {item: k for k, item in enumerate(names)}
-        texts = {str(item): k for item, k in named.items()}
-        dense = {text.replace(", ", ","): k for item, k in named.items() for text in (str(item),) if item != text}
+        named: dict[Hashable, int] = {item: k for k, item in enumerate(names)}
+        texts: dict[Hashable, int] = {str(item): k for item, k in named.items()}
+        dense: dict[Hashable, int] = {
+            text.replace(", ", ","): k for item, k in named.items() for text in (str(item),) if item != text
+        }
         if len(_LOOKUPS) >= 16:
             _LOOKUPS.clear()
         numbers = MappingProxyType(dense | texts | named)

@@ -148,7 +148,17 @@ def method_facts(report: Evaluation) -> list[tuple[str, str]]:
     if "policy_names" in facts:
         found.append(("Policies from", ", ".join(f"{name}: {spec}" for name, spec in facts["policy_names"].items())))
     told = [(name, str(value)) for name, value in found if value is not None]
-    known = {"simulator", "simulator_name", "log", "log_name", "rewards", "policy_names", "date", "discount"}
+    known = {
+        "simulator",
+        "simulator_name",
+        "log",
+        "log_name",
+        "log_files",
+        "rewards",
+        "policy_names",
+        "date",
+        "discount",
+    }
     return told + [
         (str(key).replace("_", " "), str(value)) for key, value in facts.items() if key not in known and value
     ]

@@ -229,7 +229,9 @@ def plan_command(report: Evaluation) -> str:
     if "policy_names" not in facts:
         wanted = ", ".join(f"{name!r}: ..." for name in report.policies)
         return "" if "simulator_name" in facts else f"oee.plan_data_collection(problem, {{{wanted}}}, n={n})"
-    words = ["oee", "plan", "--simulator", str(facts["simulator_name"]), "--log", str(facts["log_name"])]
+    words = ["oee", "plan", "--simulator", str(facts["simulator_name"])]
+    for file in facts.get("log_files", [facts["log_name"]]):
+        words += ["--log", str(file)]
     for name, spec in facts["policy_names"].items():
         words += ["--policy", spec if name == spec else f"{name}={spec}"]
     given = {"horizon": report.horizon, **{name: facts.get(name) for name in ("initial", "discount", "impossible")}}
