@@ -45,8 +45,8 @@ SUBJECTS = {
             "efficiency_bound", "trajectory_efficiency_bound", "ratio_of_ratios_variance", "leading_bias",
         ),
         "Models, many at once, solvers": (
-            "Model", "ReweightedModel", "reweight", "transition_gradient", "evaluate_policy", "evaluate_batch", "BatchValues",
-            "stack_models", "ModelStack", "solve_policy_system", "LinearSolution",
+            "Model", "ReweightedModel", "reweight", "transition_gradient", "evaluate_policy",
+            "solve_policy_system", "LinearSolution",
         ),
     },
     "simulate": {

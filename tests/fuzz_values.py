@@ -60,11 +60,8 @@ def own_values(known):
     uniform, moves = known["policy"], known["continuous_log"]
     driver = oee.tasks.cartpole_policy(0.5)
     paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
-    many = np.stack([uniform, uniform])
     return {
         "reweight": {"ratio": known["zeta"]},
-        "evaluate_batch": {"policies": many},
-        "stack_models": {"models": [known["mdp"]] * 2},
         "check_policy": {"name": "policy", "horizon": None},
         "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
         "evaluate": {"target": None, "estimators": ["oee", "model-based"]},

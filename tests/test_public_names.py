@@ -25,10 +25,10 @@ NAMES = {
         Oracle Problem Simulator calibrate
     """,
     "oee_tabular.exact": """
-        BatchValues LinearSolution Model ModelStack Moments ReweightedModel action_values doubly_robust_moments
-        efficiency_bound evaluate_batch evaluate_policy leading_bias occupancy optimal_policy policy_is_moments
+        LinearSolution Model Moments ReweightedModel action_values doubly_robust_moments
+        efficiency_bound evaluate_policy leading_bias occupancy optimal_policy policy_is_moments
         policy_value policy_values_by_horizon ratio_of_ratios_variance return_moments reweight solve_policy_system
-        stack_models state_values trajectory_efficiency_bound transition_gradient weight_growth weight_moments
+        state_values trajectory_efficiency_bound transition_gradient weight_growth weight_moments
         weighted_return_moments
     """,
     "oee_tabular.experiments": """

@@ -1,6 +1,5 @@
 """What can be known exactly: values, occupancies, moments, efficiency bounds, gradients, optimal policies."""
 
-from oee_tabular.exact.batch import BatchValues, ModelStack, evaluate_batch, stack_models
 from oee_tabular.exact.efficiency import (
     efficiency_bound,
     leading_bias,
@@ -23,16 +22,13 @@ from oee_tabular.exact.values import action_values, evaluate_policy, policy_valu
 from oee_tabular.exact.walks import weight_growth, weight_moments
 
 __all__ = [
-    "BatchValues",
     "LinearSolution",
     "Model",
-    "ModelStack",
     "Moments",
     "ReweightedModel",
     "action_values",
     "doubly_robust_moments",
     "efficiency_bound",
-    "evaluate_batch",
     "evaluate_policy",
     "leading_bias",
     "occupancy",
@@ -44,7 +40,6 @@ __all__ = [
     "return_moments",
     "reweight",
     "solve_policy_system",
-    "stack_models",
     "state_values",
     "trajectory_efficiency_bound",
     "transition_gradient",

@@ -78,8 +78,8 @@ def average_rewards(policy, rewards):
 
 
 @njit(cache=True)
-def range_of_sums(kernel, formed):
-    """The smallest sum of a row, the largest with its rounding and that of ``formed`` terms an entry, the middle of the two."""
+def range_of_sums(kernel, n_roundings):
+    """The smallest sum of a row, the largest with its rounding and that of ``n_roundings`` terms an entry, the middle of the two."""
     indptr, data = kernel.indptr, kernel.data
     smallest, largest, entries = np.inf, 0.0, np.uint32(0)
     for i in range(len(indptr) - 1):
@@ -89,7 +89,7 @@ def range_of_sums(kernel, formed):
         smallest = min(smallest, total)
         largest = max(largest, total)
         entries = max(entries, indptr[i + 1] - indptr[i])
-    rounded = largest * (1.0 + (np.float64(entries) + formed) * np.finfo(np.float64).eps)
+    rounded = largest * (1.0 + (np.float64(entries) + n_roundings) * np.finfo(np.float64).eps)
     return smallest, rounded, 0.5 * (smallest + largest)
 
 
@@ -111,10 +111,10 @@ def times(kernel, transpose, x, out):
 
 
 @njit(cache=True)
-def residual(kernel, b, x, formed):
+def residual(kernel, b, x, n_roundings):
     """b - (I - discount K) x, its largest magnitude, the largest with its rounding, and the largest rounding.
 
-    Each term of an entry meets at most (entries of the row + 4) roundings, and ``formed`` more in the kernel itself.
+    Each term of an entry meets at most (entries of the row + 4) roundings, and ``n_roundings`` more in the kernel itself.
     """
     indptr, indices, data, discount = kernel
     n = len(b)
@@ -130,7 +130,9 @@ def residual(kernel, b, x, formed):
         value = b[i] + (discount * total - x[i])
         missed[i] = value
         here = (
-            unit * (np.float64(indptr[i + 1] - indptr[i]) + (4.0 + formed)) * (discount * size + abs(x[i]) + abs(b[i]))
+            unit
+            * (np.float64(indptr[i + 1] - indptr[i]) + (4.0 + n_roundings))
+            * (discount * size + abs(x[i]) + abs(b[i]))
         )
         value = abs(value)
         if not value <= largest:  # nan as well
@@ -142,7 +144,7 @@ def residual(kernel, b, x, formed):
 
 
 @njit(cache=True)
-def residual_transposed(kernel, b, x, formed):
+def residual_transposed(kernel, b, x, n_roundings):
     """The same for (I - discount K)^T, where the bound is of the sum of the magnitudes."""
     indptr, indices, data, discount = kernel
     n = len(b)
@@ -162,7 +164,7 @@ def residual_transposed(kernel, b, x, formed):
     for i in range(n):
         value = b[i] + (discount * missed[i] - x[i])
         missed[i] = value
-        here = unit * (count[i] + (4.0 + formed)) * (discount * size[i] + abs(x[i]) + abs(b[i]))
+        here = unit * (count[i] + (4.0 + n_roundings)) * (discount * size[i] + abs(x[i]) + abs(b[i]))
         value = abs(value)
         if not value <= largest:
             largest = value

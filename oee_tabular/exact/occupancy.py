@@ -19,10 +19,10 @@ from oee_tabular.exact.system import (
     Kernel,
     policy_kernel,
     policy_system,
-    readable,
+    as_readonly,
+    drop_states,
     recurrent_states,
     rows_of,
-    without,
 )
 from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
@@ -102,7 +102,7 @@ def infinite_visits(model: Model, policy: Array) -> Array:
     over = recurrent_states(system, policy_rewards(model, policy), model.names)
     if over.all():
         return np.zeros(len(over))
-    found = solve_policy_system(without(system, over).csr(), model.initial, 1.0, transpose=True).x
+    found = solve_policy_system(drop_states(system, over).csr(), model.initial, 1.0, transpose=True).x
     return np.where(over, 0.0, np.maximum(found, 0.0))
 
 
@@ -188,5 +188,5 @@ def transition_gradient(
     paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
     kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
     entries = rows_of(valued.transitions)
-    _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, readable(paid), total)
+    _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, as_readonly(paid), total)
     return np.asarray(total * np.repeat(pi.reshape(-1), lengths))

@@ -7,7 +7,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact.system import rows_of
-from oee_tabular.exact.values import action_values, infinite_values, said
+from oee_tabular.exact.values import action_values, infinite_values, warn_if_not_finite
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.mdp.policies import deterministic_policy
@@ -60,7 +60,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         met.add(actions.tobytes())
         policy = deterministic_policy(actions, mdp.n_actions)
         values = infinite_values(mdp, policy, near=values).values
-        first, better = _planning.better(*model, said(values), actions, rounding)
+        first, better = _planning.better(*model, warn_if_not_finite(values), actions, rounding)
         if not better.any() or np.where(better, first, actions).tobytes() in met:
             # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
             return policy if mdp.discount == 1.0 else deterministic_policy(first, mdp.n_actions)

@@ -56,15 +56,18 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
     parts = []
     for part in (indptr, indices, data):
         flags = part.flags
-        parts.append(part if flags.c_contiguous and not flags.writeable else readable(part))
+        parts.append(part if flags.c_contiguous and not flags.writeable else as_readonly(part))
     return Csr(parts[0].view(np.uint32), parts[1].view(np.uint32), parts[2])
 
 
-def readable(array: object) -> Any:
+def as_readonly(array: object) -> Any:
     """A contiguous view that cannot be written through."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
+
+
+readable = as_readonly  # the name in finite, moments, recursions and walks
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +80,7 @@ class System:
     smallest, largest : row sums of K, the latter with its rounding
     mass : the sum of a row, where all have one: half way between the smallest and the largest, without rounding
     transpose : whether M^T x = b is meant
-    formed : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
+    n_roundings : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
     """
 
     kernel: Kernel
@@ -85,10 +88,10 @@ class System:
     largest: float
     mass: float
     transpose: bool = False
-    formed: int = 0
+    n_roundings: int = 0
 
     @classmethod
-    def of(cls, kernel: sparse.csr_array, discount: float, transpose: bool = False) -> System:
+    def from_csr(cls, kernel: sparse.csr_array, discount: float, transpose: bool = False) -> System:
         """Of a CSR matrix."""
         from oee_tabular.exact._policy_rows import range_of_sums
 
@@ -138,7 +141,7 @@ def policy_system(model: Model, policy: Array) -> System:
         part.flags.writeable = False
     kernel = Kernel(indptr, indices, data, model.discount)
     smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(model.n_actions))
-    return System(kernel, smallest, largest, mass, formed=model.n_actions)
+    return System(kernel, smallest, largest, mass, n_roundings=model.n_actions)
 
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
@@ -172,18 +175,14 @@ def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) ->
     return recurrent
 
 
-def entries_of(system: System, recurrent: BoolArray) -> BoolArray:
-    """The entries of the rows of these states."""
-    return np.repeat(recurrent, np.diff(system.kernel.indptr.astype(np.int64)))
-
-
-def without(system: System, recurrent: BoolArray) -> System:
+def drop_states(system: System, recurrent: BoolArray) -> System:
     """The system in which these states lead nowhere."""
     from oee_tabular.exact import _policy_rows
 
-    kernel = system.kernel._replace(data=readable(np.where(entries_of(system, recurrent), 0.0, system.kernel.data)))
-    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(system.formed))
-    return System(kernel, smallest, largest, mass, formed=system.formed)
+    dropped = np.repeat(recurrent, np.diff(system.kernel.indptr.astype(np.int64)))
+    kernel = system.kernel._replace(data=as_readonly(np.where(dropped, 0.0, system.kernel.data)))
+    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(system.n_roundings))
+    return System(kernel, smallest, largest, mass, n_roundings=system.n_roundings)
 
 
 def exponent(numbers: Array) -> int:
@@ -192,13 +191,11 @@ def exponent(numbers: Array) -> int:
     return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
 
 
-def scaled_back(x: Array, bound: float, certified: float | None, shift: int) -> tuple[Array, float, float | None]:
-    """2^shift x, a bound on its error, and the share that stays certified: what becomes subnormal is rounded once more."""
+def scale_back(x: Array, bound: float, shift: int) -> tuple[Array, float]:
+    """2^shift x, and a bound on its error: what becomes subnormal is rounded once more."""
     with np.errstate(over="ignore", under="ignore"):
         x, bound = np.ldexp(x, shift), float(np.ldexp(bound, shift))
-    if certified is not None:
-        certified = min(certified, float(np.mean((x == 0.0) | (np.abs(x) >= np.finfo(float).tiny))))
-    return x, bound + len(x) * 5e-324, certified
+    return x, bound + len(x) * 5e-324
 
 
 def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:

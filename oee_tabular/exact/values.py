@@ -14,20 +14,10 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, PolicyLike
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact import finite
 from oee_tabular.exact.reweighted import MODELS, Model, require_model
-from oee_tabular.exact.system import (
-    System,
-    entries_of,
-    exponent,
-    policy_system,
-    readable,
-    recurrent_states,
-    rows_of,
-    scaled_back,
-    without,
-)
+from oee_tabular.exact.system import drop_states, exponent, policy_system, recurrent_states, scale_back
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 
@@ -39,15 +29,13 @@ class PolicyValues:
     """V and J of a policy.
 
     ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a finite horizon, where the sums
-    are carried out as they stand); ``method`` names the solver; ``certified`` is, where it was asked for, the share of
-    states whose value is proved to be the float nearest to the exact one.
+    are carried out as they stand); ``method`` names the solver.
     """
 
     values: Array
     value: float
     error_bound: float
     method: str
-    certified: float | None = None
 
 
 def policy_rewards(model: Model, policy: Array) -> Array:
@@ -57,9 +45,7 @@ def policy_rewards(model: Model, policy: Array) -> Array:
     return np.asarray(_policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
 
 
-def evaluate_policy(
-    model: Model, policy: PolicyLike, *, horizon: int | None = None, certify: bool = False
-) -> PolicyValues:
+def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = None) -> PolicyValues:
     """V, J and a bound on their error.
 
     Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
@@ -69,14 +55,12 @@ def evaluate_policy(
     model : FiniteMDP (or a ReweightedModel, whose rows may have any sum)
     policy : (S, A), or (T, S, A) with a horizon T
     horizon : positive int or None
-    certify : whether V is refined until it is the exact solution correctly rounded, and proved to be (no horizon)
 
     Returns
     -------
     PolicyValues
-        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf, ``method`` and ``certified``. V* is the exact
-        solution for the numbers as they are stored: with ``certify`` for r(s, a, s') where rewards depend on the next
-        state, else for ``rewards`` (S, A), the rounded expectation.
+        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and ``method``. V* is the exact solution for the
+        numbers as they are stored: transitions, policy and ``rewards`` (S, A), the rounded expectation of r(s, a, s').
 
     Raises
     ------
@@ -92,28 +76,23 @@ def evaluate_policy(
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
-    >>> found = evaluate_policy(coin, [[1.0]] * 2)
-    >>> found.values.round(6).tolist(), round(found.value, 6), found.error_bound < 1e-12
+    >>> result = evaluate_policy(coin, [[1.0]] * 2)
+    >>> result.values.round(6).tolist(), round(result.value, 6), result.error_bound < 1e-12
     ([0.5, 1.5], 1.0, True)
     """
     _checks.instance(model, MODELS, "model", "FiniteMDP")
-    _checks.boolean(certify, "certify")
     steps = None if horizon is None else horizon_length(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
-    if certify and steps is not None:
-        raise ValueError("certify must be False with a horizon: it is for the linear system of the infinite sum")
     if steps is not None:
         values = _backward(model, pi, steps)
         found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
     else:
-        found = infinite_values(model, pi, certify)
+        found = infinite_values(model, pi)
     total = found.values.sum()  # quicker to make than to look at each; it may overflow where no value does
     return found if isfinite(total) or np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
 
 
-def infinite_values(
-    model: Model, policy: Array, certify: bool = False, shift: int = 0, near: Array | None = None
-) -> PolicyValues:
+def infinite_values(model: Model, policy: Array, near: Array | None = None, shift: int = 0) -> PolicyValues:
     """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
 
     Rewards so small or large that their products leave the range of floats are first divided by 2^shift. ``near`` (S,): about
@@ -124,47 +103,24 @@ def infinite_values(
     paid = np.ldexp(model.rewards, -shift) if shift else model.rewards
     rewards, largest = _policy_rows.average_rewards(policy, paid)
     if not shift and not 1e-100 < largest < 1e100 and (shift := exponent(model.rewards)):
-        found = infinite_values(model, policy, certify, shift)
-        values, bound, certified = scaled_back(found.values, found.error_bound, found.certified, shift)
+        result = infinite_values(model, policy, shift=shift)
+        values, bound = scale_back(result.values, result.error_bound, shift)
         with np.errstate(over="ignore", under="ignore"):
-            return PolicyValues(values, float(np.ldexp(found.value, shift)), bound, found.method, certified)
-    system, recurrent = policy_system(model, policy), None
+            return PolicyValues(values, float(np.ldexp(result.value, shift)), bound, result.method)
+    system = policy_system(model, policy)
     if model.discount == 1.0:
         recurrent = recurrent_states(system, rewards, model.names)
         if recurrent.all():
-            return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed", 1.0 if certify else None)
-        system = without(system, recurrent)
+            return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
+        system = drop_states(system, recurrent)
     norm = solvers.inverse_norm(system)
-    if certify:
-        return _certified(model, policy, paid, shift, system, recurrent, norm)
     x, _, _, bound, _, method = solvers.answer(system, rewards, near)
     value = _finite.dot(model.initial, x, len(x))
     slack = (model.n_actions + 1) * EPS * largest
     return PolicyValues(x, float(value), float(norm * (bound + slack)), method)
 
 
-def _certified(
-    model: Model, policy: Array, paid: Array, shift: int, system: System, recurrent: BoolArray | None, norm: float
-) -> PolicyValues:
-    """The same to the last bit, from what the rounding of the kernel and the rewards left."""
-    from oee_tabular.exact import _twofold
-    from oee_tabular.exact.linear import solve_certified
-
-    rows, largest = rows_of(model.transitions), float(np.abs(policy * paid).sum(axis=1).max())
-    lost, widest = np.zeros_like(paid), 0
-    if model.reward_data is not None:  # r(s, a) = sum P r(s, a, s') was rounded
-        lost, size = _twofold.expected_rest(rows, readable(np.ldexp(model.reward_data, -shift)), paid)
-        widest, largest = int(np.diff(rows.indptr).max()), max(largest, size)
-    low, pay, pay_low = _twofold.average_rest(rows, policy, paid, lost, system.kernel)
-    if recurrent is not None:
-        low[entries_of(system, recurrent)] = 0.0
-    slack = (0.5 * EPS * (model.n_actions + widest + 8)) ** 2 * largest
-    found = solve_certified(system, low, pay, pay_low, norm, slack)
-    value = _twofold.dot(model.initial, found.high, found.low)
-    return PolicyValues(found.high, float(value), found.error_bound, found.method, found.certified)
-
-
-def said(values: Any) -> Any:
+def warn_if_not_finite(values: Any) -> Any:
     """The same values, with a warning where one is not finite."""
     if not np.isfinite(values).all():
         warnings.warn("a value is beyond the largest float: it is infinite, or not a number", stacklevel=3)
@@ -213,18 +169,20 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
-        return value if np.isfinite(value) else float(said(value))
+        return value if np.isfinite(value) else float(warn_if_not_finite(value))
     steps = horizon_length(horizon, mdp, policy)
-    return float(said(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps)))
+    return float(
+        warn_if_not_finite(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps))
+    )
 
 
-def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, certify: bool = False) -> Array:
+def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
     """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
 
     Parameters
     ----------
     mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon, certify : as in ``evaluate_policy``, whose errors and cost are these
+    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
 
     Examples
     --------
@@ -234,7 +192,7 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    return np.asarray(said(evaluate_policy(mdp, policy, horizon=horizon, certify=certify).values))
+    return np.asarray(warn_if_not_finite(evaluate_policy(mdp, policy, horizon=horizon).values))
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
@@ -256,4 +214,6 @@ def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
         return _backup(mdp, state_values(mdp, policy))
-    return np.asarray(said(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1))))
+    return np.asarray(
+        warn_if_not_finite(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1)))
+    )

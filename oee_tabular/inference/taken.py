@@ -13,7 +13,7 @@ import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import solvers
-from oee_tabular.exact.system import Kernel, System, readable
+from oee_tabular.exact.system import Kernel, System, as_readonly
 from oee_tabular.inference.ambiguity import Evidence, reached_rows
 from oee_tabular.mdp.horizons import optional_horizon_length
 
@@ -142,7 +142,7 @@ class Taken:
         from oee_tabular.inference import _profile as kernel
 
         indptr, columns, shares, paid = kernel.kernel_of(self.chain, p)
-        return Kernel(readable(indptr), readable(columns), readable(shares), self.discount), paid
+        return Kernel(as_readonly(indptr), as_readonly(columns), as_readonly(shares), self.discount), paid
 
     def _dense(self, p: Array, transpose: bool) -> Array:
         """V, or transposed d, by LAPACK."""

@@ -109,12 +109,10 @@ TOO_SLOW = {  # states from which a peer is left out, and what it was once seen 
 }
 
 
-def against(case, mdp, policy, peers=PEERS, certify=False, seconds=1.0):
+def against(case, mdp, policy, peers=PEERS, seconds=1.0):
     """Rows of one evaluation."""
     kernel, rewards = policy_kernel(mdp, policy), policy_rewards(mdp, policy)
     calls = {"ours": lambda: exact.evaluate_policy(mdp, policy).values}
-    if certify:
-        calls["ours, certified"] = lambda: exact.evaluate_policy(mdp, policy, certify=True).values
     for name, prepare in PEERS.items():
         if name not in peers:
             continue
@@ -169,42 +167,9 @@ def tiny():
             eye - 0.99 * np.einsum("sa,sat->st", policy, p), np.einsum("sa,sa->s", policy, r)
         ),
     }
-    truth = exact.evaluate_policy(mdp, policy, certify=True).values
+    truth = exact.evaluate_policy(mdp, policy).values
     many = {name: per_call(call, 200) for name, call in calls.items()}
     yield from rows_of("V", "4 states", interleaved(many), lambda x: np.abs(x - truth).max() / np.abs(truth).max(), 200)
-
-
-def batch(n=1000):
-    """1000 MDPs of 4 states with a policy each; 1000 policies in one of them."""
-    rng = np.random.default_rng(2)
-    p, r = rng.dirichlet(np.ones(4), (n, 4, 4)), rng.normal(size=(n, 4, 4))
-    policies, eye, start = rng.dirichlet(np.ones(4), (n, 4)), np.eye(4), np.full(4, 0.25)
-    mdps = [oee.FiniteMDP(p[i], r[i], start, 0.99) for i in range(n)]
-    stack = exact.stack_models(mdps)
-
-    def loop(p, r):
-        return np.array([
-            np.linalg.solve(eye - 0.99 * np.einsum("sa,sat->st", policies[i], p[i]), np.einsum("sa,sa->s", policies[i], r[i]))
-            for i in range(n)
-        ])  # fmt: skip
-
-    def at_once():
-        kernels, pay = np.einsum("nsa,nsat->nst", policies, p), np.einsum("nsa,nsa->ns", policies, r)
-        return np.linalg.solve(eye - 0.99 * kernels, pay[..., None])[..., 0]
-
-    one = [p[0]] * n, [r[0]] * n
-    for case, calls in (
-        (f"{n} MDPs of 4 states", {
-            "ours, stacked MDPs": lambda: exact.evaluate_batch(stack, policies).values,
-            "ours, list of MDPs": lambda: exact.evaluate_batch(mdps, policies).values,
-            "numpy, a loop": lambda: loop(p, r), "numpy, all at once": at_once,
-        }),
-        (f"{n} policies in an MDP of 4 states", {
-            "ours": lambda: exact.evaluate_batch(mdps[0], policies).values, "numpy, a loop": lambda: loop(*one),
-        }),
-    ):  # fmt: skip
-        truth = calls["numpy, a loop"]()
-        yield from rows_of("V", case, interleaved(calls), lambda x, t=truth: np.abs(x - t).max() / np.abs(t).max())
 
 
 def measured(n, program):
@@ -252,12 +217,11 @@ def memory(n, programs):
 def rows(*, quick):
     """The table's rows."""
     yield from tiny()
-    yield from batch()
     for n, discount in ((40, 0.99),) if quick else ((40, 0.99), (100, 0.99), (300, 0.99), (300, 0.9999)):
         mdp = oee.tasks.gridworld(n, 0.3, discount=discount)
         for delta in (0.1, 0.5, 0.9):
             case = f"grid {n}, delta {delta:g}, discount {discount:g}"
-            yield from against(case, mdp, gridworld_policy(n, delta), certify=True)
+            yield from against(case, mdp, gridworld_policy(n, delta))
     random = expander(1_000 if quick else 10_000)
     case = f"random sparse MDP of {random.n_states} states"
     yield from against(case, random, oee.uniform_policy(random), peers=("scipy bicgstab", "mdpsolver"))

@@ -67,7 +67,7 @@ def test_every_solver_gives_the_one_answer_within_its_bound(name, discount, tran
     assert found.error_bound < 1e-11 / (1 - discount) * scale + 1e-300
     spacing = np.spacing(np.abs(proved.x))  # certified: half of it at the most, and what is not a little more
     assert proved.error_bound <= (0.51 * spacing.sum() if transpose else 0.51 * spacing.max())
-    system = System.of(kernel, discount, transpose)
+    system = System.from_csr(kernel, discount, transpose)
     norm = inverse_norm(system)
     for solver in (*SOLVERS, *OTHERS):
         if not solver.suits(system):
@@ -98,7 +98,7 @@ def test_the_choice(name, method):
 @pytest.mark.parametrize("n", [3, 30, 200, 500])
 def test_a_direct_solver_answers_a_singular_system_with_nan(n, transpose):
     """From which divergence is concluded; the name of the method is that of the solver that was asked first."""
-    singular = System.of(sparse.csr_array(sparse.eye_array(n)), 1.0, transpose)
+    singular = System.from_csr(sparse.csr_array(sparse.eye_array(n)), 1.0, transpose)
     asked = [solver for solver in (*SOLVERS, *OTHERS) if solver.direct and solver.suits(singular)]
     assert asked
     for solver in asked:
@@ -110,7 +110,7 @@ def test_a_direct_solver_answers_a_singular_system_with_nan(n, transpose):
 
 
 def test_the_iteration_refines_to_rounding_and_leaves_zero_alone():
-    system, solver = System.of(grid(25), 0.99), BiCGStab()
+    system, solver = System.from_csr(grid(25), 0.99), BiCGStab()
     b = np.random.default_rng(0).random(625)
     x, missed, largest, bound, rounding, _ = refine(system, b, solver.prepare(system), solver.name)
     assert_allclose(missed, b + 0.99 * (system.csr() @ x) - x, rtol=0, atol=1e-15 * np.abs(x).max())
@@ -182,16 +182,16 @@ def test_graphs_that_expand_are_solved_without_a_preconditioner(discount, transp
     )
     b = np.random.default_rng(0).normal(size=n)
     assert solve_policy_system(random_rows(n, 8), b, discount, transpose=transpose).method == "value iteration"
-    system, solver = System.of(blocks, discount, transpose), BiCGStab(plain=True)
+    system, solver = System.from_csr(blocks, discount, transpose), BiCGStab(plain=True)
     assert _value_iteration.sweeps(system.kernel, system.largest, transpose, b, 0.0) is None
     assert solver.suits(system)
     found = refine(system, b, solver.prepare(system), solver.name)
     assert found.largest <= found.rounding
     truth = np.linalg.solve(system.matrix().toarray(), b)
     assert_allclose(found.x, truth, rtol=0, atol=1e-12 / (1 - discount) * np.abs(truth).max())
-    assert not solver.suits(System.of(grid(25), discount))
-    assert not solver.suits(System.of(cycle(500), discount))
-    assert solver.suits(System.of(random, discount))
+    assert not solver.suits(System.from_csr(grid(25), discount))
+    assert not solver.suits(System.from_csr(cycle(500), discount))
+    assert solver.suits(System.from_csr(random, discount))
 
 
 @pytest.mark.parametrize("discount", [0.99, 0.99999])
@@ -200,7 +200,7 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
     n, rng = 2000, np.random.default_rng(3)
     weights, ahead = rng.dirichlet(np.ones(2), n).reshape(-1), rng.integers(n, size=2 * n)
     kernel = sparse.csr_array((weights, (np.repeat(np.arange(n), 2), ahead)), (n, n))
-    system, solver, b = System.of(kernel, discount, True), BiCGStab(plain=True), np.full(n, (1 - discount) / n)
+    system, solver, b = System.from_csr(kernel, discount, True), BiCGStab(plain=True), np.full(n, (1 - discount) / n)
     assert _value_iteration.sweeps(system.kernel, system.largest, True, b, 0.0) is None
     found = refine(system, b, solver.prepare(system), solver.name)
     assert found is not None
@@ -253,7 +253,7 @@ def test_strongly_connected_components_are_found_and_ordered(rng):
     kernel.data[hidden] = 0.0
     seen, label = sparse.csgraph.connected_components(dense, directed=True, connection="strong")
     assert seen >= count
-    parts = System.of(kernel, 0.5)
+    parts = System.from_csr(kernel, 0.5)
     order, starts = components(parts.kernel, n)
     assert_array_equal(np.sort(order), np.arange(n))
     assert len(starts) == seen + 1
@@ -319,7 +319,7 @@ def test_a_layered_kernel_is_solved_in_one_step():
     kernel = STRUCTURES["layered"]
     shuffled = np.random.default_rng(3).permutation(480)
     for rows in (kernel, sparse.csr_array(kernel[shuffled][:, shuffled])):
-        system = System.of(rows, 0.999)
+        system = System.from_csr(rows, 0.999)
         order, place = krylov.breadth_first(system.kernel)
         assert_array_equal(np.sort(order), np.arange(480))
         assert_array_equal(order[place], np.arange(480))
@@ -334,7 +334,7 @@ def test_kernels_are_what_numpy_says(rng):
     n, gamma = int(rng.integers(2, 12)), float(rng.choice([0.5, 0.95]))
     kernel = rng.random((n, n)) * (rng.random((n, n)) < 0.5)
     kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-9)
-    system = System.of(sparse.csr_array(kernel), gamma)
+    system = System.from_csr(sparse.csr_array(kernel), gamma)
     matrix, b = np.eye(n) - gamma * kernel, rng.normal(size=n)
     factors = _elimination.dense(system.kernel)
     assert_allclose(factors, matrix, atol=1e-15)
@@ -386,7 +386,7 @@ def test_residuals_and_what_bounds_them(rng):
     n, discount, formed = int(rng.integers(2, 9)), float(rng.random()), 3.0
     dense = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
     b, x = rng.normal(size=(2, n)) * 10.0 ** rng.integers(-3, 4, (2, n))
-    parts = System.of(sparse.csr_array(dense), discount)
+    parts = System.from_csr(sparse.csr_array(dense), discount)
     unit = 0.5 * np.finfo(float).eps
     for transpose, matrix in ((False, dense), (True, dense.T)):
         kernel = policy_rows.residual_transposed if transpose else policy_rows.residual
@@ -413,18 +413,18 @@ def test_the_spectral_radius_of_simple_kernels():
 def test_the_norm_of_the_inverse_of_kernels_below_one():
     """1 / (1 - gamma * largest row sum), exactly."""
     assert_allclose(
-        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0, rtol=1e-12
+        inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0, rtol=1e-12
     )
     assert_allclose(
-        inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5)), 1 / 0.6, rtol=1e-12
+        inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5)), 1 / 0.6, rtol=1e-12
     )
-    assert_allclose(inverse_norm(System.of(sparse.csr_array((2, 2)), 0.9)), 1.0, rtol=1e-12)
+    assert_allclose(inverse_norm(System.from_csr(sparse.csr_array((2, 2)), 0.9)), 1.0, rtol=1e-12)
 
 
 def test_rows_below_one_need_no_certificate(monkeypatch):
     """The bound is known from the row sums: no second system is solved for it."""
     monkeypatch.setattr(solvers, "answer", None)
-    assert_allclose(inverse_norm(System.of(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0)
+    assert_allclose(inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0)
 
 
 def test_the_certificate_counts_its_own_residual(monkeypatch):
@@ -435,10 +435,10 @@ def test_the_certificate_counts_its_own_residual(monkeypatch):
         answer = solvers.Answer(np.array(h), np.array(residual), largest, largest, 0.0, "dense LU")
         monkeypatch.setattr(solvers, "answer", lambda system, b, answer=answer: answer)
         if min(residual) == -0.4:
-            assert_allclose(inverse_norm(System.of(kernel, 0.9)), 3.0 / 0.6)
+            assert_allclose(inverse_norm(System.from_csr(kernel, 0.9)), 3.0 / 0.6)
         else:
             with pytest.raises(ValueError, match=r"spectral radius of 0\.402492"):
-                inverse_norm(System.of(kernel, 0.9))
+                inverse_norm(System.from_csr(kernel, 0.9))
 
 
 @given(rngs)
@@ -451,7 +451,7 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
     if radius == 0:
         return
     kernel *= 1.05 / radius
-    bound = inverse_norm(System.of(sparse.csr_array(kernel), 0.9))
+    bound = inverse_norm(System.from_csr(sparse.csr_array(kernel), 0.9))
     norm = np.abs(np.linalg.inv(np.eye(n) - 0.9 * kernel)).sum(axis=1).max()
     assert norm <= bound * (1 + 1e-12)
     if 0.9 * kernel.sum(axis=1).max() > 1:
@@ -473,7 +473,7 @@ def test_near_discount_one_occupancies_sum_to_one(entries):
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_correction_leaves_its_share(name, transpose, monkeypatch):
     """Of what a vector near by misses; where all that are asked give up, or leave too much, the answer is exact."""
-    system = System.of(STRUCTURES[name], 0.95, transpose)
+    system = System.from_csr(STRUCTURES[name], 0.95, transpose)
     b = np.random.default_rng(1).normal(size=len(system.kernel.indptr) - 1)
     exact_one = solvers.answer(system, b)
     near = exact_one.x * (1.0 + 0.01 * np.random.default_rng(2).normal(size=len(b)))

@@ -128,7 +128,7 @@ def corrected(system: System, b: Array, near: Array, share: float) -> Answer:
 
 def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
     residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
-    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.n_roundings))
     return Answer(x, missed, largest, bound, rounding, method)
 
 
@@ -138,7 +138,7 @@ def refine(system: System, b: Array, solve: Solve, method: str, near: Array | No
     x = solve(b, 0.0) if near is None else near
     if x is None:
         return None
-    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+    missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.n_roundings))
     found = Answer(x, missed, largest, bound, rounding, method)
     for _ in range(8):
         if not 0.25 * found.rounding < found.largest < np.inf:
@@ -147,7 +147,7 @@ def refine(system: System, b: Array, solve: Solve, method: str, near: Array | No
         if step is None:
             break
         x = found.x + step
-        missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.formed))
+        missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.n_roundings))
         if not largest < found.largest:
             break
         stalled = largest > 0.5 * found.largest
