@@ -57,7 +57,7 @@ def valid_values():
 
 def own_values(known):
     """Arguments whose meaning differs from that of the same name elsewhere: function name -> values."""
-    uniform, moves = known["policy"], known["continuous_log"]
+    moves = known["continuous_log"]
     driver = oee.tasks.cartpole_policy(0.5)
     paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
     return {

@@ -79,7 +79,7 @@ def average_rewards(policy, rewards):
 
 @njit(cache=True)
 def range_of_sums(kernel, n_roundings):
-    """The smallest sum of a row, the largest with its rounding and that of ``n_roundings`` terms an entry, the middle of the two."""
+    """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an entry, the middle of the two."""
     indptr, data = kernel.indptr, kernel.data
     smallest, largest, entries = np.inf, 0.0, np.uint32(0)
     for i in range(len(indptr) - 1):

@@ -17,10 +17,10 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     Kernel,
-    policy_kernel,
-    policy_system,
     as_readonly,
     drop_states,
+    policy_kernel,
+    policy_system,
     recurrent_states,
     rows_of,
 )

@@ -1,7 +1,7 @@
 """V on graphs of every kind, ours against scipy's SuperLU, BiCGSTAB and LAPACK, each near discount 1 and in three sizes.
 
-Every clock starts with the MDP of one action: I - gamma P and its factors are made inside, ours with all checks. ``error`` is the
-largest |r + gamma P V - V| over the largest |V|. As a script it prints peer's time / ours, the best peer's alone:
+Every clock starts with the MDP of one action: I - gamma P and its factors are made inside, ours with all checks. ``error`` is
+the largest |r + gamma P V - V| over the largest |V|. As a script it prints peer's time / ours, the best peer's alone:
 
     python tests/benchmarks/graphs.py [PART OF A CASE'S NAME ...]
 """
