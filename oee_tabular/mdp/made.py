@@ -33,7 +33,7 @@ class Made:
         """
         from oee_tabular.mdp.gymnasium_table import read_table
 
-        return cls(**vars(read_table(env)), discount=discount)
+        return cls(**read_table(env), discount=discount)
 
     @classmethod
     def from_log(
@@ -77,10 +77,10 @@ class Made:
         >>> oee.FiniteMDP.from_log(log, discount=0.9).transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.sampled import arguments_of_log
+        from oee_tabular.mdp.empirical import log_arguments
 
         sizes, names = (n_states, n_actions), (state_names, action_names)
-        return cls(**arguments_of_log(log, rewards, initial, sizes, names, layout), discount=discount)
+        return cls(**log_arguments(log, rewards, initial, sizes, names, layout), discount=discount)
 
     @classmethod
     def from_env(
@@ -88,9 +88,10 @@ class Made:
     ) -> Self:
         """The MDP of a Gymnasium environment that can only be sampled, by the frequencies of its moves.
 
-        Episodes are run, each time with the action least tried where it is, until every action of every state that was met has
-        been taken ``samples_per_pair`` times. Observations that are not Discrete (tuples, integer arrays, texts) become the
-        states' names. States that no episode met stay where they are and pay 0.
+        Episodes go to the nearest state-action pair with too few samples, by value iteration in what has been met so far
+        (``mdp.explorer``), until every action of every state that was met has been taken ``samples_per_pair`` times; an
+        episode that cannot lead there is left by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
+        texts) become the states' names. States that no episode met stay where they are and pay 0.
 
         Parameters
         ----------
@@ -98,7 +99,7 @@ class Made:
         samples_per_pair : positive int
         seed : anything that ``numpy.random.default_rng`` takes; of the first ``env.reset`` and of the actions
         discount : gamma
-        max_steps : positive int, at which it is left; a warning says how many pairs have fewer samples then
+        max_steps : positive int, at which it ends; a warning says how many pairs have fewer samples then, and names three
 
         Raises
         ------
@@ -119,6 +120,6 @@ class Made:
         >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
         True
         """
-        from oee_tabular.mdp.sampled import arguments_of_env
+        from oee_tabular.mdp.empirical import env_arguments
 
-        return cls(**arguments_of_env(env, samples_per_pair, seed, max_steps), discount=discount)
+        return cls(**env_arguments(env, samples_per_pair, seed, max_steps), discount=discount)

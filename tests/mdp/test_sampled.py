@@ -77,7 +77,9 @@ def test_a_state_that_ends_and_goes_on_gets_a_twin(rewards):
 
 def test_pairs_never_recorded_do_as_the_others_do_and_are_told():
     log = Transitions([0, 0, 0], [0, 0, 2], [0, 1, 1], [3.0, 6.0, 9.0])
-    with pytest.warns(UserWarning, match=rf"^4 pairs .*{FILLED} .*: s=0, a=1; s=1, a=0; s=1, a=1; \.\.\."):
+    with pytest.warns(
+        UserWarning, match=rf"^4 state-action pairs were {FILLED} .*: s=0, a=1; s=1, a=0; s=1, a=1; \.\.\."
+    ):
         mdp = FiniteMDP.from_log(log)
     assert_allclose(dense(mdp)[0], [[0.5, 0.5], [1 / 3, 2 / 3], [0, 1]], rtol=1e-15)
     assert_allclose(
@@ -92,14 +94,16 @@ def test_states_that_the_log_never_met_are_not_told():
     mdp = FiniteMDP.from_log(log, n_states=3)
     assert mdp.closed().tolist() == [True] * 3
     with pytest.warns(
-        UserWarning, match=f"^3 pairs .*{FILLED}"
+        UserWarning, match=f"^3 state-action pairs were {FILLED}"
     ):  # one action, two states that may begin, one with another
         FiniteMDP.from_log(log, n_states=2, n_actions=2, initial={0: 0.5, 1: 0.5})
 
 
 def test_sizes_names_and_starts():
     log = Transitions(["b", "a"], [1, 1], ["a", "b"], [1.0, 2.0])
-    with pytest.warns(UserWarning, match=f"^4 pairs .*{FILLED}.*: s=a, a=left; s=b, a=left; s=c, a=left; "):
+    with pytest.warns(
+        UserWarning, match=f"^4 state-action pairs were {FILLED}.*: s=a, a=left; s=b, a=left; s=c, a=left; "
+    ):
         mdp = FiniteMDP.from_log(log, state_names=["a", "b", "c"], action_names=["left", "right"], initial="c")
     assert mdp.initial.tolist() == [0, 0, 1]
     assert dense(mdp)[:, 1].tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
@@ -192,8 +196,11 @@ def test_numbers_that_no_episode_meets_stay():
 
 
 def test_it_stops_where_it_is_told():
-    with pytest.warns(UserWarning, match=r"^samples_per_pair, 5, was not reached within max_steps, 30, in [1-6] of"):
-        FiniteMDP.from_env(Corridor(), samples_per_pair=5, seed=0, max_steps=30)
+    with pytest.warns(
+        UserWarning,
+        match=r"^samples_per_pair, 5, was not reached within max_steps, 20, in [1-6] of the 6 state-action pairs that were met: s=",
+    ):
+        FiniteMDP.from_env(Corridor(), samples_per_pair=5, seed=0, max_steps=20)
 
 
 @pytest.mark.parametrize(
