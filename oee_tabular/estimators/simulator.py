@@ -9,21 +9,26 @@ from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Basis, Estimate, ExactLimit, without_divergence
+from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Basis, Estimate, ExactLimit, without_divergence
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
+from oee_tabular.estimators.sampling import compute_sampling_error, short_samples
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 
 ALONE = Basis(log=False)
+NORMAL_QUANTILE = 1.959963984540054  # of a 95% interval
+MAX_UNKNOWN_SHARE = 0.1  # of the policy's time in pairs with one sample or none: above it there is no interval
 
 
 @dataclass(frozen=True)
 class Simulator(ExactLimit):
     """J in the simulator as it stands, with its own rewards; the log is not used.
+
+    Of a simulator that was made of samples the value has their standard error and a 95% interval (``estimators.sampling``).
 
     Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
 
@@ -41,11 +46,24 @@ class Simulator(ExactLimit):
         """Exact; ``seed`` is not used."""
         pi = checked_policy(problem, policy)
         found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
+        facts: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
+        told = findings.linear_algebra(found.error_bound, found.value)
+        error = compute_sampling_error(problem.simulator, pi, problem.horizon)
+        if error is None:
+            return Estimate(found.value, diagnostics=facts, findings=told, basis=ALONE)
+        is_known = error.unknown_share <= MAX_UNKNOWN_SHARE
+        told += short_samples(error, has_interval=is_known)
+        reach = NORMAL_QUANTILE * error.standard_error
+        if not reach > ROUNDING * abs(found.value):  # the samples never varied
+            return Estimate(found.value, diagnostics=facts, findings=told, basis=ALONE)
+        ends = (found.value - reach, found.value + reach) if is_known else None
         return Estimate(
             found.value,
-            diagnostics={"error_bound": found.error_bound, "method": found.method},
-            findings=findings.linear_algebra(found.error_bound, found.value),
-            basis=ALONE,
+            error.standard_error,
+            ends,
+            diagnostics=facts | {"standard_error_of": "simulator's samples", "interval_method": "simulator's samples"},
+            findings=told,
+            basis=Basis(log=False, normal=True, measured=1.0 - error.unknown_share),
         )
 
     @property

@@ -70,8 +70,8 @@ def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: obj
         short = np.argwhere(is_short)
         named = "; ".join(names.pair(number[s], a) for s, a in short[:3])
         _checks.warn(
-            f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}, in {len(short)} of the {is_short.size} "
-            f"state-action pairs that were met: {named}{'; ...' * (len(short) > 3)}"
+            f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}, in {len(short)} of the "
+            f"{explorer.n_pairs} state-action pairs that were met: {named}{'; ...' * (len(short) > 3)}"
         )
     state, action, following, reward, terminated = (np.array(c) for c in zip(*explorer.transitions, strict=True))
     columns = (number[state], action, number[following], terminated)

@@ -65,6 +65,11 @@ class Explorer:
                 state, is_over = self._step(state, action)
         return (np.array(self._counts) < self.n_wanted) & np.array(self._is_wanted)[:, None]
 
+    @property
+    def n_pairs(self) -> int:
+        """The number of state-action pairs in which an action can be taken."""
+        return self.n_actions * sum(self._is_wanted)
+
     def _step(self, state: int, action: int) -> tuple[int, bool]:
         """Take an action; return the next state and whether the episode is over."""
         observation, reward, terminated, truncated, _ = self.env.step(action)

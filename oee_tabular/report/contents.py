@@ -40,6 +40,7 @@ class Answer:
     unseen: int
     sentence: str
     from_log: bool
+    simulator_error: float | None = None
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -72,14 +73,16 @@ def answers(report: Evaluation) -> list[Answer]:
         own = [result for result in report.results if result.policy == policy]
         first = headline(own)
         best = rows[report.results.index(first)]
-        alone = next((r.estimate.value * report.scale for r in own if not r.estimate.basis.log), None)
+        known = next((r.estimate for r in own if not r.estimate.basis.log), None)
+        alone = None if known is None else known.value * report.scale
+        error = None if known is None or known.standard_error is None else known.standard_error * report.scale
         sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
         unseen = 0 if sure is None else int(sure.diagnostics.get("unvisited_rows", 0))
         found.append(
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
                 alone, best["true_value"], best.get("coverage"), unseen,
-                sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log,
+                sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log, error,
             )
         )  # fmt: skip
     return found
@@ -109,6 +112,8 @@ def _worth(answer: Answer, report: Evaluation) -> str:
         told += f", and with {level} confidence between {between(answer.lower, answer.upper, ' and ')}"
     if answer.simulator is not None and answer.from_log:
         told += f"; the simulator says {within(answer.simulator, answer.lower, answer.upper)}"
+        if answer.simulator_error is not None:
+            told += f" (standard error {number(answer.simulator_error, 2)}, since it was sampled)"
     if answer.truth is not None:
         told += f"; exactly, which is known here, it is {number(answer.truth)}"
     return told

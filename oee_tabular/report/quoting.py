@@ -20,6 +20,7 @@ METHODS: Mapping[str, str] = {
     "one-step": "value plus or minus normal quantile x standard error, to which pairs never recorded add as if recorded once",
     "refits": "value plus or minus t quantile x standard error, by refits on resampled episodes and the rollouts' own",
     "calibrated": "value plus or minus normal quantile x standard error, in which the gap between two calibrations counts",
+    "simulator's samples": "value plus or minus normal quantile x standard error: the simulator's sampling, not the target",
     OWN: "as the estimator gives it",
     NOISE: "value plus or minus normal quantile x standard error: the noise of the log, or of the rollouts, alone",
 }
