@@ -257,9 +257,9 @@ def positive_integer(value: Any, name: str) -> int:
     except TypeError:
         raise ValueError(f"{name} must be a positive integer; got {show(value)}") from None
     if number < 1:
-        raise ValueError(f"{name} must be a positive integer; it is {number}")
+        raise ValueError(f"{name} must be a positive integer; it is {show(number)}")
     if number > LARGEST_INTEGER:
-        raise ValueError(f"{name} must be at most 2**63 - 1; it is {number}")
+        raise ValueError(f"{name} must be at most 2**63 - 1; it is {show(number)}")
     return number
 
 

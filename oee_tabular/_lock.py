@@ -3,75 +3,41 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 NAME = ".lock"
-HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
 @contextlib.contextmanager
-def only_one(folder: Path) -> Iterator[None]:
-    """Hold ``folder``, which is made if it is not there; ValueError where another command does.
+def hold_folder(folder: Path) -> Iterator[None]:
+    """Hold ``folder``, made where it is not there; ValueError where another command does, or ``.lock`` is a link."""
+    from filelock import FileLock, Timeout
 
-    On a file system without locks nothing is held.
-    """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / NAME
-    handle = _held(path)
+    if path.is_symlink() or (path.exists() and not path.is_file()):  # of a link that comes later filelock opens none
+        raise ValueError(f"{str(path)!r} must be a plain file; it is a link or something else: remove it")
+    lock = FileLock(path, timeout=0)
     try:
+        lock.acquire()
+    except Timeout:
+        holder = path.read_text(errors="replace")[:20].strip() if path.is_file() else ""
+        raise ValueError(
+            f"{folder} must be used by one command at a time; another{f' (process {holder})' if holder else ''} is at "
+            "work in it: wait for it, or name another folder with --output"
+        ) from None
+    except OSError as error:
+        raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
+    try:
+        path.write_text(f"{os.getpid()}\n")
         yield
     finally:
         with contextlib.suppress(OSError):  # Windows removes no open file
             path.unlink()
-        os.close(handle)
+        lock.release()
         with contextlib.suppress(OSError):
             for path in made:
                 path.rmdir()  # where nothing was written
-
-
-def _held(path: Path) -> int:
-    """The locked file; it is looked at again since who held it before removes it."""
-    while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            _lock(handle)
-            with contextlib.suppress(FileNotFoundError):
-                if os.path.samestat(os.stat(path), os.fstat(handle)):
-                    os.truncate(handle, 0)
-                    os.write(handle, f"{os.getpid()}\n".encode())
-                    return handle
-            os.close(handle)
-        except OSError as error:
-            held = os.read(handle, 20).decode(errors="replace").strip() if error.errno in HELD else ""
-            os.close(handle)
-            if error.errno not in HELD:
-                raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
-            who = f" (process {held})" if held else ""
-            raise ValueError(
-                f"{path.parent} must be used by one command at a time; another{who} is at work in it: wait for it, or name "
-                "another folder with --output"
-            ) from None
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(handle: int) -> None:
-        os.lseek(handle, 1 << 20, os.SEEK_SET)  # a byte that nobody writes: locked ones cannot be read
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        os.lseek(handle, 0, os.SEEK_SET)
-
-else:
-    import fcntl
-
-    def _lock(handle: int) -> None:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-                raise

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 CONNECT = 5.0  # seconds to wait for a dask scheduler
+WATCH = 0.5  # seconds between two looks of a worker at its parent
 
 
 @contextlib.contextmanager
@@ -18,11 +22,30 @@ def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
         raise ImportError("--dask needs dask.distributed; in a clone: pip install '.[dask]'") from error
     try:
         connect: Any = Client
-        found = connect(address, timeout=seconds, set_as_default=True)
+        scheduler = connect(address, timeout=seconds, set_as_default=True)
     except Exception as error:  # what is not a scheduler may answer anything
         raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
-    with found:
-        yield found
+    with scheduler:
+        yield scheduler
+
+
+def local_processes() -> Any:
+    """The configuration of joblib for processes of this machine, one thread each, that end with this one however it dies."""
+    import joblib
+
+    return joblib.parallel_config("loky", inner_max_num_threads=1, initializer=end_with_parent, initargs=(os.getpid(),))
+
+
+def end_with_parent(parent: int) -> None:
+    """In a worker: a thread that ends it once ``parent`` is gone, which a SIGKILL leaves no time to say."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    if os.name == "posix":  # elsewhere getppid names a parent that is gone
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def each(
@@ -44,7 +67,7 @@ def each(
                 )
             stack.enter_context(joblib.parallel_config("dask", pure=False))
         else:
-            stack.enter_context(joblib.parallel_config("loky", inner_max_num_threads=1))
+            stack.enter_context(local_processes())
         most = -1 if dask is not None or jobs == -1 else min(jobs, number)
         parallel = joblib.Parallel(n_jobs=most, return_as="generator", batch_size=1)
         yield from parallel(joblib.delayed(function)(*call) for call in calls)

@@ -220,7 +220,7 @@ HOLD = """
 import sys, time
 from pathlib import Path
 from oee_tabular import _lock
-with _lock.only_one(Path(sys.argv[1])):
+with _lock.hold_folder(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -261,16 +261,16 @@ def test_a_dead_process_holds_nothing(tmp_path, holder):
     holder.wait()
     folder = tmp_path / "estimands"
     assert (folder / _lock.NAME).exists()  # it could not tidy up
-    with _lock.only_one(folder), pytest.raises(ValueError, match="one command at a time"), _lock.only_one(folder):
+    with _lock.hold_folder(folder), pytest.raises(ValueError, match="one command at a time"), _lock.hold_folder(folder):
         pass
     assert list(folder.iterdir()) == []
 
 
 def test_a_lock_leaves_nothing_and_takes_no_file_away(tmp_path):
-    with _lock.only_one(tmp_path / "a" / "b"):
+    with _lock.hold_folder(tmp_path / "a" / "b"):
         pass
     assert list(tmp_path.iterdir()) == []
-    with _lock.only_one(tmp_path / "c"):
+    with _lock.hold_folder(tmp_path / "c"):
         (tmp_path / "c" / "kept").write_text("x")
     assert [path.name for path in (tmp_path / "c").iterdir()] == ["kept"]
 

@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _tell
     _progress.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
     try:
-        with _progress.told():
+        with _progress.show_steps():
             commands.app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         typer.echo(f"oee: {_sentence(error)}", err=True)

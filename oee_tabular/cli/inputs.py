@@ -106,7 +106,7 @@ def problem_of(
     from oee_tabular.estimators import Problem
 
     way, epsilon = impossible_of(impossible)
-    _progress.doing(f"reading the log {', '.join(log)}")
+    _progress.report_step(f"reading the log {', '.join(log)}")
     found, simulator = read_log(log[0] if len(log) == 1 else log, task.mdp), task.mdp
     return Problem(
         simulator if epsilon is None else simulator.with_support_of(_moves(found, simulator), epsilon),

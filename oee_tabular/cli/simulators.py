@@ -34,7 +34,7 @@ def task_of(spec: str, discount: float | None, initial: str | None = None, sampl
     from oee_tabular import _progress
     from oee_tabular.tasks import named_task
 
-    _progress.doing(f"reading the simulator {spec}")
+    _progress.report_step(f"reading the simulator {spec}")
     if is_own(spec):
         task = _own_task(spec, 0.99 if discount is None else discount, samples)
         task = (
@@ -161,7 +161,7 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import read_policy_array
 
-    _progress.doing(f"reading the policy {spec}")
+    _progress.report_step(f"reading the policy {spec}")
     if spec == "uniform":
         return uniform_policy(task.mdp)
     if spec == "optimal":

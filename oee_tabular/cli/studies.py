@@ -107,7 +107,7 @@ def check(
     from oee_tabular import _progress
     from oee_tabular.testing.command import check as run
 
-    _progress.doing(f"laws of estimators, on {estimator}")
+    _progress.report_step(f"laws of estimators, on {estimator}")
     verdicts = run(estimator, seed=seed, repetitions=repetitions, timeout=timeout)
     laws = [{"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example} for v in verdicts.values()]
     record = {"estimator": verdicts.estimator, "passed": verdicts.passed, "seed": seed, "laws": laws}

@@ -216,7 +216,7 @@ def plan(
     }  # fmt: skip
     task, problem = given_problem(simulator, log, None, options)
     policies = policies_of(policy, task)
-    _progress.doing(f"plan for {transitions} transitions")
+    _progress.report_step(f"plan for {transitions} transitions")
     sampling: Any = "free" if free else "behavior"
     found = plan_data_collection(problem, policies, n=transitions, sampling=sampling, confidence=confidence)
     if output is not None:

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
+from oee_tabular._progress import progress_bar
 from oee_tabular._sparse import canonical
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization
@@ -217,10 +218,8 @@ def _moves(
     task: ContinuousTask, cells: VoronoiCells, states: Array, here: IntArray, rng: np.random.Generator
 ) -> tuple[IntArray, IntArray, Array]:
     """Rows s*A + a, columns and rewards of one step from every state under every action."""
-    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
-
     rows, columns, paid = [], [], []
-    for low in tqdm(range(0, len(states), STATES_AT_A_TIME), desc="stepping", disable=None, delay=2.0, leave=False):
+    for low in progress_bar("stepping", range(0, len(states), STATES_AT_A_TIME)):
         part = slice(low, low + STATES_AT_A_TIME)
         for action in range(task.n_actions):
             moved = task.step(states[part], np.full(len(states[part]), action), rng)

@@ -26,6 +26,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
+from oee_tabular._progress import progress_bar
 from oee_tabular._sparse import canonical, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.closure import warn_if_coarse
@@ -175,12 +176,10 @@ class GridInterpolation:
         self, task: ContinuousTask, grid: Grid, nodes: tuple[Array, Array]
     ) -> tuple[sparse.csr_array, Array, dict[str, Any]]:
         """Rows s*A + a, rewards (S, A) and diagnostics of the task on the vertices; the state that is over has no row yet."""
-        from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
-
         n = grid.n_cells
         at_a_time = max(1, ENTRIES_AT_A_TIME // (len(nodes[1]) * 2 ** len(self.shape) * task.n_actions))
         blocks, paid, clipped, lengths = [], [], 0.0, []
-        for low in tqdm(range(0, n, at_a_time), desc="building the grid", disable=None, delay=2.0, leave=False):
+        for low in progress_bar("building the grid", range(0, n, at_a_time)):
             features = grid.vertices(np.arange(low, min(low + at_a_time, n)))
             states, actions = each_action(task, task.embed(features))
             block, rewards, left, step = _moved(task, grid, states, actions, nodes)

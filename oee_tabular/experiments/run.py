@@ -17,7 +17,8 @@ from typing import Any
 import joblib
 import numpy as np
 
-from oee_tabular._workers import client
+from oee_tabular._progress import progress_bar
+from oee_tabular._workers import client, local_processes
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.store import Store, code_version
 from oee_tabular.testing.calls import one_thread
@@ -109,15 +110,21 @@ def run_experiment(
     """
     if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
-    from tqdm import tqdm
-
     require_modules(experiment)
     with _backend(jobs, dask) as parallel:
         store = Store(folder, settings, fresh=fresh)
         store.open()
         todo = store.missing()
         total = len(settings.cells())
-        bar = tqdm(total=total, initial=total - len(todo), desc=experiment.id, unit="cell", disable=not progress)
+        bar = progress_bar(
+            experiment.id,
+            total=total,
+            initial=total - len(todo),
+            unit="cell",
+            delay=0.0,
+            disable=not progress,
+            leave=True,
+        )
         try:
             _compute(experiment, settings, store, todo, parallel, bar)
         finally:
@@ -181,7 +188,7 @@ def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[int], Any]]:
         )
 
     if dask is None:
-        with joblib.parallel_config("loky", inner_max_num_threads=1) if jobs != 1 else contextlib.nullcontext():
+        with local_processes() if jobs != 1 else contextlib.nullcontext():
             yield parallel
         return
     with client(dask, CONNECT) as cluster:

@@ -72,7 +72,7 @@ def _named(settings: dict[str, Any]) -> dict[str, Any]:
 def alone(folder: Path) -> AbstractContextManager[None]:
     """The results folder for one command at a time: the second is refused with a ValueError."""
     _require_folder(folder)
-    return _lock.only_one(folder)
+    return _lock.hold_folder(folder)
 
 
 def _require_folder(folder: Path) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 import optax
 
 from oee_tabular._checks import Array, IntArray
+from oee_tabular._progress import progress_bar
 from oee_tabular.ratio.network import Network, Training
 
 EVERY = 100  # iterations between two looks at the held-out risk
@@ -215,8 +216,6 @@ def train(network: Network, training: Training, generator: np.random.Generator) 
 
 
 def _train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
-    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
-
     model = Perceptron(network, training, jax.random.key(int(generator.integers(2**31))))
     optimizer = _optimizer(network.optimizer, float(network.step_size), network.n_iterations)
     state = optimizer.init(eqx.filter(model, eqx.is_array))
@@ -226,7 +225,7 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     draw = _draws(network, program, generator)
     watch = _Watch(network, training)
     done = 0
-    bar = tqdm(total=network.n_iterations, desc="training", disable=None, delay=1.0, leave=False)
+    bar = progress_bar("training", total=network.n_iterations)
     watch.look(0, _everywhere(model, places, cells, program, training))
     while done < network.n_iterations and not watch.over:
         count = min(EVERY, network.n_iterations - done)

@@ -165,7 +165,7 @@ def contest(problem: Problem, policies: object, *, confidence: float = 0.95, qui
 
 def _value(problem: Problem, policy: Array, sure: Sureness, name: str, level: float) -> float:
     """What ``evaluate`` shows as ``oee``; where that has no value, maximum likelihood's."""
-    _progress.doing(f"value of “{name}”")
+    _progress.report_step(f"value of “{name}”")
     estimate = OffEnvironment()(problem, policy, seed=0)  # exact: no seed matters
     found = quoted(estimate, sure.intervals.get(name, {}).get(LIKELIHOOD), problem, policy, level).value
     assert sure.comparison is not None

@@ -180,7 +180,7 @@ def evaluate(
     if target is not None:
         truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
-    with _progress.told(only_terminal=True):
+    with _progress.show_steps(only_terminal=True):
         raw = _estimated(problem, named_policies, chosen, seed)
         if estimators is None:
             raw, lost = _weighted(raw)
@@ -227,7 +227,7 @@ def _estimated(
     raw = []
     for i, policy in enumerate(policies):
         for j, estimator in enumerate(chosen):
-            _progress.doing(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
+            _progress.report_step(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
             stream = _checks.seed_sequence(seed, (i, j))
             found = chosen[estimator](problem, policies[policy], seed=stream)
             _checks.instance(found, Estimate, f"what estimator {estimator!r} returns", "Estimate, Estimate(value)")

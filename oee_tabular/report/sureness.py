@@ -95,10 +95,10 @@ def how_sure(
         distance.append(f"There are no likelihood intervals: {lacking}.")
     elif not soft:
         for i, (name, policy) in enumerate(policies.items()):
-            _progress.doing(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
+            _progress.report_step(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
             intervals[name] = {m: interval(problem, policy, method=m, confidence=confidence) for m in methods}
     del evidence  # as much memory as the simulator
-    _progress.doing("comparison of the policies, and what to record next")
+    _progress.report_step("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
     each = 1.0 - (1.0 - confidence) / max(len(policies) - 1, 1)  # all differences from the best hold at once
     return Sureness(

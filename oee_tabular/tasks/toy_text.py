@@ -11,6 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import policy_table
@@ -153,14 +154,12 @@ def _stepped(
     env: Any, pi: Array, limit: int | None, episodes: int | None, longest: int | None, generator: np.random.Generator
 ) -> list[tuple[int, int, int, float, bool, bool, int]]:
     """Rows s, a, s', r, terminated, truncated, episode: ``limit`` of them, or those of so many ``episodes``."""
-    from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
-
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     rows: list[tuple[int, int, int, float, bool, bool, int]] = []
     episode, over, steps, state = 0, True, 0, 0
     first_seed: int | None = int(generator.integers(2**31))
-    progress = tqdm(total=limit or episodes, desc="recording", disable=None, delay=1.0, leave=False)
+    progress = progress_bar("recording", total=limit or episodes)
     while True:
         if over:
             if episodes is not None and episode == episodes:

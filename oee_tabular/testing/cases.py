@@ -121,6 +121,7 @@ def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Tra
     >>> log.state[:4].tolist(), new.state[:4].tolist()
     ([0, 0, 0, 1], [1, 1, 1, 0])
     """
+    states, actions = np.asarray(states), np.asarray(actions)  # a Series is looked up by its labels
     names = {"state": states[log.state], "action": actions[log.action], "next_state": states[log.next_state]}
     return Transitions(**(log.columns() | names))
 

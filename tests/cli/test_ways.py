@@ -374,12 +374,12 @@ def test_every_command_has_json_of_its_shape(capsys, folder):
 
 def test_slow_steps_are_told_once_on_stderr(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "SECONDS", 0.02)
-    _progress.doing("nobody listens")
-    with _progress.told():
-        _progress.doing("a first step")
-        with _progress.told():
+    _progress.report_step("nobody listens")
+    with _progress.show_steps():
+        _progress.report_step("a first step")
+        with _progress.show_steps():
             wait_for(lambda: "first" in _said(capsys))
-        _progress.doing("a second step")
+        _progress.report_step("a second step")
         wait_for(lambda: "second" in _said(capsys))
         time.sleep(0.1)
     lines = "".join(SAID).splitlines()
@@ -406,7 +406,7 @@ def wait_for(condition):
 
 def test_what_is_done_is_told_by_policy_and_interval(folder, monkeypatch):
     steps = []
-    monkeypatch.setattr("oee_tabular._progress.doing", steps.append)
+    monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
     problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"))
     oee.evaluate(problem, {"a": np.full((9, 4), 0.25), "b": [0] * 9}, estimators=["oee"])
     assert steps == [

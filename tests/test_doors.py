@@ -1,0 +1,237 @@
+"""What came through the doors in November 2026 (wrong data, a foreign file, orphans, dead processes), each as a test."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular import FiniteMDP, _checks, _files
+from oee_tabular._sparse import check_csr
+from oee_tabular.testing import relabelled_log
+
+GRID = oee.tasks.gridworld(3, 0.3)
+UNIFORM = oee.uniform_policy(GRID)
+LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
+
+
+# ---- files of ours that changed
+
+
+def drop_member(path, name):
+    """The same file without one member, as a damaged directory of a zip file makes it: no checksum covers names."""
+    with zipfile.ZipFile(path) as archive:
+        members = {member.filename: archive.read(member) for member in archive.infolist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, data in members.items():
+            if member != name:
+                archive.writestr(member, data)
+
+
+@pytest.mark.parametrize("name", ["reward", "episode", "behavior_probability", "state", _files.KIND, _files.DIGEST])
+def test_a_log_without_one_of_its_columns_is_refused(tmp_path, name):
+    LOG.save(tmp_path / "log.npz")
+    drop_member(tmp_path / "log.npz", f"{name}.npy")
+    for read in (oee.Transitions.load, _files.read_npz):
+        with pytest.raises(ValueError, match=r"log\.npz' must hold"):
+            read(tmp_path / "log.npz")
+
+
+def test_a_simulator_with_another_member_is_refused(tmp_path):
+    GRID.save(tmp_path / "grid.npz")
+    with zipfile.ZipFile(tmp_path / "grid.npz", "a") as archive, archive.open("state_names.npy", "w") as member:
+        np.lib.format.write_array(member, np.array([str(k) for k in range(9)]))
+    with pytest.raises(ValueError, match=r"grid\.npz' must hold the arrays that were saved in it"):
+        FiniteMDP.load(tmp_path / "grid.npz")
+
+
+def test_no_flipped_byte_loads_other_data(tmp_path):
+    path, rng = tmp_path / "log.npz", np.random.default_rng(0)
+    LOG.save(path)
+    data, columns = path.read_bytes(), _files.digest({k: np.asarray(v) for k, v in LOG.columns().items()})
+    for k in rng.integers(len(data), size=300):
+        path.write_bytes(data[:k] + bytes([data[k] ^ (1 << rng.integers(8))]) + data[k + 1 :])
+        try:
+            found = oee.Transitions.load(path)
+        except ValueError:
+            continue
+        assert _files.digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
+
+
+def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
+    one = {"a": np.arange(4), "b": np.array(["x", "y"])}
+    others = (
+        {"a": np.arange(4)},
+        {"c": one["a"], "b": one["b"]},
+        one | {"a": np.arange(4.0)},
+        one | {"a": np.arange(1, 5)},
+    )
+    assert _files.digest(dict(reversed(one.items()))) == _files.digest(one)
+    assert len({_files.digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
+
+
+# ---- locks, workers
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
+def test_a_lock_is_never_taken_through_a_link(tmp_path, kind):
+    from oee_tabular._lock import hold_folder
+
+    precious, lock = tmp_path / "precious", tmp_path / "r" / ".lock"
+    lock.parent.mkdir()
+    precious.write_text("mine")
+    lock.mkdir() if kind == "folder" else lock.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
+    with pytest.raises(ValueError, match=r"\.lock' must be a plain file"), hold_folder(lock.parent):
+        pass
+    assert precious.read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+
+
+WORK = """
+import os, sys, time, joblib
+from oee_tabular import _workers
+
+def work(k):
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+list(_workers.each(work, [(k,) for k in range(4)], 4, jobs=2, dask=None))
+"""
+
+
+def is_alive(number):
+    try:
+        with open(f"/proc/{number}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="looks at /proc")
+@pytest.mark.parametrize("blow", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_their_parent(tmp_path, blow):
+    (tmp_path / "work.py").write_text(WORK)
+    parent = subprocess.Popen([sys.executable, tmp_path / "work.py"], stdout=subprocess.PIPE, text=True)
+    workers = [int(parent.stdout.readline()) for _ in range(2)]
+    assert all(map(is_alive, workers))
+    parent.send_signal(blow)
+    parent.wait()
+    for _ in range(100):
+        if not any(map(is_alive, workers)):
+            break
+        time.sleep(0.1)
+    assert not any(map(is_alive, workers))
+    parent.stdout.close()
+
+
+# ---- sparse matrices that are none
+
+
+def broken_matrix(form):
+    """The grid's transitions in one of scipy's formats, edited after it was made."""
+    matrix = sparse.csr_array(GRID.transitions, copy=True).asformat(form)
+    if form in ("csr", "csc", "bsr"):
+        matrix.indptr = matrix.indptr.copy()
+        matrix.indptr[3] = 10**6
+    elif form == "coo":
+        matrix.coords = (matrix.coords[0], np.full_like(matrix.coords[1], 10**6))
+    elif form == "lil":
+        matrix.rows[3].append(10**6)
+        matrix.data[3].append(1.0)
+    else:
+        matrix.offsets = matrix.offsets[:-1]
+    return matrix
+
+
+DOORS = {
+    "transitions": lambda c: FiniteMDP(c, np.zeros((9, 4)), 0, 0.9),
+    "rewards": lambda c: FiniteMDP(GRID.transitions, c, 0, 0.9),
+    "rewards of a log": lambda c: FiniteMDP.from_log(LOG, discount=0.9, rewards=c),
+    "counts": lambda c: oee.TransitionCounts.of(c, 4),
+    "matrix": lambda c: check_csr(c, "matrix"),
+    "kernel": lambda c: oee.exact.solve_policy_system(c, np.zeros(9), 0.9),
+    "ratio": lambda c: oee.exact.reweight(GRID, c),
+    "seed": lambda c: oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=c),
+    "policy": lambda c: oee.policy_value(GRID, c),
+    "horizon": lambda c: oee.policy_value(GRID, UNIFORM, horizon=c),
+    "discount": lambda c: FiniteMDP(GRID.transitions, np.zeros((9, 4)), 0, c),
+    "p": lambda c: oee.density_ratio(c, c),
+}
+
+
+@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo", "lil", "dia"])
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.filterwarnings("ignore:.*never recorded")
+def test_native_code_sees_no_malformed_matrix(door, form):
+    """A failure here ends the process."""
+    with pytest.raises(ValueError, match=door.split()[0]):
+        DOORS[door](broken_matrix(form))
+
+
+# ---- values in errors
+
+
+def nested_list(depth):
+    value = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+class Silent:
+    def __repr__(self):
+        raise RecursionError
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        nested_list(10_000), np.zeros((2,) * 30, dtype=bool), np.full((400, 400), None), 10**5000, "x" * 10**7,
+        list(range(10**6)), Silent(), sparse.eye_array(5), dict.fromkeys(range(1000), "y" * 1000),
+    ],
+    ids=lambda value: type(value).__name__,
+)  # fmt: skip
+def test_any_value_is_shown_quickly_and_briefly(value):
+    began = time.process_time()
+    text = _checks.show(value)
+    assert time.process_time() - began < 1.0
+    assert 0 < len(text) <= 300
+    with pytest.raises(ValueError, match="horizon must be"):
+        oee.policy_value(GRID, UNIFORM, horizon=value if not isinstance(value, int) else -value)
+    assert time.process_time() - began < 2.0
+
+
+@pytest.mark.parametrize("text", ["\x1b[31mX", "a\nb", "\x9b31m", "\u202egnp"])
+def test_control_characters_are_visible(text):
+    assert _checks.show(text).isprintable()
+    assert _checks.escape_controls(text).isprintable()
+    with pytest.raises(ValueError, match="estimators") as refused:
+        oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators=[text])
+    assert str(refused.value).isprintable()
+
+
+def test_a_header_cannot_speak_to_the_terminal(tmp_path):
+    (tmp_path / "e.csv").write_text("state,action,next_state,\033[31mX\n0,0,1,2\n")
+    for command in (("info", "e.csv"), ("counts", "e.csv", "--output", "c.npz")):
+        done = subprocess.run(
+            [sys.executable, "-m", "oee_tabular", *command], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert "\033" not in done.stdout + done.stderr
+
+
+# ---- small
+
+
+def test_new_labels_may_have_an_index_of_their_own():
+    import pandas as pd
+
+    order = np.array([2, 0, 1, *range(3, 9)])
+    shuffled = pd.Series(order, index=np.roll(np.arange(9), 4))
+    expected = relabelled_log(LOG, order, np.arange(4))
+    np.testing.assert_array_equal(relabelled_log(LOG, shuffled, pd.Series(np.arange(4))).state, expected.state)
