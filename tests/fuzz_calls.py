@@ -1,18 +1,23 @@
-"""Hostile values for every public function: python tests/fuzz_calls.py [--seed 0] [--seconds 60] [--show].
+"""Hostile values for every public function: python tests/fuzz_calls.py [--seed 0] [--calls 20000] [--rooms mdp,exact].
 
-Functions are found by inspection of the public modules; from a call that works one argument (sometimes two) is replaced.
-What is wrong: an exception that is neither ValueError nor TypeError with the argument's name nor documented, a call of more
-than ten seconds, a death of the process, a result with nan and without a word. The calls are made in a child process, which
-says what it is about to do; where it dies or hangs another takes its place. Exit code 1 where something is wrong.
+Functions, classes and their public methods are found by inspection; from a call that works one argument (sometimes two) is
+replaced. What is wrong: an exception that is not raised by the package itself or does not name an argument, a message that is
+long or holds control characters, a call of more than five seconds of CPU, the death of the process, a result with nan and
+without a warning. The calls are made in a child process, which says what it is about to do; where it dies or hangs another
+takes its place. ``--only K`` makes the K-th call here, with its traceback. Exit code 1 where something is wrong.
 """
 
 import argparse
 import dataclasses
 import inspect
 import multiprocessing
+import os
 import re
+import reprlib
 import sys
+import tempfile
 import time
+import traceback
 import warnings
 from collections import Counter
 
@@ -22,135 +27,60 @@ from scipy import sparse
 
 import oee_tabular as oee
 
-LIMIT = 10.0  # seconds of a call
-DOCUMENTED = (FileNotFoundError, ImportError)
-METHODS = {
-    "FiniteMDP": ("with_action_noise", "with_discount", "with_layout", "with_rewards", "with_transitions"),
-    "Transitions": ("counts", "draw", "first", "select"),
-    "TransitionRatio": ("log_standard_error", "maximum_likelihood_model", "on", "one_step", "target_model"),
-    "Problem": ("rewards_of",),
-}
-CALLED = (
-    "DoublyRobust",
-    "DualDice",
-    "ImportanceSampling",
-    "Magic",
-    "Marginalized",
-    "ModelBased",
-    "OffEnvironment",
-    "Simulator",
-)
+LIMIT = 5.0  # seconds of CPU of a call
+LONGEST = 1500  # characters of a message
+ROOMS = ("mdp", "exact", "data", "simulate", "top")  # of these no name is left out
+OURS = (ValueError, OSError, ImportError, MemoryError)
+PACKAGE = os.path.dirname(oee.__file__) + os.sep
+CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
+CALLED = ("DoublyRobust", "DualDice", "ImportanceSampling", "Magic", "Marginalized", "ModelBased", "OffEnvironment")
 ALIASES = {  # words of the command line, which the same errors serve
     "identifier": ("environment",),
     "spec": ("environment", "simulator"),
     "policies": ("policy",),
     "log_or_counts": ("counts",),
+    "policy_a": ("policy_a and policy_b",),
+    "logs": ("log",),
 }
-LEFT_OUT = [
-    "Method",
-    "SgdTrace",
-    "Basis",
-    "Estimate",
-    "Finding",
-    "Interval",
-    "Moments",
-    "Plan",
-    "RatioFit",
-    "Report",
-    "TransitionRatio",
-    "LinearSolution",
-    "ReweightedModel",
-    "Comparison",
-    "Contest",
-    "corrected_value",
-    "EstimationCounterexample",
-    "Outlook",
-    "RowChanges",
-    "Selection",
-    "Sides",
-    "SimulationLemma",
-    "Families",
-    "League",
-    "Assumptions",
-    "SampleRatio",
-    "Result",
-    "SampledReturns",
-    "ArmCells",
-    "Closure",
-    "Discretization",
-    "KinovaHand",
-    "MonteCarlo",
-    "Moves",
-    "NamedTask",
-    "Case",
-    "Verdict",
-    "Verdicts",
-    "Family",
-    "Estimator",
-    "Model",
-    "ContinuousTask",
-    "StatePolicy",
-    "arm_cells",
-    "train_expert",
-    "fit_hand",
-    "kinova_model",
-    "check_estimator",
-    "run",
-    "league_of",
-    "families",
-    "garnet_worse",
-    "evaluate_continuous",
-    "record_goals",
-    "hand_log",
-    "reacher_log",
-    "visited_states",
-    "defensive_mixture",
-    "logs",
-    "mdp_pairs",
-    "mdps",
-    "policies",
-    "horizons",
-    "padded_log",
-    "relabelled_log",
-    "load_kinova_log",
-    "make_environment",
-    "check_output",
-    "check_page",
-    "Settings",
-    "GymnasiumTask",
-    "gymnasium_simulator",
-    "ContinuousSimulator",
-    "LinearReacher",
-    "VisitedCells",
-    "GridInterpolation",
-    "gaussian",
-    "DEFAULT",
-    "LAWS",
-    "tandem",
-]
+LEFT_OUT = """
+Method SgdTrace Basis Finding Comparison Contest corrected_value EstimationCounterexample Outlook RowChanges Selection
+Sides SimulationLemma Families League Assumptions SampleRatio Result ArmCells Closure Discretization KinovaHand
+MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy arm_cells train_expert
+fit_hand kinova_model check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
+reacher_log visited_states defensive_mixture logs mdp_pairs mdps policies horizons padded_log relabelled_log
+load_kinova_log make_environment check_output check_page Settings GymnasiumTask gymnasium_simulator ContinuousSimulator
+LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem
+""".split()  # noqa: SIM905 (of other rooms)
 
 
-def functions(known):
-    """Name -> function, of every public module but plots, with methods bound to valid objects."""
-    found = {}
-    parts = (getattr(oee, name) for name in oee.__all__ if name != "plots")
-    for module in (oee, *filter(inspect.ismodule, parts)):
-        for name in module.__all__:
-            if callable(getattr(module, name)) and name not in LEFT_OUT:
-                found[name] = getattr(module, name)
-    holders = {
-        "FiniteMDP": known["mdp"],
-        "Transitions": known["log"],
-        "TransitionRatio": oee.transition_ratio(known["log"], known["simulator"]),
-        "Problem": known["problem"],
-    }
+def functions(known, rooms=None):
+    """Name -> function, of the public modules but plots, with classes' methods bound to valid objects."""
+    parts = {name: getattr(oee, name) for name in oee.__all__ if name != "plots"}
+    modules = {"top": oee} | {name: part for name, part in parts.items() if inspect.ismodule(part)}
+    every = {}
+    for room in rooms or modules:
+        for name in modules[room].__all__:
+            value = getattr(modules[room], name)
+            if callable(value) and (room in ROOMS or name not in LEFT_OUT):
+                every[name] = value
+                if inspect.isclass(value) and (room in ROOMS):
+                    every |= methods(name, value, known["holders"][name])
+    if rooms:
+        return every
     for name in ("Conditional", "InClass", "Joint", "Quotient", "Tied"):
-        found[name] = fitted(getattr(oee.ratio, name), known)
-    for holder, names in METHODS.items():
-        found |= {f"{holder}.{name}": getattr(holders[holder], name) for name in names}
-    found |= {f"{name}.__call__": getattr(oee.estimators, name)() for name in CALLED}
-    found |= {f"{name}.limit": getattr(oee.estimators, name)().limit for name in CALLED}
-    return found
+        every[name] = fitted(getattr(oee.ratio, name), known)
+    every |= {f"{name}.__call__": getattr(oee.estimators, name)() for name in (*CALLED, "Simulator")}
+    return every | {f"{name}.limit": getattr(oee.estimators, name)().limit for name in (*CALLED, "Simulator")}
+
+
+def methods(name, kind, holder):
+    """Public methods, class methods and static methods, the first bound to a valid object of the class."""
+    bound = {}
+    for attribute in dir(kind):
+        if attribute[0] != "_" and callable(getattr(kind, attribute)):
+            static = isinstance(inspect.getattr_static(kind, attribute), classmethod | staticmethod)
+            bound[f"{name}.{attribute}"] = getattr(kind if static else holder, attribute)
+    return {key: value for key, value in bound.items() if callable(value)}
 
 
 def fitted(method, known):
@@ -166,7 +96,10 @@ def fitted(method, known):
 def arguments_of(name, function, known):
     """The arguments of a valid call, by name."""
     own = own_values(known).get(name, {})
-    values = {}
+    values = dict(own) if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(function).parameters.values()) else {}
+    container = dataclasses.is_dataclass(function) and inspect.isclass(function) and name in known["holders"]
+    if container and name not in CHECKED:
+        own = {f.name: getattr(known["holders"][name], f.name) for f in dataclasses.fields(function)} | own
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD) or parameter.name.startswith("_"):
             continue
@@ -183,9 +116,8 @@ def call(function, values):
     """The call, positional-only parameters in their place."""
     kinds = inspect.signature(function).parameters
     positional = [values[n] for n, p in kinds.items() if p.kind is p.POSITIONAL_ONLY and n in values]
-    return function(
-        *positional, **{n: v for n, v in values.items() if kinds[n].kind is not inspect.Parameter.POSITIONAL_ONLY}
-    )
+    first = [n for n, p in kinds.items() if p.kind is p.POSITIONAL_ONLY]
+    return function(*positional, **{n: v for n, v in values.items() if n not in first})
 
 
 def has_nan(value, depth=0):
@@ -221,57 +153,87 @@ def named(message, arguments):
 
 def judged(function, values, replaced):
     """The kind of outcome, and what is to be shown of it."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             result = call(function, values)
-        except (ValueError, TypeError) as error:
-            if any(callable(values[name]) for name in replaced):
-                return "refused", str(error)  # perhaps the hostile function's own
-            return ("refused" if named(str(error), values) else "nameless"), f"{type(error).__name__}: {error}"
-        except DOCUMENTED as error:
-            return "refused", str(error)
         except Exception as error:
-            return "raw", f"{type(error).__name__}: {error}"
-    blank = ("RowChanges", "MonteCarlo")  # nan where a row was never recorded, or from one episode, as they say
-    silent = type(result).__name__ not in blank
-    if silent and has_nan(result) and not any(issubclass(w.category, UserWarning) for w in said):
-        return "nan", repr(result)
+            return refusal(error, values, replaced)
+    silent = not (
+        inspect.isclass(function) or getattr(function, "__name__", "") in BLANK
+    )  # a class keeps what it is given
+    if silent and has_nan(result) and not any(issubclass(w.category, UserWarning) for w in caught):
+        return "nan", reprlib.repr(result)
     return "accepted", ""
 
 
-WRONG = ("nameless", "raw", "nan", "slow", "hang", "death", "invalid")
+BLANK = ("changed_rows", "monte_carlo_value")  # nan where a row was never recorded, or from one episode, as they say
 
 
-def attack(pipe, seed, start):
-    """Calls, one after the other, told before and after; the k-th depends on the seed and k alone."""
+def refusal(error, values, replaced):
+    """The kind of an exception: "refused" where the package raised it, named an argument and was short."""
+    text = f"{type(error).__name__}: {error}"
+    if any(callable(values[name]) for name in replaced):
+        return "refused", text  # perhaps the hostile function's own
+    last = traceback.extract_tb(error.__traceback__)[-1].filename
+    if not isinstance(error, OURS) or not (last.startswith(PACKAGE) or isinstance(error, OSError | ImportError)):
+        return "raw", text
+    if len(text) > LONGEST:
+        return "long", f"{len(text)} characters: {text}"
+    if re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text):
+        return "control", ascii(text)
+    if isinstance(error, OSError | ImportError) or named(str(error), values):
+        return "refused", text
+    return "nameless", text
+
+
+WRONG = ("nameless", "raw", "long", "control", "nan", "slow", "hang", "death", "invalid")
+
+
+def make_call(seed, k, every, calls):
+    """The k-th call, which depends on the seed and k alone: its function, its arguments, and which of them are hostile."""
+    rng, names = np.random.default_rng((seed, k)), sorted(every)
+    name = names[k % len(names)]
+    values = dict(calls[name])
+    replaced = list(rng.permutation(sorted(values))[: 2 if rng.random() < 0.1 else 1]) if k >= len(names) else []
+    for argument in replaced:
+        values[argument] = hostile(rng, values[argument])
+    return name, values, replaced
+
+
+def attack(pipe, seed, start, rooms):
+    """Calls, one after the other, told before and after."""
+    os.chdir(tempfile.mkdtemp())
     known = valid_values()
-    every = functions(known)
-    names = sorted(every)
-    calls = {name: arguments_of(name, every[name], known) for name in names}
+    every = functions(known, rooms)
+    calls = {name: arguments_of(name, function, known) for name, function in every.items()}
     k = start
     while True:
-        rng = np.random.default_rng((seed, k))
-        name = names[k % len(names)]
-        values = dict(calls[name])
-        replaced = list(rng.permutation(sorted(values))[: 2 if rng.random() < 0.1 else 1]) if k >= len(names) else []
-        for argument in replaced:
-            values[argument] = hostile(rng, values[argument])
-        shown = f"{name}({', '.join(f'{a}={values[a]!r:.80}' for a in replaced)})".replace("\n", " ")
-        pipe.send(("begun", k, shown))
-        begun = time.monotonic()
+        name, values, replaced = make_call(seed, k, every, calls)
+        pipe.send(("begun", k, f"[{k}] {name}({', '.join(f'{a}={shown(values[a])}' for a in replaced)})"))
+        begun = time.process_time()
         kind, text = judged(every[name], values, replaced)
-        if time.monotonic() - begun > LIMIT:  # the first time it may have been compiled
-            begun = time.monotonic()
+        if time.process_time() - begun > LIMIT:  # the first time it may have been compiled
+            begun = time.process_time()
             judged(every[name], values, replaced)
-            kind = "slow" if time.monotonic() - begun > LIMIT else kind
+            kind = "slow" if time.process_time() - begun > LIMIT else kind
         if not replaced and kind != "accepted":
             kind = "invalid"
         pipe.send(("done", kind, text))
         k += 1
 
 
-def fuzz(seed, seconds, calls=None):
+def shown(value):
+    """A short text of anything."""
+    try:
+        return (
+            ascii(reprlib.repr(value).replace("\n", " ")[:120])[1:-1] if np.size(value) < 200 else type(value).__name__
+        )
+    except Exception:
+        return type(value).__name__
+
+
+def fuzz(seed, seconds, calls=None, rooms=None):
     """Counts by kind, and what was wrong: (kind, call, text)."""
     context = multiprocessing.get_context("spawn")
     counts, wrong, k, end = Counter(), [], 0, float("inf")
@@ -280,15 +242,15 @@ def fuzz(seed, seconds, calls=None):
     while time.monotonic() < end and (calls is None or k < calls):
         if child is None:
             pipe, other = context.Pipe()
-            child = context.Process(target=attack, args=(other, seed, k), daemon=True)
+            child = context.Process(target=attack, args=(other, seed, k, rooms), daemon=True)
             child.start()
             other.close()
-        shown, kind, text = "", "death", ""
+        said, kind, text = "", "death", ""
         try:
             if not pipe.poll(120):
                 kind = "hang"
                 raise EOFError
-            _, k, shown = pipe.recv()
+            _, k, said = pipe.recv()
             lost = 0
             end = min(end, time.monotonic() + seconds)  # imports are not counted
             if not pipe.poll(90):
@@ -298,12 +260,12 @@ def fuzz(seed, seconds, calls=None):
         except (EOFError, ConnectionError):
             child.kill()
             child.join()
-            child, lost = None, lost + (not shown)
+            child, lost = None, lost + (not said)
             if lost == 3:
                 raise RuntimeError("three processes died before their first call") from None
         counts[kind] += 1
         if kind in WRONG:
-            wrong.append((kind, shown, text))
+            wrong.append((kind, said, text))
         k += 1
     if child is not None:
         child.kill()
@@ -314,12 +276,22 @@ def fuzz(seed, seconds, calls=None):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--calls", type=int, default=None)
-    options = parser.parse_args()
-    counts, wrong = fuzz(options.seed, options.seconds, options.calls)
-    for kind, shown, text in wrong:
-        print(f"{kind:9}{shown}\n         {text[:240]}")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--calls", type=int, default=20_000)
+    parser.add_argument("--rooms", type=lambda text: text.split(","), default=None)
+    parser.add_argument("--only", type=int)
+    given = parser.parse_args()
+    if given.only is not None:
+        known = valid_values()
+        every = functions(known, given.rooms)
+        calls = {name: arguments_of(name, function, known) for name, function in every.items()}
+        name, values, replaced = make_call(given.seed, given.only, every, calls)
+        print(name, {argument: type(values[argument]) for argument in replaced}, flush=True)
+        print(shown(call(every[name], values)))
+        return 0
+    counts, wrong = fuzz(given.seed, given.seconds, given.calls, given.rooms)
+    for kind, said, text in wrong:
+        print(f"{kind:9}{said}\n         {text[:240]}")
     print(f"{sum(counts.values())} calls: {dict(counts)}")
     return int(bool(wrong))
 

@@ -1,9 +1,14 @@
 """What tests/fuzz_calls.py gives: a valid value for each argument, by its name, and hostile ones."""
 
+import contextlib
+import functools
 import tempfile
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy import sparse
 
 import oee_tabular as oee
@@ -52,103 +57,173 @@ def valid_values():
         "bandwidth": 1.0, "estimator": oee.estimators.ModelBased(), "pair": (simulator, target), "solver": "dual",
         "task": cartpole, "max_steps": 20, "length": 0.1, "gravity": 10.0, "states": np.arange(9), "actions": (0, 1, 2, 3),
         "probability": 0.5, "folder": Path(tempfile.gettempdir()) / "none", "per_row": 1.0, "continuous_log": moves,
+        "path": Path(tempfile.gettempdir()) / "new.npz", "matrix": target.transitions, "m": 10, "samples_per_pair": 2,
+        "frame": pd.DataFrame(log.columns()),
+        "holders": holders(target, simulator, uniform, log, zeta, problem, moves),
     }  # fmt: skip
+
+
+def holders(target, simulator, uniform, log, zeta, problem, moves):
+    """A valid object of each public class: what its methods are bound to."""
+    log.save(path := Path(tempfile.mkdtemp()) / "log.npz")
+    values = [
+        target, log, moves, oee.Transitions.open(path), oee.transition_ratio(log, simulator), problem, oee.Estimate(1.0, 0.1),
+        oee.density_ratio([1, 2], [2, 1]), oee.interval(problem, uniform), oee.return_moments(target, uniform),
+        oee.exact.reweight(simulator, zeta),
+        oee.plan_data_collection(problem, uniform, n=20), oee.evaluate(problem, uniform, quick=True),
+        oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9), oee.sample_returns(target, uniform, 9,
+        5, seed=0),
+    ]  # fmt: skip
+    return {type(value).__name__: value for value in values}
+
+
+def saved(known, name):
+    """The path of a file that an object of a class was saved to."""
+    path = str(Path(tempfile.mkdtemp()) / f"{name}.npz")
+    known["holders"][name].save(path)
+    return {"path": path}
 
 
 def own_values(known):
     """Arguments whose meaning differs from that of the same name elsewhere: function name -> values."""
-    moves = known["continuous_log"]
-    driver = oee.tasks.cartpole_policy(0.5)
+    moves, log, simulator, driver = (
+        known["continuous_log"],
+        known["log"],
+        known["simulator"],
+        oee.tasks.cartpole_policy(0.5),
+    )
     paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
-    return {
-        "reweight": {"ratio": known["zeta"]},
-        "check_policy": {"name": "policy", "horizon": None},
-        "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
-        "evaluate": {"target": None, "estimators": ["oee", "model-based"]},
-        "transition_ratio": {
-            "horizon": None,
-            "discount": None,
-            "coordinates": None,
-            "bandwidth": None,
-            "lower": None,
-            "upper": None,
-            "kernel": None,
-            "behavior_policy": None,
-        },
-        "InClass": {
-            "features": np.arange(known["simulator"].transitions.nnz) % 3.0,
-            "kernel": None,
-            "coordinates": None,
-        },
-        "Tied": {"tie": np.arange(known["simulator"].transitions.nnz) % 3},
-        "density_ratio": {"kernel": None, "coordinates": None},
-        "density_ratio_samples": {"kernel": None},
-        "interval": {"n_bootstrap": 20},
-        "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
-        "ContinuousTransitions": {
-            "state": moves.state[:2],
-            "action": moves.action[:2],
-            "next_state": moves.next_state[:2],
-        },
-        "ResidualSimulator": {"log": moves},
-        "LinearModel": {"log": moves},
-        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20},
-        "monte_carlo_value": {"policy": driver},
-        "resimulate": {"log": moves},
-        "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
-        "DualDice.__call__": {"problem": oee.Problem(known["simulator"], known["log"])},
-        "Problem": {"behavior_policy": None, "rewards": "simulator"},
-        "Magic": {"ratio": "conditional"},
-        "Marginalized": {"ratio": "conditional", "lower": None, "upper": None},
-        "OffEnvironment": {"ratio": "conditional"},
-        "DoublyRobust": {"ratio": "conditional"},
-        "ratio_error_sides": {"moves": known["g"]},
-        "compare_with_oracle": {
-            "n": 20,
-            "repetitions": 3,
-            "horizon": None,
-            "data_distribution": known["data_distribution"],
-        },
-        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)},
-        "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1},
-        "estimation_sides": {"n": 1000},
-        "Reacher": {"target": (0.1, 0.1)},
-        "value_error_sides": {"target": paid[0], "model": paid[1]},
-        "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
-        "Transitions": {"episode": None, "action": known["action"], "next_state": known["next_state"]},
-        "KinovaArm": {"goal": 0},
-        "kinova_policy": {"delta": 0.0},
+    files = {
+        f"{n}.load": saved(known, n) for n in ("ContinuousTransitions", "FiniteMDP", "TransitionCounts", "Transitions")
     }
+    columns = dict.fromkeys(("reward", "terminated", "truncated", "episode", "timestep", "behavior_probability"))
+    kernel = {"kernel": None, "coordinates": None}
+    ratio_options = ("horizon", "discount", "bandwidth", "lower", "upper", "behavior_policy", *kernel)
+    counted = dict(
+        zip(("simulator", "n_states", "n_actions", "bad_rows", "progress"), (None, 9, 4, "refuse", False), strict=True)
+    )
+    return files | {
+        "ContinuousTransitions.concatenate": {"logs": [moves, moves]}, "FiniteMDP.from_env": {"max_steps": 100},
+        "TransitionCounts.led_to": {"next_state": known["holders"]["TransitionCounts"].next_state},
+        "TransitionRatio.maximum_likelihood_model": {"simulator": simulator},
+        "Transitions.led_to": {"next_state": log.next_state},
+        "Transitions.from_episodes": {"episodes": [[(0, 1, 0.5), (1, 2, 0.0)], [(3, 0, 1.0)]]},
+        "Transitions.from_frame": {"frame": known["frame"], "state": "state", "reward": None},
+        "Transitions.open": saved(known, "Transitions") | counted,
+        "Transitions": columns | {name: known[name] for name in ("state", "action", "next_state")},
+        "ContinuousTransitions": columns | {name: getattr(moves, name)[:2] for name in ("state", "action", "next_state")},
+        "reweight": {"ratio": known["zeta"]}, "check_policy": {"name": "policy", "horizon": None},
+        "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
+        "evaluate": {"target": None, "estimators": ["oee", "model-based"]}, "transition_ratio": dict.fromkeys(ratio_options),
+        "InClass": {"features": np.arange(simulator.transitions.nnz) % 3.0, **kernel},
+        "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3}, "density_ratio": kernel,
+        "density_ratio_samples": {"kernel": None},
+        "interval": {"n_bootstrap": 20}, "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
+        "ResidualSimulator": {"log": moves}, "LinearModel": {"log": moves}, "resimulate": {"log": moves},
+        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20}, "monte_carlo_value": {"policy": driver},
+        "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
+        "DualDice.__call__": {"problem": oee.Problem(simulator, log)}, "Problem": {"behavior_policy": None,
+        "rewards": "simulator"},
+        "Magic": {"ratio": "conditional"}, "Marginalized": {"ratio": "conditional", "lower": None, "upper": None},
+        "OffEnvironment": {"ratio": "conditional"}, "DoublyRobust": {"ratio": "conditional"},
+        "ratio_error_sides": {"moves": known["g"]},
+        "compare_with_oracle": {"n": 20, "repetitions": 3, "horizon": None, "data_distribution": known["data_distribution"]},
+        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)}, "estimation_sides": {"n": 1000},
+        "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1}, "Reacher": {"target": (0.1, 0.1)},
+        "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
+        "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0},
+    }  # fmt: skip
+
+
+def malformed(change):
+    """A csr of 36 x 9 that lies about itself: native code would read beyond its arrays."""
+    matrix = sparse.csr_array(np.eye(9)[np.arange(36) % 9])
+    if change == "object":
+        matrix.data = np.array(["x"] * 36, dtype=object)
+        return matrix
+    part, index, value = change
+    array = getattr(matrix, part).copy()
+    if index is None:  # another length or another type
+        array = value(array)
+    else:
+        array[index] = value
+    setattr(matrix, part, array)
+    return matrix
+
+
+MALFORMED = (
+    "object", ("indptr", 5, 10**6), ("indptr", -1, 2**31 - 1), ("indptr", 3, -7), ("indptr", 0, 4), ("indices", 7, 10**9),
+    ("indices", 7, -10**9), ("indices", 0, 9), ("data", 3, np.nan), ("indptr", None, lambda a: a[:-5]),
+    ("indices", None, lambda a: a[:4]), ("data", None, lambda a: a[:4]), ("indices", None, lambda a: a + 0.5),
+    ("indptr", None, lambda a: a.astype(float)), ("data", None, lambda a: a.astype(complex)),
+    ("indices", None, lambda a: a.astype(object)), ("data", None, lambda a: a[:, None]),
+)  # fmt: skip
+
+
+def nested(depth):
+    """A list in a list in a list ..."""
+    value = [0]
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@functools.cache
+def general():
+    """Hostile values for any argument."""
+    deep, table = nested(3000), pd.DataFrame({"state": [0, 1], "action": [1, 0]})
+    return (
+        None, "", "raw", "1", b"x", float("nan"), float("inf"), -float("inf"), -1, 0, 1, 2, 0.5, 1.5, -0.0, 2**31, 2**53 + 1,
+        2**63, 2**70, 10**9, 10**12, 10**400, 10**5000, 1e308, -1e308, 1e-320, 1e17, 1j, True, False, np.bool_(True), object(),
+        Raises(), Raises, [], [[]], [[], [1]], (), {}, {"a": None}, {"a": 1}, set(), [None], ["a"], [1, [2, 3]], [np.nan],
+        [1.5], [object()], range(3), slice(None), iter([1]), len, int, np.array(1.0), np.array(np.nan), np.array([]),
+        np.array([1, 2]), np.array(["a", "b"]), np.array([None, 1], dtype=object), np.array(["2020-01-01"],
+        dtype="datetime64[D]"), np.zeros((2, 2, 2, 2)), np.zeros((9, 4)), np.full((9, 4), np.nan), np.full((9, 4), 1e308),
+        np.ones((9, 4)) / 4, np.ones((9, 4), dtype=complex), np.eye(9), np.ones(9), np.zeros(9, dtype=bool), np.float32(0.5),
+        np.int8(3), sparse.csr_array((36, 9)), sparse.csr_array(np.full((36, 9), np.nan)), sparse.csr_array(np.full((36, 9),
+        1e300)), sparse.csr_array(np.full((36, 9), -1.0)), sparse.eye_array(9, format="coo"), oee.tasks.gridworld(2, 0.1),
+        oee.tasks.gridworld(SIZE, 0.0), oee.Transitions([0], [0], [1]), oee.Estimate(1.0), Path("nowhere"), "nowhere.npz",
+        deep, {"a": deep}, [deep] * 9, {0: deep}, list(range(10**6)), ["x" * 10**6] * 9, dict.fromkeys(range(10**5), "x"),
+        "\x1b[31mX\x07", ["\x1b[2J\r"] * 9, "x" * 10**6, "no\x00where.csv", "s3://bucket/log.parquet", "x" * 5000 + ".npz",
+        "..", "*.csv", b"\xff\xfe.npz", np.array([[1, 2], [3]], dtype=object), np.full((9, 4), None), np.full(9, "a",
+        dtype=object), np.array([deep, 1], dtype=object), pd.Series([0.5, 0.5], index=[7, 7]), pd.Series([1] * 9,
+        index=list("abcdefghi")), pd.Series([1, None]), pd.Series(["a", pd.NA]), pd.Series([0] * 9,
+        index=pd.MultiIndex.from_product([[0, 1, 2], list("abc")])), table, table.T, pd.DataFrame([[1, 2]],
+        columns=["state"] * 2), pd.DataFrame(), pd.NA, pd.NaT, Decimal("NaN"), Decimal(1), Fraction(1, 2), np.float16(0.5),
+        np.longdouble(0.5), np.str_("\x1b"), np.bytes_(b"x"), np.datetime64("NaT"), np.timedelta64(3, "s"), np.void(b"ab"),
+        np.complex64(1j), np.uint64(2**64 - 1), memoryview(b"ab"), np.ma.masked_array([1.0, 2.0], mask=[True, False]),
+        np.ma.masked, np.zeros(9, dtype=[("a", "i4"), ("b", "f8")]), np.zeros((0, 0)), np.broadcast_to(0.25, (9, 4)),
+        np.zeros(10**6), np.full(10**6, "abc"), np.array([2**64 - 1], dtype=np.uint64), np.zeros((1,) * 32),
+        sparse.csc_array(np.ones((4, 4))), sparse.csr_array((0, 0)), sparse.coo_array(np.ones(9)), sparse.csr_matrix((36, 9),
+        dtype=bool), sparse.csr_array(np.ones((36, 9), dtype=complex)), sparse.dok_array((9, 9)), np.random.default_rng(0),
+        np.random.SeedSequence(3), np.random, oee, Exception("x"), NotImplemented, Ellipsis, lambda *_, **__: deep,
+        lambda *_: "\x1b[31m", lambda: None, *(malformed(change) for change in MALFORMED),
+    )  # fmt: skip
 
 
 def hostile(rng, valid):
     """One hostile value: of a general kind, or the valid one spoilt."""
-    general = (
-        None, "", "raw", "1", b"x", float("nan"), float("inf"), -float("inf"), -1, 0, 1, 2, 0.5, 1.5, -0.0, 2**31, 2**53 + 1,
-        2**63, 2**70, 10**9, 10**12, 10**400, 1e308, -1e308, 1e-320, 1e17, 1j, True, False, np.bool_(True), object(), Raises(),
-        Raises, [], [[]], [[], [1]], (), {}, {"a": None}, {"a": 1}, set(), [None], ["a"], [1, [2, 3]], [np.nan], [1.5],
-        [object()], range(3), slice(None), iter([1]), len, int, np.array(1.0), np.array(np.nan), np.array([]), np.array([1, 2]),
-        np.array(["a", "b"]), np.array([None, 1], dtype=object), np.array(["2020-01-01"], dtype="datetime64[D]"),
-        np.zeros((2, 2, 2, 2)), np.zeros((9, 4)), np.full((9, 4), np.nan), np.full((9, 4), 1e308), np.ones((9, 4)) / 4,
-        np.ones((9, 4), dtype=complex), np.eye(9), np.ones(9), np.zeros(9, dtype=bool), np.float32(0.5), np.int8(3),
-        sparse.csr_array((36, 9)), sparse.csr_array(np.full((36, 9), np.nan)), sparse.csr_array(np.full((36, 9), 1e300)),
-        sparse.csr_array(np.full((36, 9), -1.0)), sparse.eye_array(9, format="coo"), oee.tasks.gridworld(2, 0.1),
-        oee.tasks.gridworld(SIZE, 0.0), oee.Transitions([0], [0], [1]), oee.Estimate(1.0), Path("nowhere"), "nowhere.npz",
-    )  # fmt: skip
-    if rng.random() < 0.7:
-        return general[rng.integers(len(general))]
+    if rng.random() < 0.75:
+        return general()[rng.integers(len(general()))]
     return spoilt(rng, valid)
 
 
 def spoilt(rng, valid):
     """A valid value with one thing wrong: an entry, the shape, or the kind of numbers."""
     if sparse.issparse(valid):
+        if rng.random() < 0.3:
+            return malformed(MALFORMED[rng.integers(len(MALFORMED))])
         spoiled = sparse.csr_array(valid).astype(float)
         spoiled.data[rng.integers(spoiled.nnz)] = rng.choice([np.nan, np.inf, -1.0, 1e300, 1e-310, 0.0])
         return spoiled if rng.random() < 0.7 else spoiled[:-1]
-    if isinstance(valid, bool | str | None.__class__ | dict) or not np.shape(valid):
-        return [valid]
-    array = np.array(valid)
+    with contextlib.suppress(ValueError):  # a ragged list has no shape
+        if not isinstance(valid, bool | str | None.__class__ | dict) and np.shape(valid):
+            return spoilt_array(rng, np.array(valid))
+    return [valid]
+
+
+def spoilt_array(rng, array):
+    """An array with one entry, its shape or its type changed."""
     if array.dtype.kind not in "fiub" or array.size == 0:
         return array
     change = rng.integers(6)
@@ -157,6 +232,5 @@ def spoilt(rng, valid):
         array.flat[rng.integers(array.size)] = rng.choice([np.nan, np.inf, -1.0, 1e308, 1e-320])
         return array
     with np.errstate(over="ignore"):
-        return (array[:-1], array.astype(str), array[None], array.astype(object), array.astype(float) * 1e308)[
-            change - 1
-        ]
+        larger = array.astype(float) * 1e308
+        return (array[:-1], array.astype(str), array[None], array.astype(object), larger)[change - 1]
