@@ -16,7 +16,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.data.tables import csv_frame
 from oee_tabular.estimators import Estimator, OffEnvironment
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.tabled import features_in, keys_in, words
 
@@ -49,7 +49,7 @@ def features_of(path: Path, simulator: FiniteMDP) -> tuple[Array, list[str]]:
     bad = np.argwhere(~np.isfinite(found))
     if bad.size:
         j, k = (int(i) for i in bad[0])
-        where = name_move(simulator.transitions, j, simulator.n_actions, simulator.names)
+        where = name_transition(simulator.transitions, j, simulator.n_actions, simulator.names)
         raise ValueError(f"{str(path)!r} must be finite; feature {k} at {where} is {found[j, k]}")
     return found, [f"feature {k}" for k in range(found.shape[1])]
 

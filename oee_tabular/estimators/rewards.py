@@ -11,7 +11,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, find
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.arrays import csr_from_entries
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
     assert moves.reward_sum is not None
     shape = simulator.transitions.shape
     rows = log.state * simulator.n_actions + log.action
-    total = canonical_table(rows, log.next_state, moves.reward_sum, shape)
-    seen = canonical_table(rows, log.next_state, moves.number, shape)
+    total = csr_from_entries(rows, log.next_state, moves.reward_sum, shape)
+    seen = csr_from_entries(rows, log.next_state, moves.number, shape)
     matrix = simulator.transitions
     paid, known = align(total, matrix)
     often, _ = align(seen, matrix)

@@ -78,6 +78,19 @@ def average_rewards(policy, rewards):
 
 
 @njit(cache=True)
+def mean_next_values(rows, values):
+    """sum_s' K(s' | s, a) V(s') of each row s*A + a."""
+    indptr, indices, data = rows
+    means = np.empty(len(indptr) - 1)
+    for row in range(len(means)):
+        total = 0.0
+        for k in range(indptr[row], indptr[row + np.uint32(1)]):
+            total += data[k] * values[indices[k]]
+        means[row] = total
+    return means
+
+
+@njit(cache=True)
 def range_of_sums(kernel, n_roundings):
     """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an entry, the middle of the two."""
     indptr, data = kernel.indptr, kernel.data

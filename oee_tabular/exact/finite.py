@@ -48,7 +48,7 @@ def light_cone(model: Model, policy: Array, steps: int) -> Cone:
         np.zeros(model.n_states, np.uint32),
         (readable(policy), readable(model.rewards), readable(model.initial)),
     )
-    cone: Cone = _finite.light_cone(rows_of(model.transitions), *given, model.discount, steps, place)
+    cone: Cone = _finite.light_cone(rows_of(model.csr), *given, model.discount, steps, place)
     for part in cone.kernel[:3]:
         part.flags.writeable = False  # so that sweeps are compiled for one kind of array
     return cone
@@ -104,7 +104,7 @@ def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
     given = readable(model.rewards), readable(policy), readable(model.initial)
     rooms = np.zeros(model.n_states), np.zeros(model.n_states), np.zeros(model.n_states, np.uint32)
     visited, keep = (np.zeros((0, 0)), False) if pairs is None else (pairs, True)
-    return np.asarray(_finite.frontier(rows_of(model.transitions), *given, model.discount, *rooms, visited, keep))
+    return np.asarray(_finite.frontier(rows_of(model.csr), *given, model.discount, *rooms, visited, keep))
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:

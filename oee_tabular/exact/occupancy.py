@@ -4,6 +4,7 @@ make of values: the derivative of J with respect to each transition probability,
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal, overload
 
 import numpy as np
@@ -70,6 +71,8 @@ def occupancy(
     >>> occupancy(coin, [[1.0]] * 2, of="transition").toarray().round(6).tolist()
     [[0.25, 0.25], [0.25, 0.25]]
     """
+    from oee_tabular.exact import solvers
+
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = optional_horizon_length(horizon, mdp, policy)
@@ -77,9 +80,9 @@ def occupancy(
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
     if steps is None:
-        kernel = policy_kernel(mdp, pi)
-        start = (1.0 - mdp.discount) * mdp.initial
-        states = solve_policy_system(kernel, start, mdp.discount, transpose=True).x
+        system = replace(policy_system(mdp, pi), transpose=True)
+        solvers.inverse_norm(system)  # an error where the sum does not exist
+        states = solvers.answer(system, (1.0 - mdp.discount) * mdp.initial).x
         pairs = np.maximum(states, 0.0)[:, None] * pi
     else:
         pairs = _forward(mdp, pi, steps)
@@ -187,6 +190,6 @@ def transition_gradient(
     to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(valued.transitions.nnz)
     paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
     kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
-    entries = rows_of(valued.transitions)
+    entries = rows_of(valued.csr)
     _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, as_readonly(paid), total)
     return np.asarray(total * np.repeat(pi.reshape(-1), lengths))

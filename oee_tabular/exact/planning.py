@@ -48,7 +48,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     if steps is not None:
         size = mdp.rewards.size
         return _backward_induction(mdp, limit_horizon(steps, 1.0, work=mdp.transitions.nnz, kept=size))
-    model = rows_of(mdp.transitions), mdp.rewards, mdp.discount
+    model = rows_of(mdp.csr), mdp.rewards, mdp.discount
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
         actions, values = action_values(mdp, uniform).argmax(axis=1), None

@@ -16,7 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.arrays import CsrArrays, name_transition
 from oee_tabular.mdp.naming import NAMELESS, Names
 
 
@@ -52,6 +52,11 @@ class ReweightedModel:
     terminal_state: IntArray
     layout: Array | None = None
     names: Names = NAMELESS
+
+    @property
+    def csr(self) -> CsrArrays:
+        """The arrays of ``transitions``."""
+        return CsrArrays.from_matrix(self.transitions)
 
 
 MODELS = (FiniteMDP, ReweightedModel)
@@ -89,7 +94,7 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     zeta = ratio_on(mdp.transitions, ratio, "ratio")
     bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
     if bad.size:
-        where = name_move(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)
+        where = name_transition(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)
         raise ValueError(f"ratio must be finite and nonnegative; at {where} it is {zeta[bad[0]]}")
     return with_rows(mdp, zeta * mdp.transitions.data, own=True)
 

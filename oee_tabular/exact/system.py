@@ -130,7 +130,7 @@ def policy_system(model: Model, policy: Array) -> System:
     """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a)."""
     from oee_tabular.exact import _policy_rows
 
-    rows = rows_of(model.transitions)
+    rows = rows_of(model.csr)
     policy, entries = np.ascontiguousarray(policy, dtype=np.float64), len(rows[2])
     if entries < LARGE:
         indptr, indices, data = _policy_rows.average_rows(rows, policy)

@@ -140,7 +140,10 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
 
 
 def _backup(model: Model, value: Array) -> Array:
-    return np.asarray(model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape))
+    from oee_tabular.exact import _policy_rows
+
+    following = _policy_rows.mean_next_values(rows_of(model.csr), value)
+    return np.asarray(model.rewards + model.discount * following.reshape(model.rewards.shape))
 
 
 def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, normalized: bool = False) -> float:

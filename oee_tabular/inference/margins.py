@@ -40,7 +40,7 @@ from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_va
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.inference.ambiguity import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import canonical_table
+from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.mdp.horizons import horizon_length, total_discount
 
 ROUNDS = 20  # of improving u; it stays after two or three
@@ -192,14 +192,14 @@ def _led(problem: Problem, policy: Array, rows: IntArray, to: IntArray, sign: fl
     share[rows] = ALLOWED
     kept = model.transitions.copy()
     kept.data = kept.data * (1.0 - share)[row_of_entry(kept)]
-    transitions = canonical(kept + canonical_table(rows, to, share[rows], shape), drop_zeros=True)
+    transitions = canonical(kept + csr_from_entries(rows, to, share[rows], shape), drop_zeros=True)
     rewards: object = model.rewards
     if model.transition_rewards is not None:
         own, defined = align(model.transition_rewards, transitions)
         data = np.where(defined, own, _extreme_pay(model, sign))
-        rewards = canonical_table(row_of_entry(transitions), transitions.indices, data, shape)
+        rewards = csr_from_entries(row_of_entry(transitions), transitions.indices, data, shape)
     other = FiniteMDP(transitions, rewards, model.initial, model.discount, terminal_state=model.terminal_state)
-    counts = canonical(problem.counts + canonical_table(rows, to, problem.dropped[rows], shape), drop_zeros=True)
+    counts = canonical(problem.counts + csr_from_entries(rows, to, problem.dropped[rows], shape), drop_zeros=True)
     return evidence_of(other, counts, problem.horizon, policy)
 
 

@@ -10,10 +10,11 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import check_csr
-from oee_tabular.mdp.arrays import check_layout, sampling_of
+from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.explorer import Explorer
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
 from oee_tabular.mdp.naming import Name, Names, check_names, initial_distribution, renumber
+from oee_tabular.mdp.samples import compute_sampling
 from oee_tabular.mdp.support import require_log
 
 
@@ -112,7 +113,7 @@ def _empirical_arguments(
     )
     number = float(len(starts)) if initial is None else np.inf
     own = reward if rewards is None else None
-    sampling = sampling_of(columns, own, number, arguments["terminal_state"], arguments["transitions"].shape)
+    sampling = compute_sampling(columns, own, number, arguments["terminal_state"], arguments["transitions"].shape)
     return arguments | {"sampling": sampling}
 
 

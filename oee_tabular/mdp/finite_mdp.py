@@ -1,14 +1,9 @@
-"""A finite MDP on sparse rows.
-
-The model (S, A, P, r, mu_0, gamma) of the paper's eq. 3.4. Row ``s*A + a`` of ``transitions`` is P(. | s, a).
-Rewards are r(s), r(s, a) or r(s, a, s'); the last form belongs to the transition and is kept beside its expectation
-r(s, a) = sum_s' P(s' | s, a) r(s, a, s'), which never stands in for it where a transition is weighted.
-"""
+"""A finite MDP (S, A, P, r, mu_0, gamma), the model of the paper's eq. 3.4, on sparse rows s*A + a."""
 
 from __future__ import annotations
 
 import os
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -16,46 +11,42 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
-from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, align_to, canonical, csr_from_parts, row_of_entry, row_sums
+from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._sparse import align, align_to, csr_from_parts, row_of_entry
 from oee_tabular.mdp.arrays import (
-    Sampling,
-    canonical_table,
+    CsrArrays,
     check_layout,
-    name_move,
-    reward_table,
-    stored_sampling,
-    stored_shape,
-    terminal_states,
-    transition_rows,
+    check_rewards,
+    check_terminal_state,
+    check_transitions,
+    name_transition,
 )
-from oee_tabular.mdp.made import Made
 from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, initial_distribution, to_text
+from oee_tabular.mdp.samples import Sampling
 
 KIND = "finite_mdp"
 
 
-class FiniteMDP(Made):
-    """A finite Markov decision process, checked when it is made and immutable afterwards.
+class FiniteMDP:
+    """A finite Markov decision process, check_csr when it is made and immutable afterwards.
 
     Parameters
     ----------
     transitions : (S, A, S) array, or sparse of shape (S*A, S)
         P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1 (tolerance 1e-8; those of a dense
-        single-precision array are scaled). A state in which an episode is over leads to itself and pays 0.
+        single-precision array are scaled). A terminal state leads to itself with reward 0.
     rewards : (S,), (S, A) or (S, A, S) array, or sparse of shape (S*A, S)
         r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
         In a sparse one an absent entry is 0 on the support and undefined elsewhere.
     initial : (S,) array
         Distribution mu_0 of the first state; or one state, by number or name, or a mapping state -> probability.
     discount : float in [0, 1]
-        gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states that pay nothing;
-        the functions that evaluate say so when it is not.
+        gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states without reward.
     terminal_state : (S0,) integers, optional
         For s below S0, the number of the environment's own states: where a transition that *terminates* on entering s
         leads. By default s itself.
     layout : (S,) or (S, c) array, or a grid's shape (height, width), optional
-        Coordinates of the states, finite: what makes moves from different states alike (``mdp.displacements``) and where
+        Coordinates of the states, finite: what makes transitions from different states alike (``mdp.displacements``) and where
         maps have them, (row, column) of two. Of a shape, two integers whose product is S, state s lies in row s // width.
         None: the coordinates in ``state_names`` where all are tuples of numbers of one length, (3, 4); else none.
     sampling : Sampling, optional
@@ -70,12 +61,14 @@ class FiniteMDP(Made):
     rewards : (S, A) expected reward
     transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
     initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None), sampling (or None)
-    names : both, as sentences word them (``mdp.naming``)
+    csr : the arrays of ``transitions`` (indptr, indices, data, shape); scipy's matrix is made when it is first asked for
+    reward_data : r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)
+    names : both, for sentences (``mdp.naming``)
 
     Raises
     ------
     ValueError
-        With the argument, the place, the rule and the value found.
+        With the argument, the place, the rule and the value.
 
     Examples
     --------
@@ -86,28 +79,11 @@ class FiniteMDP(Made):
     FiniteMDP(2 states, 2 actions, 6 transitions, rewards r(s, a), discount 0.9)
     """
 
-    __slots__ = (
-        "_own_layout",
-        "_reward_data",
-        "action_names",
-        "discount",
-        "initial",
-        "layout",
-        "n_actions",
-        "n_states",
-        "rewards",
-        "sampling",
-        "state_names",
-        "terminal_state",
-        "transition_rewards",
-        "transitions",
-    )
-
     n_states: int
     n_actions: int
-    transitions: sparse.csr_array
+    csr: CsrArrays
     rewards: Array
-    transition_rewards: sparse.csr_array | None
+    reward_data: Array | None
     initial: Array
     discount: float
     terminal_state: IntArray
@@ -115,8 +91,8 @@ class FiniteMDP(Made):
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
+    _reward_table: Any  # csr, or dense (S*A, S) with nan where r(s, a, s') is undefined
     _own_layout: Array | None  # as given, without the names' coordinates
-    _reward_data: Array | None
 
     def __init__(
         self,
@@ -131,37 +107,28 @@ class FiniteMDP(Made):
         action_names: object = None,
         sampling: Sampling | None = None,
     ) -> None:
-        matrix, n_states, n_actions = transition_rows(transitions)
-        table, expected = reward_table(rewards, matrix, n_states, n_actions)
-        data = None
-        if table is not None:
-            table, data = align_to(table, matrix)
-            expected = row_sums(matrix, matrix.data * data).reshape(n_states, n_actions)
-        if terminal_state is None:
-            terminal = np.arange(n_states, dtype=np.int64)
-        else:
-            terminal = terminal_states(terminal_state, n_states)
-        called = None if state_names is None else check_names(state_names, "state_names", n_states)
-        start = initial_distribution(initial, called, n_states)
-        places = None if layout is None else check_layout(layout, n_states)
-        values = {
-            "n_states": n_states,
-            "n_actions": n_actions,
-            "transitions": matrix,
-            "rewards": _checks.freeze(expected),
-            "transition_rewards": table,
-            "initial": _checks.freeze(_checks.distribution(start, "initial", (n_states,))),
-            "discount": _checks.number_in(discount, "discount", 0.0, 1.0),
-            "terminal_state": _checks.freeze(terminal),
-            "layout": coordinates(called) if places is None else places,
-            "state_names": called,
-            "action_names": None if action_names is None else check_names(action_names, "action_names", n_actions),
-            "sampling": sampling,
-            "_own_layout": places,
-            "_reward_data": data,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        csr, n_states, n_actions = check_transitions(transitions)
+        expected, data, table = check_rewards(rewards, csr, n_actions)
+        names = None if state_names is None else check_names(state_names, "state_names", n_states)
+        start = initial_distribution(initial, names, n_states)
+        own = None if layout is None else check_layout(layout, n_states)
+        terminal = np.arange(n_states) if terminal_state is None else check_terminal_state(terminal_state, n_states)
+        vars(self).update(
+            n_states=n_states,
+            n_actions=n_actions,
+            csr=csr,
+            rewards=expected,
+            reward_data=data,
+            initial=freeze(_checks.distribution(start, "initial", (n_states,))),
+            discount=_checks.number_in(discount, "discount", 0.0, 1.0),
+            terminal_state=freeze(terminal),
+            layout=coordinates(names) if own is None else own,
+            state_names=names,
+            action_names=None if action_names is None else check_names(action_names, "action_names", n_actions),
+            sampling=sampling,
+            _reward_table=table,
+            _own_layout=own,
+        )
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"FiniteMDP is immutable; cannot set {name!r} (make a new one)")
@@ -173,52 +140,62 @@ class FiniteMDP(Made):
         return partial(type(self), **self._arguments()), ()
 
     def __repr__(self) -> str:
-        form = "r(s, a)" if self.transition_rewards is None else "r(s, a, s')"
         return (
-            f"FiniteMDP({self.n_states} states, {self.n_actions} actions, {self.transitions.nnz} transitions, "
-            f"rewards {form}, discount {self.discount:g})"
+            f"FiniteMDP({self.n_states} states, {self.n_actions} actions, {self.csr.nnz} transitions, "
+            f"rewards {self._reward_form}, discount {self.discount:g})"
         )
 
     def _repr_html_(self) -> str:
-        form = "r(s, a)" if self.transition_rewards is None else "r(s, a, s')"
-        paid = self.rewards if self.reward_data is None else self.reward_data
+        values = self.rewards if self.reward_data is None else self.reward_data
         rows = [
-            ("states", self.n_states), ("actions", self.n_actions), ("transitions", self.transitions.nnz),
-            ("rewards", f"{form}, {paid.min():.4g} to {paid.max():.4g}"), ("discount", f"{self.discount:g}"),
-            ("first states", int((self.initial > 0).sum())), ("states that are over", int(self.absorbing().sum())),
+            ("states", self.n_states), ("actions", self.n_actions), ("transitions", self.csr.nnz),
+            ("rewards", f"{self._reward_form}, {values.min():.4g} to {values.max():.4g}"),
+            ("discount", f"{self.discount:g}"), ("first states", int((self.initial > 0).sum())),
+            ("terminal states", int(self.absorbing().sum())),
         ]  # fmt: skip
         return _printing.facts("FiniteMDP: rewards in units of the return", rows)
 
     @property
-    def reward_data(self) -> Array | None:
-        """r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)."""
-        return self._reward_data
+    def _reward_form(self) -> str:
+        return "r(s, a)" if self.reward_data is None else "r(s, a, s')"
+
+    @cached_property
+    def transitions(self) -> sparse.csr_array:
+        """P(s' | s, a): csr of shape (S*A, S), sorted, without explicit zeros, read-only."""
+        return self.csr.to_matrix()
+
+    @cached_property
+    def transition_rewards(self) -> sparse.csr_array | None:
+        """r(s, a, s') as csr of shape (S*A, S), an entry wherever it is defined; None for r(s, a)."""
+        table = self._reward_table
+        if not isinstance(table, np.ndarray):
+            return table
+        return align_to(CsrArrays.from_dense(table, ~np.isnan(table)).to_matrix(), self.csr)[0]
 
     @property
     def names(self) -> Names:
-        """How sentences word a state and an action: by name, or by number."""
+        """The names of states and actions for sentences, which use numbers where there are none."""
         return Names(self.state_names, self.action_names)
 
-    def absorbing(self) -> _checks.BoolArray:
-        """(S,) mask of the closed states that pay nothing: where an episode is over."""
-        unpaid: _checks.BoolArray = np.all(self.rewards == 0.0, axis=1)
+    def absorbing(self) -> BoolArray:
+        """(S,) mask of the terminal states: closed, with reward 0."""
+        unpaid: BoolArray = np.all(self.rewards == 0.0, axis=1)
         return self.closed() & unpaid
 
-    def closed(self) -> _checks.BoolArray:
+    def closed(self) -> BoolArray:
         """(S,) mask of the states that every action leads back to."""
-        rows = row_of_entry(self.transitions)
-        stays = self.transitions.indices == rows // self.n_actions
+        state = row_of_entry(self.csr) // self.n_actions
         leaves = np.zeros(self.n_states, dtype=np.bool_)
-        leaves[rows[~stays] // self.n_actions] = True
+        leaves[state[self.csr.indices != state]] = True
         return ~leaves
 
     def with_transitions(self, new: object) -> Self:
         """The same MDP under other dynamics (eq. 3.4); r(s, a, s') is averaged again.
 
-        Raises ValueError where ``new`` moves to an s' for which r(s, a, s') is not defined.
+        Raises ValueError where ``new`` has a transition for which r(s, a, s') is not defined.
         """
         try:
-            matrix, n_states, n_actions = transition_rows(new)
+            csr, n_states, n_actions = check_transitions(new)
         except ValueError as error:
             raise ValueError(f"new {error}") from None
         if (n_states, n_actions) != (self.n_states, self.n_actions):
@@ -226,37 +203,35 @@ class FiniteMDP(Made):
                 f"new transitions must be for {self.n_states} states and {self.n_actions} actions; "
                 f"they are for {n_states} and {n_actions}"
             )
-        rewards: object = self.rewards
-        if self.transition_rewards is not None:
-            _, defined = align(self.transition_rewards, matrix)
-            if not defined.all():
-                moves = [name_move(matrix, k, n_actions, self.names) for k in np.flatnonzero(~defined)[:3]]
+        if self.reward_data is not None:
+            undefined = np.flatnonzero(~align(self.transition_rewards, csr)[1])
+            if undefined.size:
+                first = "; ".join(name_transition(csr, k, n_actions, self.names) for k in undefined[:3])
                 raise ValueError(
-                    f"new transitions must stay where r(s, a, s') is defined; {int((~defined).sum())} moves do not, "
-                    f"the first: {'; '.join(moves)}"
+                    f"new transitions must stay where r(s, a, s') is defined; {undefined.size} transitions do not, "
+                    f"the first: {first}"
                 )
-            rewards = self.transition_rewards
-        return self._changed(transitions=matrix, rewards=rewards, sampling=None)
+        return self._replace(transitions=csr, sampling=None)
 
     def with_rewards(self, rewards: object) -> Self:
         """The same dynamics with other rewards, in any of the constructor's forms."""
-        return self._changed(rewards=rewards, sampling=self.sampling and self.sampling.without_rewards())
+        return self._replace(rewards=rewards, sampling=self.sampling and self.sampling._replace(reward_error=None))
 
     def with_discount(self, discount: float) -> Self:
         """The same MDP with another discount."""
-        return self._changed(discount=discount)
+        return self._replace(discount=discount)
 
     def with_initial(self, initial: object) -> Self:
-        """The same MDP begun elsewhere: in a state, by number or name, or by a law in any of the constructor's forms."""
-        return self._changed(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
+        """The same MDP with another first state, or another distribution of it, in any of the constructor's forms."""
+        return self._replace(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
         """The same MDP with other coordinates of its states, as in the constructor; None: those in its names, or none."""
-        return self._changed(layout=layout)
+        return self._replace(layout=layout)
 
     def with_names(self, state_names: object = None, action_names: object = None) -> Self:
         """The same MDP with these names of its states and of its actions; None: with none."""
-        return self._changed(state_names=state_names, action_names=action_names)
+        return self._replace(state_names=state_names, action_names=action_names)
 
     def with_action_noise(self, epsilon: float) -> Self:
         """With probability epsilon the action is replaced by a uniform one (which may be the same).
@@ -266,77 +241,15 @@ class FiniteMDP(Made):
         do not depend on s'. It gives a too deterministic simulator the support that a ratio needs.
         A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy + eps uniform).
         """
-        eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
-        noise = sparse.kron(
-            sparse.eye_array(self.n_states), np.full((self.n_actions, self.n_actions), 1.0 / self.n_actions)
-        )
-        mixing = sparse.csr_array((1.0 - eps) * sparse.eye_array(self.n_states * self.n_actions) + eps * noise)
-        matrix = canonical(mixing @ self.transitions, drop_zeros=True)
-        rewards: object = (mixing @ self.rewards.reshape(-1)).reshape(self.rewards.shape)
-        if self._reward_data is not None:
-            flow = self.transitions.copy()
-            flow.data = self.transitions.data * self._reward_data
-            total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
-            rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
-        sampling = self.sampling and self.sampling.mixed(self.n_actions)
-        return self._changed(transitions=matrix, rewards=rewards, sampling=sampling)
+        from oee_tabular.mdp.support import add_action_noise
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an npz of plain arrays, whole or not at all."""
-        _files.save_npz(path, KIND, self.arrays())
-
-    def arrays(self) -> dict[str, Any]:
-        """What a file holds."""
-        arrays: dict[str, object] = {
-            "shape": np.array([self.n_states, self.n_actions]),
-            "transitions_data": self.transitions.data,
-            "transitions_indices": self.transitions.indices,
-            "transitions_indptr": self.transitions.indptr,
-            "initial": self.initial,
-            "discount": np.array(self.discount),
-            "terminal_state": self.terminal_state,
-        }
-        if self.transition_rewards is None:
-            arrays["rewards"] = self.rewards
-        else:
-            for part in ("data", "indices", "indptr"):
-                arrays[f"rewards_{part}"] = getattr(self.transition_rewards, part)
-        if self._own_layout is not None:
-            arrays["layout"] = self._own_layout
-        called = {"state_names": self.state_names, "action_names": self.action_names}
-        arrays |= {name: to_text(names) for name, names in called.items() if names is not None}
-        return arrays | ({} if self.sampling is None else self.sampling.arrays())
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what ``save`` wrote; the same checks as in the constructor."""
-        arrays = _files.load_npz(
-            path, KIND, hint="make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
-        )
-        with _files.parts_of(path, "a FiniteMDP"):
-            shape = stored_shape(arrays["shape"])
-
-            def matrix(name: str) -> sparse.csr_array:
-                data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-                return csr_from_parts(data, indices, indptr, shape, name)
-
-            rewards = arrays["rewards"] if "rewards" in arrays else matrix("rewards")
-            return cls(
-                matrix("transitions"),
-                rewards,
-                arrays["initial"],
-                float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
-                terminal_state=arrays["terminal_state"],
-                layout=arrays.get("layout"),
-                sampling=stored_sampling(arrays, shape),
-                **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
-            )
+        return self._replace(**add_action_noise(self, epsilon))
 
     def with_support_of(self, log: object, epsilon: float) -> Self:
-        """The same MDP in which the moves of ``log`` are possible: where some were not, P' = (1 - eps) P + eps U.
+        """The same MDP in which the log's transitions are possible: where some were not, P' = (1 - eps) P + eps U.
 
-        U is uniform over those of the log's moves from (s, a) that P gives probability 0; other rows stay as they are. A
-        new move pays the log's mean reward for it, or r(s, a) where the log has none.
+        U is uniform over those of the log's transitions from (s, a) that P gives probability 0; other rows stay as they
+        are. A new transition has the log's mean reward for it, or r(s, a) where the log has none.
 
         Parameters
         ----------
@@ -350,26 +263,186 @@ class FiniteMDP(Made):
         >>> line.with_support_of(oee.Transitions([0, 1], [0, 0], [2, 2]), 0.1).transitions.toarray().tolist()
         [[0.45, 0.45, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.support import supporting
+        from oee_tabular.mdp.support import add_support
 
-        return self._changed(**supporting(self, log, epsilon))
+        return self._replace(**add_support(self, log, epsilon))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an npz of plain arrays, whole or not at all."""
+        _files.save_npz(path, KIND, self.arrays())
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file holds."""
+        arrays: dict[str, Any] = {
+            "shape": np.array(self.rewards.shape),
+            "initial": self.initial,
+            "discount": np.array(self.discount),
+            "terminal_state": self.terminal_state,
+        }
+        tables = {"transitions": self.csr}
+        if self.reward_data is None:
+            arrays["rewards"] = self.rewards
+        else:
+            tables["rewards"] = self.transition_rewards
+        for name, table in tables.items():
+            arrays |= {f"{name}_{part}": getattr(table, part) for part in ("data", "indices", "indptr")}
+        if self._own_layout is not None:
+            arrays["layout"] = self._own_layout
+        names = {"state_names": self.state_names, "action_names": self.action_names}
+        arrays |= {key: to_text(value) for key, value in names.items() if value is not None}
+        return arrays | ({} if self.sampling is None else self.sampling.arrays())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what ``save`` wrote; the same checks as in the constructor."""
+        hint = "make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
+        arrays = _files.load_npz(path, KIND, hint=hint)
+        with _files.parts_of(path, "a FiniteMDP"):
+            sizes = arrays["shape"]
+            if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
+                raise ValueError(
+                    f"shape must be two positive integers, states and actions; it is {sizes.tolist()!r:.80}"
+                )
+            n_states, n_actions = sizes.tolist()
+            shape = (n_states * n_actions, n_states)
+
+            def matrix(name: str) -> sparse.csr_array:
+                parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+                return csr_from_parts(*parts, shape, name)
+
+            return cls(
+                matrix("transitions"),
+                arrays["rewards"] if "rewards" in arrays else matrix("rewards"),
+                arrays["initial"],
+                float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
+                terminal_state=arrays["terminal_state"],
+                layout=arrays.get("layout"),
+                sampling=Sampling.from_arrays(arrays, shape),
+                **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
+            )
+
+    @classmethod
+    def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
+        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
+
+        State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
+        an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
+        reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
+        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
+        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state. Names are the
+        environment's own: ``state_names``, ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
+
+        Raises
+        ------
+        ValueError
+            Without such a table (Blackjack), or where the dynamics are not in it: a fickle Taxi passenger, a wrapper that
+            changes actions, observations or rewards.
+        """
+        from oee_tabular.mdp.gymnasium_table import read_table
+
+        return cls(**read_table(env), discount=discount)
+
+    @classmethod
+    def from_log(
+        cls,
+        log: object,
+        rewards: object = None,
+        *,
+        discount: float = 0.99,
+        initial: object = None,
+        n_states: int | None = None,
+        n_actions: int | None = None,
+        state_names: object = None,
+        action_names: object = None,
+        layout: object = None,
+    ) -> Self:
+        """The MDP of a log's frequencies: a simulator that can only be sampled, from its own log.
+
+        P(s' | s, a) = n(s, a, s') / n(s, a). An action never recorded in a state is taken to do what the recorded ones
+        do there, on average by their moves; a state that was entered and never left stays where it is and pays 0. A warning
+        says how many such pairs there are. Where moves terminated is over and pays 0, as in
+        ``from_gymnasium``.
+
+        Parameters
+        ----------
+        log : Transitions
+        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's mean for each move
+        initial : (S,), a state, or a mapping; None: how often episodes began in each state (of a bag of moves: all states)
+        n_states, n_actions : default one more than the largest of the log, or as many as there are names
+        state_names, action_names : default the log's; given ones also order its numbers
+        discount, layout : as in the constructor
+
+        Raises
+        ------
+        ValueError
+            No log; no rewards at all; a state or an action outside the given numbers or names; the constructor's errors.
+
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> log = oee.Transitions([0, 0, 1], [0, 0, 0], [0, 1, 1], [0.0, 1.0, 0.0], terminated=[0, 0, 1])
+        >>> oee.FiniteMDP.from_log(log, discount=0.9).transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
+        [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
+        """
+        from oee_tabular.mdp.empirical import log_arguments
+
+        sizes, names = (n_states, n_actions), (state_names, action_names)
+        return cls(**log_arguments(log, rewards, initial, sizes, names, layout), discount=discount)
+
+    @classmethod
+    def from_env(
+        cls, env: Any, *, samples_per_pair: int, seed: Any = None, discount: float = 0.99, max_steps: int = 1_000_000
+    ) -> Self:
+        """The MDP of a Gymnasium environment that can only be sampled, by the frequencies of its moves.
+
+        Episodes go to the nearest state-action pair with too few samples, by value iteration in what has been met so far
+        (``mdp.explorer``), until every action of every state that was met has been taken ``samples_per_pair`` times; an
+        episode that cannot lead there is left by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
+        texts) become the states' names. States that no episode met stay where they are and pay 0.
+
+        Parameters
+        ----------
+        env : with discrete observations and Discrete actions; it is stepped and reset, not closed
+        samples_per_pair : positive int
+        seed : anything that ``numpy.random.default_rng`` takes; of the first ``env.reset`` and of the actions
+        discount : gamma
+        max_steps : positive int, at which it ends; a warning says how many pairs have fewer samples then, and names three
+
+        Raises
+        ------
+        ValueError
+            Continuous observations or actions; bad arguments.
+
+        Notes
+        -----
+        How many samples there were is kept (``sampling``): intervals widen by what first states, mean rewards and moves that
+        were never met may change (``inference.margins``).
+
+        Examples
+        --------
+        >>> from oee_tabular.tasks import make_environment
+        >>> from oee_tabular import FiniteMDP
+        >>> lake = make_environment("FrozenLake-v1", is_slippery=False)
+        >>> sampled = FiniteMDP.from_env(lake, samples_per_pair=1, seed=0)
+        >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
+        True
+        """
+        from oee_tabular.mdp.empirical import env_arguments
+
+        return cls(**env_arguments(env, samples_per_pair, seed, max_steps), discount=discount)
 
     def _arguments(self) -> dict[str, Any]:
-        rewards = self.rewards if self.transition_rewards is None else self.transition_rewards
-        same: tuple[str, ...] = (
-            "transitions",
-            "initial",
-            "discount",
-            "terminal_state",
-            "state_names",
-            "action_names",
-            "sampling",
-        )
-        return {"rewards": rewards, "layout": self._own_layout} | {name: getattr(self, name) for name in same}
+        table = self._reward_table
+        if isinstance(table, np.ndarray):
+            table = table.reshape(self.n_states, self.n_actions, self.n_states)
+        same = ("initial", "discount", "terminal_state", "state_names", "action_names", "sampling")
+        changed = {
+            "transitions": self.csr,
+            "rewards": self.rewards if table is None else table,
+            "layout": self._own_layout,
+        }
+        return changed | {name: getattr(self, name) for name in same}
 
-    def _changed(self, **changes: object) -> Self:
+    def _replace(self, **changes: object) -> Self:
         """The same MDP with other arguments of the constructor."""
         return type(self)(**self._arguments() | changes)
-
-
-__all__ = ["KIND", "FiniteMDP", "canonical_table", "name_move"]

@@ -1,8 +1,8 @@
-"""An MDP that allows the moves of a log: some probability for those to which it gives none."""
+"""Dynamics with more support: action noise, and the transitions of a log to which an MDP gives probability 0."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
@@ -10,73 +10,74 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
-from oee_tabular.mdp.arrays import canonical_table
-from oee_tabular.mdp.policies import Sized
+from oee_tabular.mdp.arrays import csr_from_entries
 
-LEAST = 1e-300  # a smaller probability supports no ratio
-_LOG = (
-    "state",
-    "action",
-    "next_state",
-    "terminated",
-    "reward",
-    "episode_starts",
-    "state_names",
-    "action_names",
-    "numbered",
-)
+if TYPE_CHECKING:
+    from oee_tabular.mdp.finite_mdp import FiniteMDP
+
+SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
+_LOG_FIELDS = (
+    "state", "action", "next_state", "terminated", "reward", "episode_starts", "state_names", "action_names", "numbered"
+)  # fmt: skip
 
 
-class Tables(Sized, Protocol):
-    """What is read of a FiniteMDP."""
+def add_action_noise(mdp: FiniteMDP, epsilon: object) -> dict[str, Any]:
+    """Return the arguments of P_eps and r_eps (``FiniteMDP.with_action_noise``)."""
+    eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
+    n_states, n_actions = mdp.rewards.shape
+    noise = sparse.kron(sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions))
+    mixing = sparse.csr_array((1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise)
+    matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
+    rewards: object = (mixing @ mdp.rewards.reshape(-1)).reshape(mdp.rewards.shape)
+    if mdp.reward_data is not None:
+        flow = mdp.transitions.copy()
+        flow.data = mdp.transitions.data * mdp.reward_data
+        total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
+        rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
+    return {"transitions": matrix, "rewards": rewards, "sampling": mdp.sampling and mdp.sampling.mix_actions(n_actions)}
 
-    transitions: sparse.csr_array
-    rewards: Array
-    transition_rewards: sparse.csr_array | None
 
-
-def supporting(mdp: Tables, log: object, epsilon: object) -> dict[str, Any]:
-    """What changes in an MDP that is to allow the log's moves; ``FiniteMDP.with_support_of`` explains them."""
+def add_support(mdp: FiniteMDP, log: object, epsilon: object) -> dict[str, Any]:
+    """Return the arguments that change where an MDP is to allow the log's transitions (``FiniteMDP.with_support_of``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
-    rows, columns, reward = _moves_of(mdp, log)
+    rows, columns, reward = _observed_transitions(mdp, log)
     matrix = mdp.transitions
     shape = matrix.shape
-    seen = canonical_table(rows, columns, np.ones(len(rows)), shape)
-    position, stored = find(matrix, row_of_entry(seen), seen.indices.astype(np.int64))
-    impossible = ~(stored & (matrix.data[position] >= LEAST))
-    row, column = row_of_entry(seen)[impossible], seen.indices[impossible]
+    observed = csr_from_entries(rows, columns, np.ones(len(rows)), shape)
+    position, is_stored = find(matrix, row_of_entry(observed), observed.indices.astype(np.int64))
+    impossible = ~(is_stored & (matrix.data[position] >= SMALLEST_PROBABILITY))
+    row, column = row_of_entry(observed)[impossible], observed.indices[impossible]
     if len(row) == 0:
         return {}
     number = np.bincount(row, minlength=shape[0])
-    added = canonical_table(row, column, eps / number[row], shape)
+    added = csr_from_entries(row, column, eps / number[row], shape)
     kept = sparse.csr_array(sparse.diags_array(np.where(number > 0, 1.0 - eps, 1.0)) @ matrix)
     new = canonical(kept + added, drop_zeros=True)
-    if mdp.transition_rewards is None:
+    table = mdp.transition_rewards
+    if table is None:
         return {"transitions": new}
-    own, defined = align(mdp.transition_rewards, new)
+    own, is_defined = align(table, new)
     value = mdp.rewards.reshape(-1)[row_of_entry(new)]
     if reward is not None:
-        total, paid = align(canonical_table(rows, columns, reward, shape), new)
-        often, _ = align(seen, new)
-        value = np.where(paid, total / np.where(paid, often, 1.0), value)
-    again = sparse.csr_array((np.where(defined, own, value), new.indices, new.indptr), shape)
-    beside, kept_there = mdp.transition_rewards, align(new, mdp.transition_rewards)[1]
-    entries = np.flatnonzero(~kept_there)
-    rest = (row_of_entry(beside)[entries], beside.indices[entries], beside.data[entries])
-    table = canonical_table(
-        np.concatenate([row_of_entry(again), rest[0]]), np.concatenate([again.indices, rest[1]]),
-        np.concatenate([again.data, rest[2]]), shape,
-    )  # fmt: skip
-    return {"transitions": new, "rewards": table}
+        total, is_paid = align(csr_from_entries(rows, columns, reward, shape), new)
+        count, _ = align(observed, new)
+        value = np.where(is_paid, total / np.where(is_paid, count, 1.0), value)
+    beside = np.flatnonzero(~align(new, table)[1])  # defined where P is 0: they stay
+    rewards = csr_from_entries(
+        np.concatenate([row_of_entry(new), row_of_entry(table)[beside]]),
+        np.concatenate([new.indices, table.indices[beside]]),
+        np.concatenate([np.where(is_defined, own, value), table.data[beside]]),
+        shape,
+    )
+    return {"transitions": new, "rewards": rewards}
 
 
-def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
-    """Rows, next states and rewards of a log's moves, terminated ones led to where that leads; or of counts."""
+def _observed_transitions(mdp: FiniteMDP, log: Any) -> tuple[IntArray, IntArray, Array | None]:
+    """Rows, next states and rewards of a log's transitions, terminated ones led to where that leads; or of counts."""
+    shape = mdp.csr.shape
     if sparse.issparse(log):
-        if log.shape != mdp.transitions.shape:
-            raise ValueError(
-                f"log must be of shape {mdp.transitions.shape} where it is counts; it has shape {log.shape}"
-            )
+        if log.shape != shape:
+            raise ValueError(f"log must be of shape {shape} where it is counts; it has shape {log.shape}")
         counts = canonical(check_csr(log, "log"), drop_zeros=True)
         return row_of_entry(counts), counts.indices.astype(np.int64), None
     require_log(log)
@@ -93,8 +94,8 @@ def _moves_of(mdp: Tables, log: Any) -> tuple[IntArray, IntArray, Array | None]:
 
 
 def require_log(log: object) -> None:
-    """ValueError where it is no log."""
-    if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG):
-        frame = hasattr(log, "columns") and not isinstance(log, type)
-        hint = " (of a data frame: Transitions.from_frame(log))" * frame
+    """Raise ValueError for what is no log."""
+    if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG_FIELDS):
+        is_frame = hasattr(log, "columns") and not isinstance(log, type)
+        hint = " (of a data frame: Transitions.from_frame(log))" * is_frame
         raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")

@@ -13,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.arrays import name_transition
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
@@ -51,7 +51,7 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
         return
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
     named = "; ".join(
-        f"{name_move(moves, int(k), simulator.n_actions, simulator.names)} ({moves.data[k]:g})" for k in heaviest
+        f"{name_transition(moves, int(k), simulator.n_actions, simulator.names)} ({moves.data[k]:g})" for k in heaviest
     )
     share = moves.data[bad].sum()
     probability = align(simulator.transitions, moves)[0][bad].max()
@@ -160,7 +160,7 @@ def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> s
     ):
         if not fine.all():
             k = int(np.flatnonzero(~fine)[0])
-            where = name_move(matrix, k, simulator.n_actions, simulator.names)
+            where = name_transition(matrix, k, simulator.n_actions, simulator.names)
             raise ValueError(f"{name} must be {rule}; at {where} there is {matrix.data[k]:g}")
     return matrix
 

@@ -18,7 +18,7 @@ from oee_tabular.data.files import MOVE
 from oee_tabular.data.frames import eager
 from oee_tabular.data.tables import require_columns
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.naming import Name, number_of
 
 NAMELESS = "Unnamed: "  # what pandas calls a column without a name
@@ -47,7 +47,7 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
     matrix = simulator.transitions
     absent = np.setdiff1d(np.arange(matrix.nnz), entry)
     if absent.size:
-        first = name_move(matrix, int(absent[0]), simulator.n_actions, simulator.names)
+        first = name_transition(matrix, int(absent[0]), simulator.n_actions, simulator.names)
         raise ValueError(
             f"{source} must have a key for every transition of the simulator; {absent.size} of {matrix.nnz} have none, "
             f"the first: {first}"

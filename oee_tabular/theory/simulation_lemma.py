@@ -18,7 +18,7 @@ from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.finite_mdp import name_move
+from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.horizons import optional_horizon_length
 
 
@@ -186,7 +186,7 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
     wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
     if wrong.size:
         k = int(wrong[0])
-        where = name_move(target.transitions, k, target.n_actions, target.names)
+        where = name_transition(target.transitions, k, target.n_actions, target.names)
         raise ValueError(
             f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
         )
