@@ -58,9 +58,9 @@ def csr_from_entries(rows: object, columns: object, data: Array, shape: tuple[in
 def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
     """Return the entries of P, S and A; what another MDP has checked (``CsrArrays``) is taken as it is."""
     if isinstance(transitions, CsrArrays):
-        csr = transitions._replace(
-            **{part: freeze(getattr(transitions, part)) for part in ("indptr", "indices", "data")}
-        )
+        csr = transitions
+        for part in (csr.indptr, csr.indices, csr.data):  # those of a pickle can be written to
+            freeze(part)
     elif sparse.issparse(transitions):
         csr = _check_sparse_transitions(transitions)
     else:

@@ -28,7 +28,7 @@ KIND = "finite_mdp"
 
 
 class FiniteMDP:
-    """A finite Markov decision process, check_csr when it is made and immutable afterwards.
+    """A finite Markov decision process, checked when it is made and immutable afterwards.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ class FiniteMDP:
             "discount": np.array(self.discount),
             "terminal_state": self.terminal_state,
         }
-        tables = {"transitions": self.csr}
+        tables: dict[str, Any] = {"transitions": self.csr}
         if self.reward_data is None:
             arrays["rewards"] = self.rewards
         else:
@@ -307,8 +307,8 @@ class FiniteMDP:
             shape = (n_states * n_actions, n_states)
 
             def matrix(name: str) -> sparse.csr_array:
-                parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-                return csr_from_parts(*parts, shape, name)
+                data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+                return csr_from_parts(data, indices, indptr, shape, name)
 
             return cls(
                 matrix("transitions"),

@@ -41,8 +41,8 @@ class Sampling(NamedTuple):
             raise ValueError(f"{_PREFIX}pairs must be {shape[0]} numbers of samples, and {_PREFIX}starts positive")
         error = None
         if f"{_PREFIX}error_data" in arrays:
-            parts = (arrays[f"{_PREFIX}error_{part}"] for part in ("data", "indices", "indptr"))
-            error = csr_from_parts(*parts, shape, f"{_PREFIX}error")
+            data, indices, indptr = (arrays[f"{_PREFIX}error_{part}"] for part in ("data", "indices", "indptr"))
+            error = csr_from_parts(data, indices, indptr, shape, f"{_PREFIX}error")
         return cls(pairs, starts, error)
 
     def arrays(self) -> dict[str, Any]:

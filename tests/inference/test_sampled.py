@@ -36,7 +36,7 @@ def test_intervals_hold_the_truth_where_the_simulator_was_sampled_too():
     for seed in range(60):
         simulator = sampled(1000 + seed)
         log = oee.sample_episodes(TARGET, PI, 40, 10, seed=(1000 + seed, 1))
-        for name, model in {"whole": simulator, "bare": simulator._changed(sampling=None)}.items():
+        for name, model in {"whole": simulator, "bare": simulator._replace(sampling=None)}.items():
             hits[name] += truth in oee.interval(oee.Problem(model, log, impossible="drop"), PI)
     assert hits["whole"] >= 54
     assert hits["bare"] <= 50
@@ -110,7 +110,7 @@ def test_moves_met_once_may_lead_anywhere():
     assert_allclose(found.down, time[0] * 0.2 * 0.5 * (0.8 * v0 + 0.2 * v1 - v0), rtol=1e-12)  # (1, 0) was met twice
     assert found.variance == 0.0
     interval = oee.interval(problem, [0, 0])
-    bare = oee.interval(oee.Problem(simulator._changed(sampling=None), problem.log), [0, 0])
+    bare = oee.interval(oee.Problem(simulator._replace(sampling=None), problem.log), [0, 0])
     assert_allclose([interval.lower, interval.upper], [bare.lower - found.down, bare.upper + found.up], rtol=1e-9)
     assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
     again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
@@ -167,7 +167,7 @@ def test_differences_know_of_it_and_the_report_says_it():
     policies = {"one": PI, "other": [0, 0, 0, 0]}
     whole, bare = (
         oee.inference.compare_policies(oee.Problem(model, log, impossible="drop"), policies)
-        for model in (simulator, simulator._changed(sampling=None))
+        for model in (simulator, simulator._replace(sampling=None))
     )
     assert whole.lower[1, 0] < bare.lower[1, 0]
     assert whole.upper[1, 0] > bare.upper[1, 0]
