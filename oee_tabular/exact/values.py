@@ -17,7 +17,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact import finite
 from oee_tabular.exact.reweighted import MODELS, Model, require_model
-from oee_tabular.exact.system import drop_states, exponent, policy_system, recurrent_states, scale_back
+from oee_tabular.exact.system import drop_states, exponent, policy_system, recurrent_states, rows_of, scale_back
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 
