@@ -141,9 +141,9 @@ def outcome_frequencies(
     one = np.ones(len(stays))
     for a in range(n_actions):
         others = np.flatnonzero((is_left & (counts[:, a] == 0))[met.state])
-        parts.append(Outcomes(*(part[others] for part in met))._replace(action=np.full(len(others), a)))
+        parts.append(Outcomes._make(part[others] for part in met)._replace(action=np.full(len(others), a)))
         parts.append(Outcomes(stays, np.full(len(stays), a), stays, one, 0.0 * one, one < 0))
-    filled = Outcomes(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    filled = Outcomes._make(np.concatenate(part) for part in zip(*parts, strict=True))
     row = filled.state * n_actions + filled.action
     return filled._replace(probability=filled.probability / np.bincount(row, weights=filled.probability)[row])
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import BoolArray
+from oee_tabular._checks import BoolArray, IntArray
 from oee_tabular.mdp.naming import to_plain
 
 GAMMA = 0.99  # of the exploration alone: a pair 1000 steps away still counts 4e-5
@@ -63,7 +63,10 @@ class Explorer:
                 is_over = True
             else:
                 state, is_over = self._step(state, action)
-        return (np.array(self._counts) < self.n_wanted) & np.array(self._is_wanted)[:, None]
+        return self._lacking(np.array(self._counts))
+
+    def _lacking(self, counts: IntArray) -> BoolArray:
+        return np.asarray((counts < self.n_wanted) & np.array(self._is_wanted)[:, None])
 
     @property
     def n_pairs(self) -> int:
@@ -120,8 +123,7 @@ class Explorer:
     def _plan(self) -> None:
         """Solve for V by value iteration from 0, and keep the best actions and gamma sum_s' P_n V of each pair."""
         counts, n = np.array(self._counts), len(self._counts)
-        is_lacking = (counts < self.n_wanted) & np.array(self._is_wanted)[:, None]
-        is_taken = counts > 0
+        is_lacking = self._lacking(counts)
         entries = [
             (row, n if k == RESET else k, number) for row, met in enumerate(self._outcomes) for k, number in met.items()
         ]
@@ -141,5 +143,5 @@ class Explorer:
                 break
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
         self._best = np.where(best < GAMMA * values[n] - TOLERANCE, RESET, actions).tolist()
-        self._values = np.where(is_taken, ahead, 1.0).tolist()
+        self._values = np.where(counts > 0, ahead, 1.0).tolist()
         self._plan_step = len(self.transitions)

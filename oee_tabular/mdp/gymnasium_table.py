@@ -58,7 +58,8 @@ def read_table(env: Any) -> dict[str, Any]:
         if probability > 0
     ]
     columns = np.array(rows, dtype=np.float64).T
-    outcomes = Outcomes(*columns[:3].astype(np.int64), columns[3], columns[4], columns[5] > 0)
+    state, action, to = columns[:3].astype(np.int64)
+    outcomes = Outcomes(state, action, to, columns[3], columns[4], columns[5] > 0)
     return build_arguments(
         outcomes,
         np.array(base.initial_state_distrib, dtype=np.float64),

@@ -170,15 +170,101 @@ def test_an_environment_is_stepped_until_every_pair_has_its_samples(seen, names)
     assert mdp.rewards[order].tolist() == [[-1, -1]] * 3 + [[0, 0]]
 
 
-def test_each_pair_has_at_least_its_samples_and_few_more():
-    taken = []
-    env = Corridor()
-    step = env.step
-    env.step = lambda action: (taken.append((env.place, action)), step(action))[1]
-    FiniteMDP.from_env(env, samples_per_pair=30, seed=0)
-    counts = [taken.count((place, action)) for place in range(3) for action in range(2)]
-    assert min(counts) == 30
-    assert sum(counts) < 3 * 6 * 30
+class Warehouse(gymnasium.Env):
+    """A vehicle on 8 x 9 cells, empty or loaded, and its charger: 145 states. Aisles are one way, by turns east and west."""
+
+    action_space = spaces.Discrete(3)
+    observation_space = spaces.Tuple([spaces.Discrete(9), spaces.Discrete(9), spaces.Discrete(2)])
+
+    def __init__(self, slip=0.1, limit=200):
+        self.slip, self.limit = slip, limit
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.at, self.steps = (0, 0, 0), 0
+        return self.at, {}
+
+    def step(self, action):
+        (y, x, load), self.steps = self.at, self.steps + 1
+        action = 0 if self.np_random.random() < self.slip else action
+        if action == 0:  # along the aisle
+            x = min(x + 1, 8) if y % 2 == 0 else max(x - 1, 0)
+        elif action == 1:  # to the next aisle, from an aisle's end
+            y = (y + 1) % 8 if x == (8 if y % 2 == 0 else 0) else y
+        elif (y, x, load) in ((5, 4, 0), (2, 3, 1)):  # work: load, unload, or charge, which ends the episode
+            load = 1 - load
+        charged = action == 2 and (y, x) == (7, 0)
+        self.at = (8, 0, 0) if charged else (y, x, load)
+        return self.at, 5.0 * charged - 1.0, charged, self.steps == self.limit, {}
+
+
+@pytest.mark.parametrize(("slip", "limit"), [(0.1, 200), (0.3, 150), (0.0, 200)])
+def test_a_warehouse_is_sampled_within_five_steps_a_sample(slip, limit):
+    """2.1 to 2.6 steps for each of the 144 * 3 * 30 samples; a random walk leaves tens of pairs short after a million steps."""
+    n_pairs = 144 * 3
+    mdp = FiniteMDP.from_env(Warehouse(slip, limit), samples_per_pair=30, seed=0, max_steps=5 * 30 * n_pairs)
+    assert mdp.n_states == 145
+    assert (mdp.sampling.pairs >= 30).all()
+    assert mdp.sampling.pairs[np.isfinite(mdp.sampling.pairs)].sum() <= 5 * 30 * n_pairs
+
+
+class Table(gymnasium.Env):
+    """Deterministic: next[state][action], terminated where it is negative."""
+
+    observation_space = spaces.Discrete(9)
+
+    def __init__(self, following, starts=(0,), limit=50):
+        self.following, self.starts, self.limit, self.taken = following, starts, limit, []
+        self.action_space = spaces.Discrete(len(following[0]))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state, self.steps = int(self.np_random.choice(self.starts)), 0
+        return self.state, {}
+
+    def step(self, action):
+        self.taken.append((self.state, action))
+        following, self.steps = self.following[self.state][action], self.steps + 1
+        self.state = abs(following)
+        return self.state, 0.0, following < 0, self.steps == self.limit, {}
+
+
+def test_a_trap_is_left_by_a_reset():
+    """State 1 has no way out but the limit of a million steps, and the way to 2 begins in 0."""
+    env = Table([[1, 2], [1, 1], [0, -3]], limit=10**6)
+    mdp = FiniteMDP.from_env(env, samples_per_pair=20, seed=0, max_steps=500)
+    assert mdp.sampling.pairs[:6].min() == 20
+    assert len(env.taken) < 250
+
+
+def test_environments_that_end_at_once():
+    env = Table([[-8, -8], [-8, -8], [-8, -8]], starts=(0, 0, 0, 1, 2))
+    mdp = FiniteMDP.from_env(env, samples_per_pair=10, seed=0)
+    assert mdp.sampling.pairs[:6].min() == 10
+    assert_allclose(mdp.initial[:3], [0.6, 0.2, 0.2], atol=0.25)
+
+
+def test_states_beyond_every_episode_do_not_hold_it():
+    """A line of nine states whose episodes are cut after four steps: in the fifth state nothing can be done."""
+    env = Table([[max(s - 1, 0), min(s + 1, 8)] for s in range(9)], limit=4)
+    with pytest.warns(UserWarning, match=f"^2 state-action pairs were {FILLED} .*: s=4, a=0; s=4, a=1$"):
+        mdp = FiniteMDP.from_env(env, samples_per_pair=25, seed=0)
+    assert mdp.sampling.pairs[:8].min() == 25
+    assert len(env.taken) < 5 * 200
+
+
+def test_pairs_that_cannot_be_reached_again_are_named():
+    class Once(Table):
+        def reset(self, *, seed=None, options=None):
+            first = super().reset(seed=seed)
+            self.starts = (0,)
+            return first
+
+    text = (
+        r"samples_per_pair, 5, .* max_steps, 300, in 2 of the 4 state-action pairs that were met: s=1, a=0; s=1, a=1$"
+    )
+    with pytest.warns(UserWarning, match=FILLED), pytest.warns(UserWarning, match=text):
+        FiniteMDP.from_env(Once([[0, 0], [0, 0]], starts=(1,)), samples_per_pair=5, seed=0, max_steps=300)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_others():
