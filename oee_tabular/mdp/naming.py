@@ -115,10 +115,11 @@ def to_plain(item: object) -> Any:
 
 def is_name(item: object) -> bool:
     """Say whether ``item`` is a text, or a tuple, not empty, of texts, numbers and such tuples."""
-    if isinstance(item, tuple):
-        numbers = (isinstance(part, int) or (isinstance(part, float) and math.isfinite(part)) for part in item)
-        return bool(item) and all(number or is_name(part) for number, part in zip(numbers, item, strict=True))
-    return isinstance(item, str)
+    if not isinstance(item, tuple):
+        return isinstance(item, str)
+    return bool(item) and all(
+        isinstance(x, int) or (isinstance(x, float) and math.isfinite(x)) or is_name(x) for x in item
+    )
 
 
 def is_number_text(text: str) -> bool:
@@ -239,24 +240,23 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
 
 def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
     """Return a first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
+    weights: Mapping[Any, Any]
     if isinstance(initial, Mapping):
-        weights = [
-            (state, _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)) for state, weight in initial.items()
-        ]
-        label = "initial's state"
+        weights, label = initial, "initial's state"
     elif _is_state(initial, names):
-        weights, label = [(initial, 1.0)], "initial"
+        weights, label = {to_plain(initial): 1.0}, "initial"
     else:
         return initial
     distribution = np.zeros(n_states)
-    for state, weight in weights:
-        distribution[number_of(state, names, n_states, label, "the MDP's")] += weight
+    for state, weight in weights.items():
+        number = number_of(state, names, n_states, label, "the MDP's")
+        distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
     return distribution
 
 
 def _is_state(initial: Any, names: tuple[Name, ...] | None) -> bool:
     """Say whether one state is given; a tuple is one where it is a name or like one, else a distribution."""
-    if isinstance(initial, np.ndarray) and initial.ndim > 0:
+    if isinstance(initial, list) or (isinstance(initial, np.ndarray) and initial.ndim > 0):
         return False
     given = to_plain(initial)
     if isinstance(given, str) or _checks.is_integer(given):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -149,8 +149,9 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
         arrays.append(array)
     if arrays[0].shape != arrays[1].shape:
-        shapes = f"{arrays[0].shape} and {arrays[1].shape}"
-        raise ValueError(f"policy_a and policy_b must have one shape; they have {shapes}")
+        raise ValueError(
+            f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
+        )
     return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
 
 
@@ -197,14 +198,7 @@ def is_time_dependent(policy: PolicyLike | None) -> bool:
 
 
 def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
-    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is.
-
-    Raises
-    ------
-    ValueError
-        A state or an action that the MDP has not (with the nearest); a state without an action that is not terminal; what
-        is neither an action nor a distribution; a data frame.
-    """
+    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
         hint = f"the same in every state: lambda state: {policy!r:.40}; a file: numpy.load"
         if policy in ("uniform", "optimal"):
@@ -212,56 +206,43 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
         raise ValueError(
             f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} ({hint})"
         )
-    if isinstance(policy, Mapping):
-        states = names_of(mdp).states
-        choices: Any = (
-            (number_of(state, states, mdp.n_states, f"{name}'s state", "the MDP's"), f"{name}[{state!r}]", choice)
-            for state, choice in policy.items()
-        )
-    elif hasattr(policy, "to_dict"):
+    if isinstance(policy, Mapping) or (callable(policy) and not hasattr(policy, "__array__")):
+        return _choice_table(policy, mdp, name)
+    if hasattr(policy, "to_dict"):
         raise ValueError(
             f"{name} must be an array or a mapping by state; got {type(policy).__name__} (of a table with an action a column: "
             'policy.to_dict("index"); of a series: policy.to_dict(); of either by order: policy.to_numpy())'
         )
-    elif callable(policy) and not hasattr(policy, "__array__"):
-        choices = _call_policy(policy, mdp, name)
-    else:
-        return _action_table(policy, mdp, name)
-    return _choice_table(choices, mdp, name)
+    return _action_table(policy, mdp, name)
 
 
-def _call_policy(policy: Callable[[Any], Any], mdp: Sized, name: str) -> Iterator[tuple[int, str, Any]]:
-    """Yield the number, the label and the choice of each of the environment's own states."""
-    states, is_terminal = names_of(mdp).states or range(mdp.n_states), _terminal(mdp)
-    for s, state in zip(range(len(mdp.terminal_state)), states, strict=False):
-        label = f"{name}({state!r})"
+def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
+    """Return (S, A) of a mapping or a function of the environment's own states; terminal ones may be left out."""
+    names, n_own = names_of(mdp), len(mdp.terminal_state)
+    absorbing = getattr(mdp, "absorbing", None)
+    is_free = np.zeros(mdp.n_states, dtype=np.bool_) if absorbing is None else np.array(absorbing())
+    table = np.full((mdp.n_states, mdp.n_actions), np.nan)
+    for state in policy if isinstance(policy, Mapping) else (names.states or range(mdp.n_states))[:n_own]:
+        s = number_of(state, names.states, mdp.n_states, f"{name}'s state", "the MDP's")
+        if not np.isnan(table[s, 0]):
+            raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
+        if isinstance(policy, Mapping):
+            table[s] = _choice_row(policy[state], mdp, f"{name}[{state!r}]")
+            continue
         try:
             choice = policy(state)
         except Exception as error:
-            raise ValueError(
-                f"{label} must be an action or a distribution; it raises {type(error).__name__}: {error}"
-            ) from error
-        if choice is not None or not is_terminal[s]:
-            yield s, label, choice
-
-
-def _choice_table(choices: Iterator[tuple[int, str, Any]], mdp: Sized, name: str) -> Array:
-    """Return (S, A) from state, label and choice; terminal states may be left out."""
-    table, names = np.full((mdp.n_states, mdp.n_actions), np.nan), names_of(mdp)
-    for s, label, choice in choices:
-        if not np.isnan(table[s, 0]):
-            raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
-        table[s] = _choice_row(choice, mdp, label)
-    is_missing, needed = np.isnan(table[:, 0]), ~_terminal(mdp)
-    needed[len(mdp.terminal_state) :] = False
-    missing = np.flatnonzero(is_missing & needed)
+            told = f"it raises {type(error).__name__}: {error}"
+            raise ValueError(f"{name}({state!r}) must be an action or a distribution; {told}") from error
+        if choice is not None or not is_free[s]:
+            table[s] = _choice_row(choice, mdp, f"{name}({state!r})")
+    missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
         more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
         raise ValueError(
             f"{name} must have every state that is not terminal; state {names.state(missing[0])} is not there{more}"
         )
-    table[is_missing] = 1.0 / mdp.n_actions
-    return table
+    return np.where(np.isnan(table), 1.0 / mdp.n_actions, table)
 
 
 def _choice_row(choice: Any, mdp: Sized, name: str) -> Array:
@@ -326,12 +307,6 @@ def _action_rows(actions: Any, n_actions: int, name: str) -> Array:
 
 def _is_known(action: object, names: Any) -> bool:
     return is_name(action) and action in numbers_of(names or ())
-
-
-def _terminal(mdp: Sized) -> _checks.BoolArray:
-    """Return the mask of the states in which any action does."""
-    absorbing = getattr(mdp, "absorbing", None)
-    return np.zeros(mdp.n_states, dtype=np.bool_) if absorbing is None else np.array(absorbing())
 
 
 def _ndim(value: Any) -> int:
