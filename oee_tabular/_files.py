@@ -33,25 +33,30 @@ KINDS = {
 FORMULA = re.compile(
     r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
 )  # what a spreadsheet takes a cell for that begins with it
+LONGEST_PATH = 1000  # characters; systems allow 255 to 4096, and errors repeat it
 _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 _PACKED = 1040  # bytes that deflate can make of one; it cannot make more than 1032
 
 
-def local(path: str | os.PathLike[str]) -> str:
-    """``path`` as text; ValueError for an address of another machine, which is never opened."""
+def local(path: str | os.PathLike[str], argument: str = "path") -> str:
+    """``path`` as text; ValueError for an address of another machine, which is never opened (``argument``: its name)."""
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(f"path must be a path of a file; got {type(path).__name__}")
+        raise ValueError(f"{argument} must be a path of a file; got {type(path).__name__}")
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name:
-        raise ValueError(f"path must be text without a null character; got {name!r}")
+        raise ValueError(f"{argument} must be text without a null character; got {_checks.show(name)}")
+    if len(name) > LONGEST_PATH:
+        raise ValueError(
+            f"{argument} must have at most {LONGEST_PATH} characters; it has {len(name)}: {_checks.show(name)}"
+        )
     if name == "-":
         raise ValueError(
-            "path must be a file; '-', standard input or output, is none (--json prints what a command found)"
+            f"{argument} must be a file; '-', standard input or output, is none (--json prints what a command found)"
         )
     if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
         name
     ):  # pathlib makes one slash of two
-        raise ValueError(f"path must be a file of this machine; {name!r} is an address, and nothing is fetched")
+        raise ValueError(f"{argument} must be a file of this machine; {name!r} is an address, and nothing is fetched")
     return name
 
 

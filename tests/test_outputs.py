@@ -63,7 +63,7 @@ def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, words):
     oee.sample_episodes(oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25), 2, 9, seed=0).save("log.csv")
     code, out, said = command(capsys, *words, "--output", "-")
     assert (code, out) == (2, "")
-    assert "path must be a file; '-', standard input or output, is none (--json prints what a command found)" in said
+    assert " must be a file; '-', standard input or output, is none (--json prints what a command found)" in said
     assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
 
 

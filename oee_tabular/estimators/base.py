@@ -114,6 +114,7 @@ class Estimate:
         for k, finding in enumerate(_checks.collection(self.findings, "findings", "Findings")):
             _checks.instance(finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)")
         _checks.instance(self.basis, Basis, "basis")
+        _checks.instance(self.status, str, "status", "string")
         number = isinstance(self.value, float | int | np.number)
         if number and self.status == "ok" and not np.isfinite(self.value):
             object.__setattr__(self, "status", UNEXPLAINED)

@@ -153,7 +153,7 @@ def estimated_behavior(given: Given) -> Array:
 def check_simulator_data(value: object) -> None:
     """Transitions, "exact" or None."""
     if not (value is None or isinstance(value, Transitions) or (isinstance(value, str) and value == "exact")):
-        raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {value!r}")
+        raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {_checks.show(value)}")
 
 
 def simulator_weights(given: Given, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:

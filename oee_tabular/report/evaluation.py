@@ -95,6 +95,8 @@ class Report(Evaluation):
         """
         from oee_tabular.report.page import render
 
+        if title is not None:
+            _checks.instance(title, str, "title", "string")
         file = None if path is None else check_page(path)
         text = render(self, title=title, grid=grid)
         if file is not None:

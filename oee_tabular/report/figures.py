@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _printing, plots
-from oee_tabular._checks import Array, BoolArray, positive_integer
+from oee_tabular._checks import Array, BoolArray, positive_integer, show
 from oee_tabular.estimators import Problem
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
@@ -113,7 +113,7 @@ def _grid(grid: Any, n_states: int) -> Map:
     try:
         rows, columns = grid
     except (TypeError, ValueError):
-        raise ValueError(f"grid must be (rows, columns); got {grid!r}") from None
+        raise ValueError(f"grid must be (rows, columns); got {show(grid)}") from None
     shape = positive_integer(rows, "grid[0]"), positive_integer(columns, "grid[1]")
     if shape[0] * shape[1] != n_states:
         raise ValueError(

@@ -32,7 +32,7 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     ...     (Path(folder) / "new").exists()
     False
     """
-    path = Path(_files.local(folder))
+    path = Path(_files.local(folder, name))
     nearest = path
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent
@@ -71,7 +71,7 @@ def check_page(path: str | os.PathLike[str]) -> Path:
     Traceback (most recent call last):
     ValueError: report must be a file that ends in .html or .htm; got 'report.pdf'
     """
-    file = Path(path)
+    file = Path(_files.local(path))
     if file.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"report must be a file that ends in .html or .htm; got {str(file)!r}")
     if file.is_dir():

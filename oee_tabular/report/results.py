@@ -215,7 +215,7 @@ class Evaluation:
         """Write report.json, table.csv and values.png into ``folder``: all of them or none."""
         from oee_tabular import plots
 
-        check_output(folder)
+        check_output(folder, "folder")
         target = Path(folder)
         contents = {
             "report.json": (self.to_json() + "\n").encode(),

@@ -115,7 +115,7 @@ def test_saving_writes_all_or_nothing(problem, policies, tmp_path, monkeypatch):
     assert [p.read_bytes() for p in again] == [p.read_bytes() for p in written]
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(ValueError, match=r"output must be a folder that can be written; '.*file' is a file"):
+    with pytest.raises(ValueError, match=r"folder must be a folder that can be written; '.*file' is a file"):
         report.save(file / "below")
 
     real = _files.Path.write_bytes
