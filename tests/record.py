@@ -1,4 +1,3 @@
-# ruff: noqa: B023, E501
 """Record the results of a fixed set of public calls, and compare the records of two states of the package.
 
     python tests/record.py write FILE.npz       run the calls with the package that Python imports
@@ -126,376 +125,310 @@ def problems():
 
 
 class Record:
-    """Results by group and name; a result is made by ``thunk`` and may be an error, which is a result as well."""
+    """Results by group and name. A call that fails has its error as its result."""
 
     def __init__(self):
         self.entries = {}
 
-    def add(self, group, name, thunk):
+    def add(self, group, name, function, *arguments, **options):
         key = f"{group}|{name}"
         if key in self.entries:
             raise KeyError(f"{key} is recorded twice")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                self.entries[key] = flatten(thunk())
+                self.entries[key] = flatten(function(*arguments, **options))
         except Exception as error:
             self.entries[key] = np.array(f"{type(error).__name__}: {error}")
 
-    def error(self, argument, thunk):
+    def error(self, argument, function, *arguments, **options):
         number = sum(key.startswith("error|") for key in self.entries)
-        self.add("error", f"{number:02d}|{argument}", thunk)
+        self.add("error", f"{number:02d}|{argument}", function, *arguments, **options)
 
 
 def flatten(result):
-    """One array of a result: numbers, text, the parts of matrices and sequences one after another."""
+    """One array of a result: numbers or text; the parts of matrices and sequences one after another."""
     if sparse.issparse(result):
         matrix = sparse.csr_array(result)
         matrix.sum_duplicates()
         return np.concatenate([matrix.shape, matrix.indptr, matrix.indices, matrix.data], dtype=float)
-    if isinstance(result, exact.Moments):
-        result = [result.mean, result.variance, result.bias]
-    if isinstance(result, oee.FiniteMDP | exact.ReweightedModel):
+    if isinstance(result, exact.Moments):  # by state zeros depend on the route
+        result = [result.mean, result.variance, result.bias, [] if result.by_step is None else result.by_step]
+    elif isinstance(result, FiniteMDP | exact.ReweightedModel):
         result = [result.transitions, result.rewards, result.initial, result.discount, result.terminal_state]
-    if isinstance(result, oee.Transitions | oee.TransitionCounts):
+    elif isinstance(result, Transitions | oee.TransitionCounts):
         columns = result.columns()
         result = [columns[name] for name in sorted(columns)]
+    elif isinstance(result, oee.Interval):
+        result = [result.lower, result.upper]
+    elif isinstance(result, oee.TransitionRatio):
+        result = result.values
+        return flatten(result)
+    elif isinstance(result, oee.Report):
+        result = [float(row["value"]) for row in result.records()]
+    elif isinstance(result, oee.Plan):
+        result = np.array(result.expected_width, dtype=float)
     if isinstance(result, tuple | list) and not all(isinstance(part, int | float | str) for part in result):
         return np.concatenate([np.ravel(flatten(part)) for part in result])
     array = np.asarray(result if result is not None else "None")
     return array if array.dtype.kind == "U" else array.astype(float)
 
 
+def saved(thing, path):
+    """What is read again from where a thing was saved."""
+    thing.save(path)
+    return type(thing).load(path)
+
+
 def record_mdps(record, folder):
-    """Constructions, changes, files."""
-    rng = np.random.default_rng(0)
+    """Constructions, changes, files, policies."""
+
+    def add(name, function, *arguments, **options):
+        record.add("value", f"FiniteMDP {name}", function, *arguments, **options)
+
+    rng, initial = np.random.default_rng(0), [0.5, 0.25, 0.25]
     kernel = rng.dirichlet(np.ones(3), (3, 2))
-    initial = [0.5, 0.25, 0.25]
     csr = sparse.csr_array(kernel.reshape(6, 3))
     forms = {"s": rng.normal(size=3), "sa": rng.normal(size=(3, 2)), "sas": rng.normal(size=(3, 2, 3))}
-    for name, rewards in forms.items():
-        for kind, given in (
-            ("dense", kernel),
-            ("csr", csr),
-            ("coo", csr.tocoo()),
-            ("csc matrix", sparse.csc_matrix(csr)),
-        ):
-            record.add("value", f"FiniteMDP {kind} r({name})", lambda g=given, r=rewards: FiniteMDP(g, r, initial, 0.9))
-    single = (kernel.astype(np.float32), forms["sa"].astype(np.float32), np.array(initial, dtype=np.float32))
-    record.add("value", "FiniteMDP single precision", lambda: FiniteMDP(*single, 0.9))
-    record.add("value", "FiniteMDP lists", lambda: FiniteMDP(kernel.tolist(), forms["s"].tolist(), initial, 1))
-    sparse_rewards = sparse.csr_array(forms["sas"].reshape(6, 3))
-    record.add("value", "FiniteMDP sparse rewards", lambda: FiniteMDP(csr, sparse_rewards, initial, 0.9))
-    options = {"state_names": ["a", "b", "c"], "action_names": [("x", 0), ("x", 1)], "layout": [[0, 0], [0, 1], [1, 0]]}
-    named = FiniteMDP(kernel, forms["sas"], {"a": 0.5, "b": 0.5}, 0.9, terminal_state=[0, 2, 2], **options)
-    record.add("value", "FiniteMDP named", lambda: named)
-    record.add("value", "FiniteMDP initial by name", lambda: FiniteMDP(kernel, forms["s"], "b", 0.9, **options))
-    record.add("value", "FiniteMDP layout", lambda: named.layout)
-    record.add("value", "FiniteMDP names", lambda: repr((named.state_names, named.action_names)))
-    changes = {
-        "with_action_noise": lambda m: m.with_action_noise(0.2),
-        "with_discount": lambda m: m.with_discount(0.5),
-        "with_initial": lambda m: m.with_initial([0, 1, 0]),
-        "with_initial state": lambda m: m.with_initial("c"),
-        "with_layout": lambda m: m.with_layout([0, 1, 2]).layout,
-        "with_names": lambda m: repr(m.with_names(["u", "v", "w"], None).state_names),
-        "with_rewards": lambda m: m.with_rewards([1, 2, 3]),
-        "with_transitions": lambda m: m.with_transitions(np.roll(kernel, 1, axis=2)),
-        "with_support_of": lambda m: m.with_support_of(Transitions([0], [0], [1]), 0.1),
-        "arrays": lambda m: repr(sorted(m.arrays())),
-        "absorbing": lambda m: m.absorbing(),
-        "closed": lambda m: m.closed(),
-        "save": lambda m: (m.save(folder / "mdp.npz"), FiniteMDP.load(folder / "mdp.npz"))[1],
-        "displacements": lambda m: oee.mdp.displacements(m),
-    }
-    for name, change in changes.items():
-        record.add("value", f"FiniteMDP {name}", lambda c=change: c(named))
-    frozen = oee.tasks.make_environment("FrozenLake-v1", map_name="8x8")
-    record.add("value", "from_gymnasium", lambda: FiniteMDP.from_gymnasium(frozen, discount=0.9))
+    for kind, given in (("dense", kernel), ("csr", csr), ("coo", csr.tocoo()), ("csc matrix", sparse.csc_matrix(csr))):
+        for name, rewards in forms.items():
+            add(f"{kind} r({name})", FiniteMDP, given, rewards, initial, 0.9)
+    add("single precision", FiniteMDP, *(np.float32(a) for a in (kernel, forms["sa"], initial)), 0.9)
+    add("lists", FiniteMDP, kernel.tolist(), forms["s"].tolist(), initial, 1)
+    add("sparse rewards", FiniteMDP, csr, sparse.csr_array(forms["sas"].reshape(6, 3)), initial, 0.9)
+    names = {"state_names": ["a", "b", "c"], "action_names": [("x", 0), ("x", 1)], "layout": [[0, 0], [0, 1], [1, 0]]}
+    named = FiniteMDP(kernel, forms["sas"], {"a": 0.5, "b": 0.5}, 0.9, terminal_state=[0, 2, 2], **names)
+    add("named", lambda: named)
+    add("initial by name", FiniteMDP, kernel, forms["s"], "b", 0.9, **names)
+    add("names", lambda: [repr(named.state_names), repr(named.action_names), repr(sorted(named.arrays()))])
+    add("layout", lambda: [named.layout, named.with_layout([0, 1, 2]).layout, *oee.mdp.displacements(named)])
+    add("renamed", lambda: repr(named.with_names(["u", "v", "w"], None).state_names))
+    for change, value in (
+        ("action_noise", 0.2), ("discount", 0.5), ("initial", [0, 1, 0]), ("initial", "c"), ("rewards", [1, 2, 3]),
+        ("transitions", np.roll(kernel, 1, axis=2)),
+    ):  # fmt: skip
+        add(f"with_{change} {value!r:.10}", getattr(named, f"with_{change}"), value)
+    add("with_support_of", named.with_support_of, Transitions([0], [0], [1]), 0.1)
+    add("absorbing", lambda: [named.absorbing(), named.closed()])
+    add("save", saved, named, folder / "mdp.npz")
+    frozen = oee.tasks.make_environment("FrozenLake-v1")
+    add("from_gymnasium", FiniteMDP.from_gymnasium, frozen, discount=0.9)
+    record.add("sampled", "from_env", FiniteMDP.from_env, frozen, samples_per_pair=5, seed=0)
     log = draw_log(named, np.full((3, 2), 0.5), 30, 10, seed=2)
-    record.add("value", "from_log", lambda: FiniteMDP.from_log(log, discount=0.9))
-    record.add("value", "from_log rewards", lambda: FiniteMDP.from_log(log, [0, 1, 2], n_states=3, n_actions=2))
-    cliff = oee.tasks.make_environment("FrozenLake-v1")
-    record.add("sampled", "from_env", lambda: FiniteMDP.from_env(cliff, samples_per_pair=5, seed=0))
+    add("from_log", FiniteMDP.from_log, log, discount=0.9)
+    add("from_log rewards", FiniteMDP.from_log, log, [0, 1, 2], n_states=3, n_actions=2)
     numbers = [[0.0, 1.0], [1.0, 0.0], [0.25, 0.75]]
-    policies = {
-        "(S, A)": numbers, "(S,)": [1, 0, 1], "mapping": {"a": ("x", 1), "b": ("x", 0), "c": {("x", 0): 0.25, ("x", 1): 0.75}},
-        "mapping by number": {0: 1, 1: 0, 2: 0}, "function": lambda s: ("x", 1) if s == "a" else [0.5, 0.5],
-    }  # fmt: skip
-    for name, policy in policies.items():
-        record.add("value", f"policy {name}", lambda p=policy: oee.mdp.check_policy(p, named))
-    record.add("value", "policy (T, S, A)", lambda: oee.mdp.check_policy([numbers] * 4, named, horizon=4))
-    record.add("value", "mix", lambda: oee.mix(numbers, [[0.5, 0.5]] * 3, 0.3))
-    record.add("value", "uniform_policy", lambda: oee.uniform_policy(named))
+    mapping = {"a": ("x", 1), "b": ("x", 0), "c": {("x", 0): 0.25, ("x", 1): 0.75}}
+    forms = (numbers, [1, 0, 1], mapping, {0: 1, 1: 0, 2: 0}, lambda s: ("x", 1) if s == "a" else [0.5, 0.5])
+    for k, policy in enumerate(forms):
+        add(f"policy {k}", oee.mdp.check_policy, policy, named)
+    add("policy (T, S, A)", oee.mdp.check_policy, [numbers] * 4, named, horizon=4)
+    add("mix", oee.mix, numbers, [[0.5, 0.5]] * 3, 0.3)
+    add("uniform_policy", oee.uniform_policy, named)
 
 
 def record_exact(record):
     """Values, occupancies, moments, bounds of every problem."""
     for name, mdp in problems():
-        policy, uniform, other = random_policy(mdp, 7), oee.uniform_policy(mdp), perturb(mdp, 8)
-        even, small = np.full_like(policy, 1 / policy.size), mdp.n_states <= 130
+        record_values(record, name, mdp)
+        if mdp.n_states <= 130:
+            record_moments(record, name, mdp)
 
-        def add(what, thunk, group="value", name=name):
-            record.add(group, f"{name}: {what}", thunk)
 
-        for horizon in (None, 1, 12):
-            of = {"horizon": horizon}
-            add(f"state_values {horizon}", lambda of=of: oee.state_values(mdp, policy, **of))
-            add(f"action_values {horizon}", lambda of=of: oee.action_values(mdp, policy, **of))
-            add(f"policy_value {horizon}", lambda of=of: oee.policy_value(mdp, policy, **of))
-            add(f"normalized {horizon}", lambda of=of: oee.policy_value(mdp, uniform, normalized=True, **of))
-            for kind in ("state", "state_action", "transition"):
-                add(f"occupancy {kind} {horizon}", lambda of=of, k=kind: oee.occupancy(mdp, policy, of=k, **of))
-            add(
-                f"optimal_policy {horizon}",
-                lambda of=of: optimal_value(mdp, **of),
-                "fit" if horizon is None else "value",
-            )
-            add(f"efficiency_bound {horizon}", lambda of=of: oee.efficiency_bound(mdp, policy, even, **of))
-            add(f"transition_gradient {horizon}", lambda of=of: exact.transition_gradient(mdp, policy, **of))
-        add("discount 1", lambda: oee.policy_value(mdp.with_discount(1.0), policy, horizon=9))
-        add("discount 1 absorbed", lambda: oee.state_values(mdp.with_discount(1.0), uniform))
-        add("policy_values_by_horizon", lambda: exact.policy_values_by_horizon(mdp, policy, horizon=20))
-        add("in time", lambda: oee.policy_value(mdp, np.stack([policy, uniform, policy]), horizon=3))
-        add(
-            "evaluate_policy",
-            lambda: (lambda v: [v.values, v.error_bound])(exact.evaluate_policy(mdp, policy)),
-            "bound",
-        )
-        zeta = oee.true_ratio(other, mdp)
-        add("true_ratio", lambda: zeta.values)
-        add("reweight", lambda: exact.reweight(mdp, zeta.values))
-        add("reweighted value", lambda: oee.policy_value(exact.reweight(mdp, 0.99 * zeta.values), policy))
-        if not small:
-            continue
-        add("return_moments", lambda: oee.return_moments(mdp, policy))
-        add("return_moments 12", lambda: oee.return_moments(mdp, policy, horizon=12, sources=True))
-        add("weight_growth", lambda: exact.weight_growth(mdp, zeta, policy))
-        add("weight_moments", lambda: list(exact.weight_moments(mdp, zeta, policy, horizon=5)))
-        add("leading_bias", lambda: exact.leading_bias(mdp, policy, even))
-        add("ratio_of_ratios_variance", lambda: exact.ratio_of_ratios_variance(mdp, other, policy, even, even))
-        for kind in ("per_decision", "trajectory"):
-            for options in ({}, {"self_normalized": True}, {"sources": True}):
-                of = {"kind": kind, "horizon": 6, **options}
-                add(f"weighted {of}", lambda of=of: moments(oee.weighted_return_moments(mdp, zeta, policy, **of)))
-                add(f"importance {of}", lambda of=of: moments(oee.policy_is_moments(mdp, uniform, policy, **of)))
-        baseline = np.tile(oee.state_values(mdp, policy), (7, 1))
-        add("doubly_robust", lambda: oee.doubly_robust_moments(mdp, zeta, policy, baseline=baseline, horizon=6))
-        for model in ("mdp", "tree", "stationary"):
-            of = {"horizon": 6, "model": model}
-            add(f"trajectory {model}", lambda of=of: oee.trajectory_efficiency_bound(mdp, uniform, policy, **of))
+def record_values(record, name, mdp):
+    def add(what, function, *arguments, group="value", **options):
+        record.add(group, f"{name}: {what} {options or ''}", function, *arguments, **options)
+
+    policy, uniform, other = random_policy(mdp, 7), oee.uniform_policy(mdp), perturb(mdp, 8)
+    even, zeta, undiscounted = np.full_like(policy, 1 / policy.size), oee.true_ratio(other, mdp), mdp.with_discount(1.0)
+    for horizon in (None, 1, 12):
+        for function in (oee.state_values, oee.action_values, oee.policy_value, exact.transition_gradient):
+            add(function.__name__, function, mdp, policy, horizon=horizon)
+        add("policy_value", oee.policy_value, mdp, uniform, normalized=True, horizon=horizon)
+        for of in ("state", "state_action", "transition"):
+            add("occupancy", oee.occupancy, mdp, policy, of=of, horizon=horizon)
+        group = "fit" if horizon is None else "value"
+        add("optimal_policy", optimal_value, mdp, group=group, horizon=horizon)
+        add("efficiency_bound", oee.efficiency_bound, mdp, policy, even, horizon=horizon)
+    add("discount 1", oee.policy_value, undiscounted, policy, horizon=9)
+    add("discount 1", oee.state_values, undiscounted, uniform)
+    add("by horizon", exact.policy_values_by_horizon, mdp, policy, horizon=20)
+    add("in time", oee.policy_value, mdp, np.stack([policy, uniform, policy]), horizon=3)
+    add("evaluate_policy", bounded_values, mdp, policy, group="bound")
+    add("true_ratio", oee.true_ratio, other, mdp)
+    add("reweight", exact.reweight, mdp, zeta.values)
+    add("reweighted value", oee.policy_value, exact.reweight(mdp, 0.99 * zeta.values), policy)
+
+
+def record_moments(record, name, mdp):
+    def add(what, function, *arguments, **options):
+        record.add("value", f"{name}: {what} {options}", function, *arguments, **options)
+
+    policy, uniform, other = random_policy(mdp, 7), oee.uniform_policy(mdp), perturb(mdp, 8)
+    even, zeta = np.full_like(policy, 1 / policy.size), oee.true_ratio(other, mdp)
+    add("return_moments", oee.return_moments, mdp, policy)
+    add("return_moments", oee.return_moments, mdp, policy, horizon=12, sources=True)
+    add("weight_growth", exact.weight_growth, mdp, zeta, policy)
+    add("weight_moments", exact.weight_moments, mdp, zeta, policy, horizon=5)
+    add("leading_bias", exact.leading_bias, mdp, policy, even)
+    add("ratio_of_ratios_variance", exact.ratio_of_ratios_variance, mdp, other, policy, even, even)
+    for kind in ("per_decision", "trajectory"):
+        for options in ({}, {"self_normalized": True}, {"sources": True}):
+            add("weighted", oee.weighted_return_moments, mdp, zeta, policy, kind=kind, horizon=6, **options)
+            add("importance", oee.policy_is_moments, mdp, uniform, policy, kind=kind, horizon=6, **options)
+    values = np.tile(oee.state_values(mdp, policy), (7, 1))
+    record.add("value", f"{name}: robust", oee.doubly_robust_moments, mdp, zeta, policy, baseline=values, horizon=6)
+    for model in ("mdp", "tree", "stationary"):
+        add("trajectory bound", oee.trajectory_efficiency_bound, mdp, uniform, policy, horizon=6, model=model)
 
 
 def optimal_value(mdp, **options):
-    """J and the occupancy-free value of the optimal policy: the policy itself may break ties either way."""
-    policy = oee.optimal_policy(mdp, **options)
-    return [oee.policy_value(mdp, policy, **options), *oee.state_values(mdp, policy, **options).tolist()]
+    """The values of the optimal policy, which itself may break ties either way."""
+    return oee.state_values(mdp, oee.optimal_policy(mdp, **options), **options)
 
 
-def moments(result):
-    """All of some Moments but those by state, whose zeros depend on the route."""
-    by_step = [] if result.by_step is None else result.by_step
-    return [*(float(x) for x in (result.mean, result.variance, result.bias)), *np.ravel(by_step).tolist()]
+def bounded_values(mdp, policy):
+    result = exact.evaluate_policy(mdp, policy)
+    return [result.values, result.error_bound]
 
 
 def record_data(record, folder):
     """Logs: columns, counts, files, frames, names, bad rows."""
+
+    def add(name, function, *arguments, **options):
+        record.add("value", name, function, *arguments, **options)
+
     mdp = oee.tasks.gridworld(4, 0.2)
-    uniform = oee.uniform_policy(mdp)
-    log, other = (draw_log(mdp, uniform, 12, 15, seed=seed) for seed in (5, 6))
-    n = (mdp.n_states, mdp.n_actions)
-    record.add("value", "counts", lambda: log.counts(*n))
-    record.add("value", "counts discount", lambda: log.counts(*n, discount=0.9))
-    record.add("value", "select", lambda: log.select(np.arange(0, 30)))
-    record.add("value", "first", lambda: log.first(17))
-    record.add("value", "concatenate", lambda: Transitions.concatenate([log, other]))
-    record.add("sampled", "draw", lambda: log.draw(20, seed=0))
+    log, other = (draw_log(mdp, oee.uniform_policy(mdp), 12, 15, seed=seed) for seed in (5, 6))
+    states, actions = [f"r{k // 4}c{k % 4}" for k in range(16)], ["n", "e", "s", "w"]
+    named = mdp.with_names(states, actions)
+    add("counts", log.counts, 16, 4)
+    add("counts discount", log.counts, 16, 4, discount=0.9)
+    add("select", log.select, np.arange(30))
+    add("first", log.first, 17)
+    add("concatenate", Transitions.concatenate, [log, other])
+    record.add("sampled", "draw", log.draw, 20, seed=0)
+    table = pd.DataFrame({name: log.columns()[name] for name in ("state", "action", "next_state", "reward")})
+    add("from_frame", Transitions.from_frame, table)
+    labels = {"state": "s", "action": "a", "next_state": "s2"}
+    add("from_frame renamed", Transitions.from_frame, table.rename(columns=labels), **labels)
+    words = table.assign(action=[actions[k] for k in table["action"]])
+    for column in ("state", "next_state"):
+        words[column] = [states[k] for k in table[column]]
+    add("from_frame names", Transitions.from_frame, words, simulator=named)
     for ending in ("npz", "csv", "parquet"):
-        path = folder / f"log.{ending}"
-        record.add("value", f"load {ending}", lambda p=path: (log.save(p), Transitions.load(p))[1])
-        record.add("value", f"open {ending}", lambda p=path: Transitions.open(p).counts(*n))
-        record.add("value", f"open {ending} sums", lambda p=path: Transitions.open(p).reward_sum)
-        parts = folder / f"parts-{ending}"
+        path, parts = folder / f"log.{ending}", folder / ending
         parts.mkdir()
         for k, part in enumerate((log, other)):
             part.save(parts / f"part-{k}.{ending}")
-        record.add("value", f"open {ending} folder", lambda p=parts: Transitions.open(p))
-        record.add("value", f"open {ending} pattern", lambda p=parts, e=ending: Transitions.open(f"{p}/part-*.{e}"))
-        record.add("value", f"open {ending} list", lambda p=parts: Transitions.open(sorted(p.iterdir()), simulator=mdp))
-    record.add("value", "counts file", lambda: saved_counts(folder, log))
-    rows = {key: value for key, value in log.columns().items() if key in ("state", "action", "next_state", "reward")}
-    record.add("value", "from_frame", lambda: Transitions.from_frame(pd.DataFrame(rows)))
-    renamed = pd.DataFrame({"s": rows["state"], "a": rows["action"], "s2": rows["next_state"]})
-    labels = {"state": "s", "action": "a", "next_state": "s2"}
-    record.add("value", "from_frame renamed", lambda: Transitions.from_frame(renamed, **labels))
-    named = mdp.with_names([f"r{k // 4}c{k % 4}" for k in range(16)], ["n", "e", "s", "w"])
-    words = pd.DataFrame({key: [f"r{k // 4}c{k % 4}" for k in rows[key]] for key in ("state", "next_state")})
-    words["action"] = [["n", "e", "s", "w"][k] for k in rows["action"]]
-    record.add("value", "from_frame names", lambda: Transitions.from_frame(words, simulator=named))
-    words.to_csv(folder / "words.csv", index=False)
-    words.to_parquet(folder / "words.parquet")
-    for ending in ("csv", "parquet"):
-        record.add(
-            "value", f"open names {ending}", lambda e=ending: Transitions.open(folder / f"words.{e}", simulator=named)
-        )
-        record.add(
-            "value", f"load names {ending}", lambda e=ending: Transitions.load(folder / f"words.{e}").numbered(named)
-        )
-    (folder / "bad.csv").write_text("state,action,next_state,reward\n0,0,1,1\n1,0,x,2\n1,9,2,1\n2,1,2,nan\n2,1,3,0.5\n")
-    bad = {"simulator": mdp, "bad_rows": "drop"}
-    record.add("value", "bad rows dropped", lambda: Transitions.open(folder / "bad.csv", **bad).counts(*n))
-    record.add("error", "bad rows|next_state", lambda: Transitions.open(folder / "bad.csv"))
+        add(f"load {ending}", saved, log, path)
+        add(f"open {ending}", Transitions.open, path)
+        add(f"open {ending} folder", Transitions.open, parts)
+        add(f"open {ending} pattern", Transitions.open, f"{parts}/part-*.{ending}")
+        add(f"open {ending} list", Transitions.open, sorted(parts.iterdir()), simulator=mdp)
+        if ending != "npz":
+            path = folder / f"words.{ending}"
+            words.to_csv(path, index=False) if ending == "csv" else words.to_parquet(path)
+            add(f"open names {ending}", Transitions.open, path, simulator=named)
+            add(f"load names {ending}", lambda p=path: Transitions.load(p).numbered(named))
+    add("counts file", saved, Transitions.open(folder / "log.csv"), folder / "counts.npz")
+    bad = folder / "bad.csv"
+    bad.write_text("state,action,next_state,reward\n0,0,1,1\n1,0,x,2\n1,9,2,1\n2,1,2,nan\n2,1,3,0.5\n")
+    add("bad rows dropped", lambda: Transitions.open(bad, simulator=mdp, bad_rows="drop").counts(16, 4))
+    record.error("next_state", Transitions.open, bad)
     steps = [[(0, 1, 0.5), (1, 2, 0.0), (5, 0, 1.0)], [(0, 0, 0.0), (4, 3, 2.0)]]
-    record.add("value", "from_episodes", lambda: Transitions.from_episodes(steps))
-
-
-def saved_counts(folder, log):
-    log.save(folder / "c.csv")
-    counts = oee.Transitions.open(folder / "c.csv")
-    counts.save(folder / "counts.npz")
-    return oee.TransitionCounts.load(folder / "counts.npz")
+    add("from_episodes", Transitions.from_episodes, steps)
 
 
 def record_above(record):
     """What stands on these rooms: ratios, intervals, reports, plans, samples."""
-    for name in ("gridworld", "random", "lake"):
-        simulator = {
-            "gridworld": lambda: oee.tasks.gridworld(4, 0.3),
-            "random": lambda: random_mdp(12, 2, 4, 0.9, 3, seed=9),
-            "lake": lambda: oee.tasks.toy_text("FrozenLake-v1", discount=0.9),
-        }[name]()
-        target, policy = perturb(simulator, 3), random_policy(simulator, 4)
-        uniform = oee.uniform_policy(simulator)
-        log = draw_log(target, uniform, 20, 25, seed=1)
-        if name == "lake":
+    lake = oee.tasks.toy_text("FrozenLake-v1", discount=0.9)
+    simulators = {"grid": oee.tasks.gridworld(4, 0.3), "random": random_mdp(12, 2, 4, 0.9, 3, seed=9), "lake": lake}
+    for name, simulator in simulators.items():
+
+        def add(group, what, function, *arguments, name=name, **options):
+            record.add(group, f"{name}: {what}", function, *arguments, **options)
+
+        target, policy, uniform = perturb(simulator, 3), random_policy(simulator, 4), oee.uniform_policy(simulator)
+        log = draw_log(target, uniform, 20, 25, seed=1, rewards=name != "lake")
+        if name == "lake":  # a bag: at the ends of episodes, which are not marked, states go on
             log = Transitions(log.state, log.action, log.next_state)
-        try:
-            problem = oee.Problem(simulator, log)
-        except ValueError as error:
-            record.add("value", f"{name}: Problem", lambda e=error: str(type(e)))
-            continue
-        exactly = {"conditional": {}, "joint": {"simulator_data": "exact"}}
-        for method in exactly:
-            record.add("fit", f"{name}: transition_ratio {method}",
-                       lambda p=problem, s=simulator, g=log, m=method: oee.transition_ratio(g, s, method=m, **exactly[m]).values)  # fmt: skip
+        problem = oee.Problem(simulator, log)
+        add("fit", "conditional", oee.transition_ratio, log, simulator)
+        add("fit", "joint", oee.transition_ratio, log, simulator, method="joint", simulator_data="exact")
         for method in ("likelihood", "delta"):
-            record.add("interval", f"{name}: interval {method}",
-                       lambda p=problem, q=policy, m=method: ends(oee.interval(p, q, method=m)))  # fmt: skip
-        box = {"lower_ratio": 0.4, "upper_ratio": 2.5}
-        record.add("interval", f"{name}: interval box", lambda p=problem, q=policy: ends(oee.interval(p, q, **box)))
-        quick = {"estimators": ["model-based", "oee"], "quick": True, "seed": 0}
-        record.add("fit", f"{name}: evaluate", lambda p=problem, q=policy: report_values(oee.evaluate(p, q, **quick)))
-        planned = {"n": 300, "solver": "auto"}
-        record.add(
-            "fit", f"{name}: plan", lambda p=problem, q=policy: plan_widths(oee.plan_data_collection(p, q, **planned))
-        )
-        drawn = {"seed": 11}
-        record.add(
-            "sampled", f"{name}: episodes", lambda t=target, u=uniform: oee.sample_episodes(t, u, 40, 10, **drawn)
-        )
-        even = np.full_like(uniform, 1 / uniform.size)
-        record.add(
-            "sampled", f"{name}: transitions", lambda t=target, e=even: oee.sample_transitions(t, e, 200, **drawn)
-        )
-        record.add(
-            "sampled", f"{name}: returns", lambda t=target, u=uniform: oee.sample_returns(t, u, 99, 30, **drawn).values
-        )
-        record.add("value", f"{name}: z of 20 000 sampled returns", lambda t=target, u=uniform: is_near(t, u))
+            add("interval", method, oee.interval, problem, policy, method=method)
+        add("interval", "box", oee.interval, problem, policy, lower_ratio=0.4, upper_ratio=2.5)
+        add("fit", "evaluate", oee.evaluate, problem, policy, estimators=["model-based", "oee"], quick=True, seed=0)
+        add("fit", "plan", oee.plan_data_collection, problem, policy, n=300)
+        add("sampled", "episodes", oee.sample_episodes, target, uniform, 40, 10, seed=11)
+        add("sampled", "transitions", oee.sample_transitions, target, uniform / len(uniform), 200, seed=11)
+        add("sampled", "returns", lambda t=target, u=uniform: oee.sample_returns(t, u, 99, 30, seed=11).values)
+        add("value", "samples", are_near, target, uniform)
 
 
-def is_near(mdp, policy):
-    """Whether the mean and the variance of sampled returns lie within 5 standard errors of the exact ones."""
-    values = oee.sample_returns(mdp, policy, 20_000, 15, seed=1).values
-    truth = oee.return_moments(mdp, policy, horizon=15)
-    spread = np.sqrt(truth.variance / len(values))
-    return [
-        abs(values.mean() - truth.mean) <= 5 * spread + 1e-12,
-        abs(values.var() / max(truth.variance, 1e-300) - 1) < 0.2,
-    ]
-
-
-def ends(interval):
-    return [interval.lower, interval.upper]
-
-
-def report_values(report):
-    return [float(row["value"]) for row in report.records()]
-
-
-def plan_widths(plan):
-    return np.array(plan.expected_width, dtype=float)
+def are_near(mdp, policy):
+    """Whether mean and variance of 20 000 returns lie within 5 standard errors and a fifth of the exact ones."""
+    values, truth = (
+        oee.sample_returns(mdp, policy, 20_000, 15, seed=1).values,
+        oee.return_moments(mdp, policy, horizon=15),
+    )
+    near = abs(values.mean() - truth.mean) <= 5 * np.sqrt(truth.variance / len(values)) + 1e-12
+    return [near, abs(values.var() - truth.variance) < 0.2 * truth.variance + 1e-12]
 
 
 def record_errors(record):
     """Bad calls: the argument that the message must name, and the call."""
     grid = oee.tasks.gridworld(3, 0.3)
     u, log = oee.uniform_policy(grid), draw_log(grid, oee.uniform_policy(grid), 4, 6, seed=0)
-    P, r, mu = np.full((2, 1, 2), 0.5), np.zeros(2), [1.0, 0.0]
-    even, zeta = u / 9, oee.true_ratio(grid, grid)
+    P, ratio, problem = np.full((2, 1, 2), 0.5), oee.true_ratio(grid, grid), oee.Problem(grid, log)
+    nan, small, other = P * np.nan, sparse.csr_array(np.ones((4, 2))), sparse.csr_array(np.ones((3, 3)))
     wrong = {
-        "transitions": [P * 2, -P, P * np.nan, np.eye(2), [["a"]], None, np.zeros((0, 1, 0)), P + 0j, sparse.eye_array(3),
-                        sparse.csr_array(np.full((2, 2), np.nan)), sparse.csr_array((2, 2)), "P"],
-        "rewards": [np.zeros(3), [0, np.inf], "r", np.full((2, 1, 2), np.nan), sparse.csr_array(np.ones((3, 3)))],
-        "initial": [[0.5, 0.4], [1.0], [np.nan, 1], "start", [-1, 2]],
-        "discount": [1.01, np.nan, "high", None, -0.1],
-        "terminal_state": [[0, 2], [0.5], "x"], "layout": [[0, 1, 2], [[0, np.nan]] * 2], "state_names": [["a"], ["a", "a"], 3],
+        "transitions": [P * 2, -P, nan, np.eye(2), [["a"]], None, P[:0], P + 0j, small, sparse.csr_array(nan[:, 0]), "P"],
+        "rewards": [np.zeros(3), [0, np.inf], "r", nan, other], "initial": [[0.5, 0.4], [1.0], [np.nan, 1], "start", [-1, 2]],
+        "discount": [1.01, np.nan, "high", None, -0.1], "terminal_state": [[0, 2], [0.5], "x"],
+        "layout": [[0, 1, 2], [[0, np.nan]] * 2], "state_names": [["a"], ["a", "a"], 3],
     }  # fmt: skip
-    given = {"transitions": P, "rewards": r, "initial": mu, "discount": 0.9}
+    given = {"transitions": P, "rewards": [0.0, 0.0], "initial": [1.0, 0.0], "discount": 0.9}
+    columns = {"state": [0, 1], "action": [0, 0], "next_state": [1, 2]}
     for argument, values in wrong.items():
         for value in values:
-            record.error(argument, lambda a=argument, v=value: FiniteMDP(**{**given, a: v}))
-    for policy in (
-        u[:, :3],
-        u * 2,
-        u * np.nan,
-        "uniform",
-        None,
-        [9] * 9,
-        [0.5] * 9,
-        {0: 1},
-        lambda s: [1, 1],
-        np.stack([u] * 2),
-    ):
-        record.error("policy", lambda p=policy: oee.policy_value(grid, p))
-    for horizon in (0, 2.5, True, "3", -1):
-        record.error("horizon", lambda h=horizon: oee.policy_value(grid, u, horizon=h))
-    record.error("normalized", lambda: oee.policy_value(grid, u, normalized=2))
-    record.error("mdp", lambda: oee.policy_value(P, u))
-    record.error("discount", lambda: oee.occupancy(grid.with_discount(1.0), u))
-    record.error("of", lambda: oee.occupancy(grid, u, of="action"))
-    record.error("epsilon", lambda: grid.with_action_noise(1.5))
-    record.error("transitions", lambda: grid.with_transitions(P))
-    record.error("initial", lambda: grid.with_initial(99))
-    record.error("weight_of_a", lambda: oee.mix(u, u, 2))
-    record.error("policy", lambda: oee.mix(u, u[:3], 0.5))
-    record.error("kind", lambda: oee.policy_is_moments(grid, u, u, kind="step", horizon=3))
-    record.error("behavior_policy", lambda: oee.policy_is_moments(grid, u[:3], u, horizon=3))
-    record.error("zeta", lambda: oee.weighted_return_moments(grid, np.ones(3), u, horizon=3))
-    record.error("data_distribution", lambda: oee.efficiency_bound(grid, u, even * 2))
-    record.error("model", lambda: oee.trajectory_efficiency_bound(grid, u, u, horizon=3, model="bush"))
-    record.error("ratio", lambda: exact.reweight(grid, sparse.csr_array(np.ones((4, 2)))))
-    record.error("baseline", lambda: oee.doubly_robust_moments(grid, zeta, u, baseline=[1.0], horizon=3))
-    columns = {"state": [0, 1], "action": [0, 0], "next_state": [1, 2]}
-    for argument, value in (("state", [0.5, 1]), ("state", ["a", "b"]), ("action", [-1, 0]), ("next_state", [1]),
-                            ("reward", [np.nan, 0]), ("terminated", [2, 0]), ("episode", [1e300, 0]), ("timestep", "x"),
-                            ("behavior_probability", [1.2, 1])):  # fmt: skip
-        record.error(argument, lambda a=argument, v=value: Transitions(**{**columns, a: v}))
-    record.error("rows", lambda: log.select([]))
-    record.error("n", lambda: log.draw(10**6, seed=0))
-    record.error("seed", lambda: log.draw(2, seed=-1))
-    record.error("n_states", lambda: log.counts("3", 2))
-    record.error("frame", lambda: Transitions.from_frame(pd.DataFrame({"place": [0], "action": [0]})))
-    record.error("path", lambda: log.save("log.xlsx"))
-    record.error("nowhere.csv", lambda: Transitions.load("nowhere.csv"))
-    record.error("nowhere.parquet", lambda: Transitions.open("nowhere.parquet"))
-    record.error("n_episodes", lambda: oee.sample_episodes(grid, u, 0, 3, seed=0))
-    record.error("horizon", lambda: oee.sample_episodes(grid, u, 1, 0, seed=0))
-    record.error("seed", lambda: oee.sample_episodes(grid, u, 1, 1, seed="a"))
-    record.error("distribution", lambda: oee.sample_transitions(grid, u, 3, seed=0))
-    record.error("log", lambda: oee.Problem(grid, np.zeros((3, 3))))
-    record.error("simulator", lambda: oee.Problem(P, log))
-    record.error("method", lambda: oee.transition_ratio(log, grid, method="joined"))
-    record.error("confidence", lambda: oee.interval(oee.Problem(grid, log), u, confidence=2))
+            record.error(argument, FiniteMDP, **{**given, argument: value})
+    for value in (u[:, :3], u * 2, u * np.nan, "uniform", None, [9] * 9, [0.5] * 9, {0: 1}, lambda s: [1, 1], [u] * 2):
+        record.error("policy", oee.policy_value, grid, value)
+    for value in (0, 2.5, True, "3", -1):
+        record.error("horizon", oee.policy_value, grid, u, horizon=value)
+    for argument, value in (
+        ("state", [0.5, 1]), ("state", ["a", "b"]), ("action", [-1, 0]), ("next_state", [1]), ("reward", [np.nan, 0]),
+        ("terminated", [2, 0]), ("episode", [1e300, 0]), ("timestep", "x"), ("behavior_probability", [1.2, 1]),
+    ):  # fmt: skip
+        record.error(argument, Transitions, **{**columns, argument: value})
+    for argument, function, *arguments in (
+        ("mdp", oee.policy_value, P, u), ("epsilon", grid.with_action_noise, 1.5), ("transitions", grid.with_transitions, P),
+        ("initial", grid.with_initial, 99), ("weight_of_a", oee.mix, u, u, 2), ("policy", oee.mix, u, u[:3], 0.5),
+        ("data_distribution", oee.efficiency_bound, grid, u, u), ("ratio", exact.reweight, grid, small),
+        ("rows", log.select, []),
+        ("n_states", log.counts, "3", 2), ("frame", Transitions.from_frame, pd.DataFrame({"place": [0]})),
+        ("path", log.save, "log.xlsx"), ("nowhere.csv", Transitions.load, "nowhere.csv"), ("log", oee.Problem, grid, P),
+        ("nowhere.parquet", Transitions.open, "nowhere.parquet"), ("simulator", oee.Problem, P, log),
+    ):  # fmt: skip
+        record.error(argument, function, *arguments)
+    for argument, function, *arguments, options in (
+        ("normalized", oee.policy_value, grid, u, {"normalized": 2}), ("of", oee.occupancy, grid, u, {"of": "action"}),
+        ("discount", oee.occupancy, grid.with_discount(1.0), u, {}), ("n", log.draw, 10**6, {"seed": 0}),
+        ("kind", oee.policy_is_moments, grid, u, u, {"kind": "step", "horizon": 3}), ("seed", log.draw, 2, {"seed": -1}),
+        ("behavior_policy", oee.policy_is_moments, grid, u[:3], u, {"horizon": 3}),
+        ("zeta", oee.weighted_return_moments, grid, np.ones(3), u, {"horizon": 3}),
+        ("model", oee.trajectory_efficiency_bound, grid, u, u, {"horizon": 3, "model": "bush"}),
+        ("baseline", oee.doubly_robust_moments, grid, ratio, u, {"baseline": [1.0], "horizon": 3}),
+        ("n_episodes", oee.sample_episodes, grid, u, 0, 3, {"seed": 0}),
+        ("horizon", oee.sample_episodes, grid, u, 1, 0, {"seed": 0}),
+        ("seed", oee.sample_episodes, grid, u, 1, 1, {"seed": "a"}),
+        ("distribution", oee.sample_transitions, grid, u, 3, {"seed": 0}),
+        ("method", oee.transition_ratio, log, grid, {"method": "joined"}),
+        ("confidence", oee.interval, problem, u, {"confidence": 2}),
+    ):  # fmt: skip
+        record.error(argument, function, *arguments, **options)
 
 
 def write(path):

@@ -10,7 +10,7 @@ def test_record_equals_itself_and_sees_changes(tmp_path):
     record.record_errors(results)
     np.savez(tmp_path / "a.npz", **results.entries)
     assert record.main(["compare", str(tmp_path / "a.npz"), str(tmp_path / "a.npz")]) == 0
-    for key in ("value|FiniteMDP named", "error|21|initial"):
+    for key in ("value|FiniteMDP named", "error|20|initial"):
         entry = results.entries[key]
         spoilt = entry + 1e-9 if entry.dtype.kind == "f" else np.array("KeyError: 3")
         np.savez(tmp_path / "b.npz", **results.entries | {key: spoilt})
