@@ -118,8 +118,8 @@ def check_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> tuple[Array, 
         if np.isinf(array).any():
             first = tuple(np.argwhere(np.isinf(array))[0])
             raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")
-        row, table = row_of_entry(csr), freeze(array.reshape(-1, n_states))
-        data = freeze(table[row, csr.indices])
+        row, table = row_of_entry(csr), freeze(array)
+        data = freeze(table.reshape(csr.shape)[row, csr.indices])
         if (bad := np.flatnonzero(np.isnan(data))).size:
             where = _checks.place("rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]]))
             raise ValueError(f"{where} must be finite where the transition has a probability; it is nan")

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular._sparse import align, align_to, csr_from_parts, row_of_entry
+from oee_tabular._sparse import align, align_to, row_of_entry
 from oee_tabular.mdp.arrays import (
     CsrArrays,
     check_layout,
@@ -21,7 +21,7 @@ from oee_tabular.mdp.arrays import (
     check_transitions,
     name_transition,
 )
-from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, from_text, initial_distribution, to_text
+from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, initial_distribution
 from oee_tabular.mdp.samples import Sampling
 
 KIND = "finite_mdp"
@@ -91,7 +91,7 @@ class FiniteMDP:
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
-    _reward_table: Any  # csr, or dense (S*A, S) with nan where r(s, a, s') is undefined
+    _reward_table: Any  # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined
     _own_layout: Array | None  # as given, without the names' coordinates
 
     def __init__(
@@ -140,10 +140,8 @@ class FiniteMDP:
         return partial(type(self), **self._arguments()), ()
 
     def __repr__(self) -> str:
-        return (
-            f"FiniteMDP({self.n_states} states, {self.n_actions} actions, {self.csr.nnz} transitions, "
-            f"rewards {self._reward_form}, discount {self.discount:g})"
-        )
+        sizes = f"{self.n_states} states, {self.n_actions} actions, {self.csr.nnz} transitions"
+        return f"FiniteMDP({sizes}, rewards {self._reward_form}, discount {self.discount:g})"
 
     def _repr_html_(self) -> str:
         values = self.rewards if self.reward_data is None else self.reward_data
@@ -170,7 +168,8 @@ class FiniteMDP:
         table = self._reward_table
         if not isinstance(table, np.ndarray):
             return table
-        return align_to(CsrArrays.from_dense(table, ~np.isnan(table)).to_matrix(), self.csr)[0]
+        rows = table.reshape(self.csr.shape)
+        return align_to(CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix(), self.csr)[0]
 
     @property
     def names(self) -> Names:
@@ -195,18 +194,16 @@ class FiniteMDP:
         Raises ValueError where ``new`` has a transition for which r(s, a, s') is not defined.
         """
         try:
-            csr, n_states, n_actions = check_transitions(new)
+            csr, *sizes = check_transitions(new)
         except ValueError as error:
             raise ValueError(f"new {error}") from None
-        if (n_states, n_actions) != (self.n_states, self.n_actions):
-            raise ValueError(
-                f"new transitions must be for {self.n_states} states and {self.n_actions} actions; "
-                f"they are for {n_states} and {n_actions}"
-            )
+        if tuple(sizes) != self.rewards.shape:
+            own = "{} states and {} actions".format(*self.rewards.shape)
+            raise ValueError(f"new transitions must be for {own}; they are for {sizes[0]} and {sizes[1]}")
         if self.reward_data is not None:
             undefined = np.flatnonzero(~align(self.transition_rewards, csr)[1])
             if undefined.size:
-                first = "; ".join(name_transition(csr, k, n_actions, self.names) for k in undefined[:3])
+                first = "; ".join(name_transition(csr, k, self.n_actions, self.names) for k in undefined[:3])
                 raise ValueError(
                     f"new transitions must stay where r(s, a, s') is defined; {undefined.size} transitions do not, "
                     f"the first: {first}"
@@ -226,7 +223,7 @@ class FiniteMDP:
         return self._replace(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
-        """The same MDP with other coordinates of its states, as in the constructor; None: those in its names, or none."""
+        """The same MDP with other coordinates of its states; None: those in its names, or none."""
         return self._replace(layout=layout)
 
     def with_names(self, state_names: object = None, action_names: object = None) -> Self:
@@ -273,64 +270,30 @@ class FiniteMDP:
 
     def arrays(self) -> dict[str, Any]:
         """What a file holds."""
-        arrays: dict[str, Any] = {
-            "shape": np.array(self.rewards.shape),
-            "initial": self.initial,
-            "discount": np.array(self.discount),
-            "terminal_state": self.terminal_state,
-        }
-        tables: dict[str, Any] = {"transitions": self.csr}
-        if self.reward_data is None:
-            arrays["rewards"] = self.rewards
-        else:
-            tables["rewards"] = self.transition_rewards
-        for name, table in tables.items():
-            arrays |= {f"{name}_{part}": getattr(table, part) for part in ("data", "indices", "indptr")}
-        if self._own_layout is not None:
-            arrays["layout"] = self._own_layout
-        names = {"state_names": self.state_names, "action_names": self.action_names}
-        arrays |= {key: to_text(value) for key, value in names.items() if value is not None}
-        return arrays | ({} if self.sampling is None else self.sampling.arrays())
+        from oee_tabular.mdp.files import file_arrays
+
+        return file_arrays(self, self._own_layout)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what ``save`` wrote; the same checks as in the constructor."""
+        from oee_tabular.mdp.files import constructor_arguments
+
         hint = "make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
         arrays = _files.load_npz(path, KIND, hint=hint)
         with _files.parts_of(path, "a FiniteMDP"):
-            sizes = arrays["shape"]
-            if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
-                raise ValueError(
-                    f"shape must be two positive integers, states and actions; it is {sizes.tolist()!r:.80}"
-                )
-            n_states, n_actions = sizes.tolist()
-            shape = (n_states * n_actions, n_states)
-
-            def matrix(name: str) -> sparse.csr_array:
-                data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-                return csr_from_parts(data, indices, indptr, shape, name)
-
-            return cls(
-                matrix("transitions"),
-                arrays["rewards"] if "rewards" in arrays else matrix("rewards"),
-                arrays["initial"],
-                float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
-                terminal_state=arrays["terminal_state"],
-                layout=arrays.get("layout"),
-                sampling=Sampling.from_arrays(arrays, shape),
-                **{name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays},
-            )
+            return cls(**constructor_arguments(arrays))
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
         """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
 
-        State numbers stay Gymnasium's. A state that is only entered by termination becomes absorbing itself; otherwise
-        an absorbing twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. No
-        reward is paid after termination. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is their
-        mean. Time limits are not part of the table: they are the ``horizon`` of an evaluation. Of an environment on a map
-        (``desc`` or ``shape``, a cell a state) ``layout`` has row and column; a twin's are those of its state. Names are the
-        environment's own: ``state_names``, ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
+        State numbers stay Gymnasium's. A state that is only entered by termination becomes terminal itself; otherwise a
+        terminal twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. Outcomes of
+        one (s, a) that enter the same s' are merged: r(s, a, s') is their mean. Time limits are not part of the table: they
+        are the ``horizon`` of an evaluation. Of an environment on a map (``desc`` or ``shape``, a cell for each state)
+        ``layout`` has row and column. Names are the environment's ``state_names``, ``action_names`` or
+        ``get_action_meanings()``, else its module's (LEFT = 0).
 
         Raises
         ------
@@ -356,18 +319,17 @@ class FiniteMDP:
         action_names: object = None,
         layout: object = None,
     ) -> Self:
-        """The MDP of a log's frequencies: a simulator that can only be sampled, from its own log.
+        """The MDP of a log's frequencies, P(s' | s, a) = n(s, a, s') / n(s, a): a simulator from its own log.
 
-        P(s' | s, a) = n(s, a, s') / n(s, a). An action never recorded in a state is taken to do what the recorded ones
-        do there, on average by their moves; a state that was entered and never left stays where it is and pays 0. A warning
-        says how many such pairs there are. Where moves terminated is over and pays 0, as in
-        ``from_gymnasium``.
+        An action never recorded in a state does what the recorded ones do there, in proportion to their counts; a state
+        that was never left stays where it is with reward 0. A warning says how many such pairs there are. Where
+        transitions terminated is terminal, as in ``from_gymnasium``.
 
         Parameters
         ----------
         log : Transitions
-        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's mean for each move
-        initial : (S,), a state, or a mapping; None: how often episodes began in each state (of a bag of moves: all states)
+        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's mean for each transition
+        initial : (S,), a state, or a mapping; None: how often episodes began in each state (without episodes: all states)
         n_states, n_actions : default one more than the largest of the log, or as many as there are names
         state_names, action_names : default the log's; given ones also order its numbers
         discount, layout : as in the constructor
@@ -393,12 +355,13 @@ class FiniteMDP:
     def from_env(
         cls, env: Any, *, samples_per_pair: int, seed: Any = None, discount: float = 0.99, max_steps: int = 1_000_000
     ) -> Self:
-        """The MDP of a Gymnasium environment that can only be sampled, by the frequencies of its moves.
+        """The MDP of the frequencies of a Gymnasium environment that can only be stepped.
 
         Episodes go to the nearest state-action pair with too few samples, by value iteration in what has been met so far
         (``mdp.explorer``), until every action of every state that was met has been taken ``samples_per_pair`` times; an
         episode that cannot lead there is left by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
-        texts) become the states' names. States that no episode met stay where they are and pay 0.
+        texts) become the states' names. States that no episode met stay where they are with reward 0. ``sampling`` keeps
+        how many samples there were: intervals widen by it.
 
         Parameters
         ----------
@@ -413,15 +376,9 @@ class FiniteMDP:
         ValueError
             Continuous observations or actions; bad arguments.
 
-        Notes
-        -----
-        How many samples there were is kept (``sampling``): intervals widen by what first states, mean rewards and moves that
-        were never met may change (``inference.margins``).
-
         Examples
         --------
         >>> from oee_tabular.tasks import make_environment
-        >>> from oee_tabular import FiniteMDP
         >>> lake = make_environment("FrozenLake-v1", is_slippery=False)
         >>> sampled = FiniteMDP.from_env(lake, samples_per_pair=1, seed=0)
         >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
@@ -433,8 +390,6 @@ class FiniteMDP:
 
     def _arguments(self) -> dict[str, Any]:
         table = self._reward_table
-        if isinstance(table, np.ndarray):
-            table = table.reshape(self.n_states, self.n_actions, self.n_states)
         same = ("initial", "discount", "terminal_state", "state_names", "action_names", "sampling")
         changed = {
             "transitions": self.csr,

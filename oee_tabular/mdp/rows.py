@@ -1,7 +1,8 @@
-"""The rows of a simulator, or some of them: their entries, sums over each row, and how far their moves lead."""
+"""The rows of a simulator, or some of them: their entries, sums over each row, and displacements."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,10 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
+
+BLOCK = 2**18  # entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
+SMALL = 5_000  # numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6 400 000 it takes 20 times
+DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,39 +52,38 @@ class Rows:
     n_actions: int
 
     @classmethod
-    def of(cls, simulator: FiniteMDP, chosen: BoolArray | None = None) -> Rows:
-        """All rows of a simulator, or the ``chosen`` (S*A,)."""
-        matrix = simulator.transitions
-        indptr: IntArray = matrix.indptr.astype(np.int64)
-        weights = matrix.data / np.repeat(np.add.reduceat(matrix.data, indptr[:-1]), np.diff(indptr))
-        sizes, number = (simulator.n_states, simulator.n_actions), np.arange(len(indptr) - 1)
-        whole = cls(number, matrix.indices, weights, indptr, slice(0, len(weights)), *sizes)
-        return whole if chosen is None else whole.chosen(chosen)
+    def of(cls, simulator: FiniteMDP, mask: BoolArray | None = None) -> Rows:
+        """All rows of a simulator, or those of ``mask`` (S*A,)."""
+        csr = simulator.csr
+        indptr: IntArray = csr.indptr.astype(np.int64)
+        weights = csr.data / np.repeat(np.add.reduceat(csr.data, indptr[:-1]), np.diff(indptr))
+        sizes = simulator.n_states, simulator.n_actions
+        rows = cls(np.arange(csr.shape[0]), csr.indices, weights, indptr, slice(0, len(weights)), *sizes)
+        return rows if mask is None else rows.select(mask)
 
-    def chosen(self, mask: BoolArray) -> Rows:
+    def select(self, mask: BoolArray) -> Rows:
         """Those of ``mask`` (rows,)."""
         at = np.flatnonzero(mask)
         lengths = np.diff(self.indptr)[at]
         indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
         inside = np.arange(int(indptr[-1])) + np.repeat(self.indptr[:-1][at] - indptr[:-1], lengths)
         entries = self.entries.start + inside if isinstance(self.entries, slice) else self.entries[inside]
-        number, sizes = self.number[at], (self.n_states, self.n_actions)
-        return Rows(number, self.arrival[inside], self.weights[inside], indptr, entries, *sizes)
+        return self._part(at, inside, indptr, entries)
 
     def blocks(self) -> Iterator[Rows]:
         """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a block stays small."""
         ends = np.arange(1, max(1, round(int(self.indptr[-1]) / BLOCK))) * BLOCK
-        cuts = np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])
-        for first, last in zip(cuts[:-1], cuts[1:], strict=True):
+        for first, last in itertools.pairwise(np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])):
             low, high = (int(x) for x in self.indptr[[first, last]])
-            if isinstance(self.entries, slice):
-                entries: IntArray | slice = slice(self.entries.start + low, self.entries.start + high)
-            else:
-                entries = self.entries[low:high]
-            yield Rows(
-                self.number[first:last], self.arrival[low:high], self.weights[low:high],
-                self.indptr[first : last + 1] - low, entries, self.n_states, self.n_actions,
-            )  # fmt: skip
+            start = self.entries.start if isinstance(self.entries, slice) else 0
+            entries = slice(start + low, start + high) if isinstance(self.entries, slice) else self.entries[low:high]
+            yield self._part(slice(first, last), slice(low, high), self.indptr[first : last + 1] - low, entries)
+
+    def _part(
+        self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray, entries: IntArray | slice
+    ) -> Rows:
+        sizes = self.n_states, self.n_actions
+        return Rows(self.number[at], self.arrival[inside], self.weights[inside], indptr, entries, *sizes)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -95,7 +99,7 @@ class Rows:
         return self.number % self.n_actions
 
     @property
-    def moves(self) -> tuple[IntArray, IntArray, IntArray]:
+    def transitions(self) -> tuple[IntArray, IntArray, IntArray]:
         """(state, action, next state) of each entry."""
         return self.spread(self.state), self.spread(self.action), self.arrival.astype(np.int64)
 
@@ -112,32 +116,21 @@ class Rows:
         return np.repeat(values, np.diff(self.indptr), axis=0)
 
     def mean(self, model: Array, values: Array) -> Array:
-        """The mean over each row of (entries,) or (entries, d) values under ``model`` (entries,): sum_x model_x values_x."""
-        if values.ndim == 1 or values.size <= FEW:
+        """The mean over each row of (entries,) or (entries, d) values: sum_x model_x values_x, ``model`` (entries,)."""
+        if values.ndim == 1 or values.size <= SMALL:
             return self.sums((model if values.ndim == 1 else model[:, None]) * values)
-        return np.asarray(self._matrix(model) @ values)
-
-    def _matrix(self, model: Array) -> sparse.csr_array:
-        """(rows, entries), which sums what stands at the entries times ``model``."""
-        return sparse.csr_array((model, self._places, self._ends), shape=(len(self), len(model)))
-
-    @cached_property
-    def _places(self) -> IntArray:
-        return np.arange(self.indptr[-1], dtype=np.int32 if self.indptr[-1] < 2**31 else np.int64)
-
-    @cached_property
-    def _ends(self) -> IntArray:
-        return self.indptr.astype(self._places.dtype)
+        parts = model, np.arange(len(model)), self.indptr
+        return np.asarray(sparse.csr_array(parts, shape=(len(self), len(model))) @ values)
 
     def variance(self, model: Array, values: Array) -> Array:
         """The variance over each row of (entries,) values under ``model``."""
         return self.mean(model, (values - self.spread(self.mean(model, values))) ** 2)
 
-    def centred(self, values: Array) -> Array:
+    def center(self, values: Array) -> Array:
         """Values less their mean under the simulator in each row."""
         return np.asarray(values - self.spread(self.mean(self.weights, values)))
 
-    def tilted(self, exponent: Array) -> tuple[Array, Array]:
+    def tilt(self, exponent: Array) -> tuple[Array, Array]:
         """Rows proportional to ``weights`` exp(exponent), and ln Z of each."""
         top = self.largest(exponent)
         raw = self.weights * np.exp(exponent - self.spread(top))
@@ -149,7 +142,7 @@ class Rows:
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
 
 
-def distinct(table: Array) -> tuple[Array, IntArray]:
+def distinct_rows(table: Array) -> tuple[Array, IntArray]:
     """The distinct rows of a table (n, c) in order, and which of them each row is.
 
     ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth of its time (400 000 rows).
@@ -160,11 +153,6 @@ def distinct(table: Array) -> tuple[Array, IntArray]:
     kind = np.empty(len(table), dtype=np.int64)
     kind[order] = np.cumsum(new) - 1
     return ordered[new], kind
-
-
-BLOCK = 2**18  # entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
-FEW = 5_000  # numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6 400 000 it takes 20 times
-DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 
 def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[Array, IntArray]:
@@ -203,24 +191,24 @@ def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[A
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    matrix = mdp.transitions
+    csr = mdp.csr
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)
     places = np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given
-    state = row_of_entry(matrix) // mdp.n_actions
-    kind = np.zeros(matrix.nnz, dtype=np.int64)
+    state = row_of_entry(csr) // mdp.n_actions
+    kind = np.zeros(csr.nnz, dtype=np.int64)
     for place in places.T:
-        _, step = np.unique(_steps(place, state, matrix.indices), return_inverse=True)
+        _, step = np.unique(_differences(place, state, csr.indices), return_inverse=True)
         _, kind = np.unique(kind * (int(step.max()) + 1) + step, return_inverse=True)
     _, first = np.unique(kind, return_index=True)
-    mass = np.bincount(kind, weights=matrix.data)
+    mass = np.bincount(kind, weights=csr.data)
     order = np.argsort(-np.round(mass / mass.sum(), 12), kind="stable")  # equal but for the order of their sums: equal
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
-    moves = first[order]
-    kinds = np.stack([_steps(place, state[moves], matrix.indices[moves]) for place in places.T], axis=1)
+    entry = first[order]
+    kinds = np.stack([_differences(place, state[entry], csr.indices[entry]) for place in places.T], axis=1)
     return kinds, rank[kind]
 
 
-def _steps(place: Array, state: IntArray, following: Any) -> Array:
+def _differences(place: Array, state: IntArray, next_state: Any) -> Array:
     """Differences along one coordinate; + 0.0 makes -0.0 plain."""
-    return np.asarray(np.round(place[following] - place[state], DIGITS) + 0.0)
+    return np.asarray(np.round(place[next_state] - place[state], DIGITS) + 0.0)

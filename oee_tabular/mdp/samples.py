@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import csr_from_parts
 from oee_tabular.mdp.arrays import csr_from_entries
-
-_PREFIX = "sampling_"
 
 
 class Sampling(NamedTuple):
@@ -29,29 +24,6 @@ class Sampling(NamedTuple):
     pairs: Array
     starts: float
     reward_error: sparse.csr_array | None
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling | None:
-        """Those of a file's arrays, of an MDP with rows of ``shape``; None where it has none."""
-        if f"{_PREFIX}pairs" not in arrays:
-            return None
-        pairs = _checks.float_array(arrays[f"{_PREFIX}pairs"], f"{_PREFIX}pairs", ndim=1)
-        starts = float(_checks.float_array(arrays[f"{_PREFIX}starts"], f"{_PREFIX}starts", ndim=0))
-        if pairs.shape != shape[:1] or not (pairs >= 0).all() or not starts > 0:
-            raise ValueError(f"{_PREFIX}pairs must be {shape[0]} numbers of samples, and {_PREFIX}starts positive")
-        error = None
-        if f"{_PREFIX}error_data" in arrays:
-            data, indices, indptr = (arrays[f"{_PREFIX}error_{part}"] for part in ("data", "indices", "indptr"))
-            error = csr_from_parts(data, indices, indptr, shape, f"{_PREFIX}error")
-        return cls(pairs, starts, error)
-
-    def arrays(self) -> dict[str, Any]:
-        """What a file holds."""
-        arrays: dict[str, Any] = {f"{_PREFIX}pairs": self.pairs, f"{_PREFIX}starts": np.array(self.starts)}
-        if self.reward_error is not None:
-            for part in ("data", "indices", "indptr"):
-                arrays[f"{_PREFIX}error_{part}"] = getattr(self.reward_error, part)
-        return arrays
 
     def mix_actions(self, n_actions: int) -> Sampling:
         """Those of an MDP with action noise: each pair rests on the least sampled action of its state."""

@@ -23,7 +23,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows, distinct
+from oee_tabular.mdp.rows import Rows, distinct_rows
 
 Kernel = Callable[[Array, Array], Any]
 
@@ -165,7 +165,7 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
         from oee_tabular.ratio.tabled import features_in
 
         return features_in(features, simulator, "features")[0]
-    moves = rows.moves
+    moves = rows.transitions
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
     shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
@@ -207,7 +207,7 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     rows = Rows.of(simulator)
     steps = places[rows.arrival] - rows.spread(places[rows.state])
     keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])
-    kinds, kind = distinct(keys)
+    kinds, kind = distinct_rows(keys)
     mass = np.bincount(kind, weights=simulator.transitions.data)
     reference = [
         int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])

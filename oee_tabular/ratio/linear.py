@@ -234,7 +234,7 @@ class InClass(Method):
         box, q = _checks.box(self.lower, self.upper, normalized=True), rows.weights
         details: dict[str, object] = {}
         if self.kernel is None:
-            phi = rows.centred(feature_array(self.features, simulator))
+            phi = rows.center(feature_array(self.features, simulator))
             details["feature_rank"] = warn_of_rank(phi, where=" within rows")
         else:
             points = move_points(simulator, self.coordinates)

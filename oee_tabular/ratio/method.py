@@ -48,7 +48,7 @@ class Given:
     @cached_property
     def visited(self) -> Rows:
         """The rows that the log has."""
-        return self.rows.chosen(self.rows.sums(self.observed) > 0)
+        return self.rows.select(self.rows.sums(self.observed) > 0)
 
     def once(self, make: Callable[..., Any], *arguments: Any) -> Any:
         """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""

@@ -286,7 +286,7 @@ class Influence:
                 pulls[k] = pulls[k] + (part.weight * free * model) @ scores
         steps = [part.moved(pull) for part, pull in zip(parts, pulls, strict=True)]
         total = 0.0
-        for rows in self.rows.chosen(self.n > 0).blocks():
+        for rows in self.rows.select(self.n > 0).blocks():
             n = self.n[rows.number]
             each = rows.spread(self.share[rows.number] / n) * self._by_probability(gradient, rows)
             for part, step in zip(parts, steps, strict=True):
@@ -298,7 +298,7 @@ class Influence:
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
         found = self.ratio * self.rows.weights
-        seen = self.rows.chosen(self.n > 0)
+        seen = self.rows.select(self.n > 0)
         found[seen.entries] = seen.frequencies(self.counts[seen.entries])
         return found
 

@@ -132,7 +132,7 @@ class Tied(Method):
 def _keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     """Keys numbered from 0, one for each entry."""
     if callable(tie):
-        tie = tie(*rows.moves)
+        tie = tie(*rows.transitions)
     elif is_frame(tie):
         from oee_tabular.ratio.tabled import keys_in
 

@@ -84,7 +84,7 @@ def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, 
 
     p, share = counts / counts.sum(), rows.spread(rows.sums(counts)) / counts.sum()
     training = Training(
-        rows.moves,
+        rows.transitions,
         (rows.n_states, rows.n_actions),
         _places(network, rows.n_states),
         p_train,

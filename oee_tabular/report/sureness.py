@@ -168,14 +168,14 @@ def _distance(evidence: Evidence) -> str:
     number = int(tested.sum())
     if number == 0:
         return "The log has no move that could tell the target from the simulator."
-    rows = Rows.of(evidence.model).chosen(tested)
+    rows = Rows.of(evidence.model).select(tested)
     n, phat, moves = evidence.n[tested], evidence.phat[rows.entries], np.diff(rows.indptr)
     kl = rows.sums(special.rel_entr(phat, rows.weights))
     apart = kl > independent_radius(n, moves, 0.05 / number)
     mean = float(np.sum(n * kl - (moves - 1) / 2.0) / n.sum())
     if not apart.any():
         pairs = f"In none of the {number} state-action pairs recorded do its own moves contradict the simulator"
-        phi = rows.centred(np.log(rows.weights))
+        phi = rows.center(np.log(rows.weights))
         score = float(np.sum(rows.spread(n) * (phat - rows.weights) * phi))
         spread = float(np.sum(rows.spread(n) * rows.weights * phi**2))
         z = score / np.sqrt(spread) if spread > 0 else 0.0

@@ -38,7 +38,7 @@ def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=No
 def tilted_along(simulator, phi):
     """The target with rows proportional to P exp(phi), phi at the simulator's entries."""
     rows = Rows.of(simulator)
-    model, _ = rows.tilted(phi)
+    model, _ = rows.tilt(phi)
     return simulator.with_transitions(
         sparse.csr_array(
             (model, simulator.transitions.indices, simulator.transitions.indptr), simulator.transitions.shape
@@ -49,7 +49,7 @@ def tilted_along(simulator, phi):
 def worse(simulator, policy, size=0.5):
     """A target in which everything is a little worse along V."""
     level = dense_values(simulator, policy)[simulator.transitions.indices]
-    column = Rows.of(simulator).centred(level)
+    column = Rows.of(simulator).center(level)
     return tilted_along(simulator, -size * column / column.std())
 
 
@@ -122,11 +122,11 @@ def test_evidence_part_by_part():
                 weight = np.repeat(part.counted * n_row, np.diff(matrix.indptr))
                 raw = float((weight * part.rows) @ scores[:, 0] ** 2)
                 precision = information[0, 0] - raw
-                column = rows.centred((0.9 * dense_values(simulator, policy))[rows.arrival])
+                column = rows.center((0.9 * dense_values(simulator, policy))[rows.arrival])
                 scale = np.sqrt((rows.weights * column**2).sum() / len(rows))
                 level = np.abs(dense_values(simulator, policy)).max()  # the feature is r + gamma V over its largest
                 theta = part.theta["V"] * scale / level
-                expected = rows.tilted(theta * column / scale)[0]
+                expected = rows.tilt(theta * column / scale)[0]
                 assert_allclose(part.rows[told], expected, rtol=1e-8)
                 size = 0.5 * (np.log(information[0, 0]) - np.log(precision) + precision * theta**2)
                 cost = size + 1.0 + 4.0 * missed
@@ -143,7 +143,7 @@ def test_prices_are_paid_by_feature():
     policy = oee.optimal_policy(simulator)
     level = dense_values(simulator, policy)[simulator.transitions.indices]
     only = np.repeat(np.arange(40) % 2 == 1, 5)
-    target = tilted_along(simulator, 2.0 * only * Rows.of(simulator).centred(level) / level.std())
+    target = tilted_along(simulator, 2.0 * only * Rows.of(simulator).center(level) / level.std())
     parts = parts_of(drawn(target, 6.0, 1), simulator, policy)
     several = [part for part in parts if part.theta]
     assert several

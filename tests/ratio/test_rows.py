@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.mdp import rows as of_rows
-from oee_tabular.mdp.rows import Rows, distinct
+from oee_tabular.mdp.rows import Rows, distinct_rows
 
 
 def by_hand(simulator, chosen):
@@ -48,9 +48,9 @@ def test_entries_and_sums_of_chosen_rows(rng):
     centred = np.concatenate([values[p] - rows.weights[p] @ values[p] for p in pieces])
     for few in (0, 10**6):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(of_rows, "FEW", few)  # by a sparse product, and by numpy
-            assert_allclose(rows.centred(values), centred, atol=1e-13)
-    assert_allclose(rows.centred(values[:, 1]), centred[:, 1], atol=1e-13)
+            patch.setattr(of_rows, "SMALL", few)  # by a sparse product, and by numpy
+            assert_allclose(rows.center(values), centred, atol=1e-13)
+    assert_allclose(rows.center(values[:, 1]), centred[:, 1], atol=1e-13)
 
 
 @given(rngs)
@@ -76,13 +76,13 @@ def test_the_mean_of_centred_values_is_zero_in_each_row(d):
     rng = np.random.default_rng(1)
     rows = Rows.of(random_mdp(rng, n_states=6, n_actions=3))
     values = rng.normal(size=(len(rows.arrival), d))
-    assert_allclose(rows.sums(rows.weights[:, None] * rows.centred(values)), 0.0, atol=1e-14)
+    assert_allclose(rows.sums(rows.weights[:, None] * rows.center(values)), 0.0, atol=1e-14)
 
 
 @given(rngs)
 def test_distinct_rows_are_numpys(rng):
     table = rng.integers(-2, 2, size=(rng.integers(1, 40), rng.integers(1, 4))) / 3
-    kinds, kind = distinct(table)
+    kinds, kind = distinct_rows(table)
     expected, place = np.unique(table, axis=0, return_inverse=True)
     assert_array_equal(kinds, expected)
     assert_array_equal(kind, place.reshape(-1))
@@ -95,7 +95,7 @@ def test_distinct_rows_are_numpys(rng):
 def test_blocks_are_the_rows_in_turn(rng, size):
     simulator = random_mdp(rng)
     whole = Rows.of(simulator)
-    chosen = whole.chosen(rng.random(len(whole)) < 0.7) if rng.random() < 0.5 else whole
+    chosen = whole.select(rng.random(len(whole)) < 0.7) if rng.random() < 0.5 else whole
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("oee_tabular.mdp.rows.BLOCK", size)
         blocks = list(chosen.blocks())
@@ -119,7 +119,7 @@ def test_entries_of_some_of_a_blocks_rows():
     assert len(inner) > 1
     assert (inner[0].start, inner[-1].stop) == (second.entries.start, second.entries.stop)
     odd = second.number % 2 == 1
-    some = second.chosen(odd)
+    some = second.select(odd)
     expected = np.concatenate([np.arange(*whole.indptr[k : k + 2]) for k in second.number[odd]])
     assert_array_equal(np.arange(whole.indptr[-1])[some.entries], expected)
 

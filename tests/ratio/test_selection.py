@@ -25,8 +25,8 @@ def problem(seed=0, d=4, n=300, theta=0.0):
     rows = rng.dirichlet(np.full(5, 2.0), (5, 2))
     simulator = oee.FiniteMDP(rows, np.zeros(5), np.full(5, 0.2), 0.9)
     found = Rows.of(simulator)
-    base = found.centred(rng.normal(size=(50, d)))
-    model, _ = found.tilted(base @ np.append(theta, np.zeros(d - np.size(theta))))
+    base = found.center(rng.normal(size=(50, d)))
+    model, _ = found.tilt(base @ np.append(theta, np.zeros(d - np.size(theta))))
     sizes = rng.multinomial(n, np.full(10, 0.1))
     counts = np.concatenate([rng.multinomial(m, p) for m, p in zip(sizes, model.reshape(10, 5), strict=True)]) + 0.0
     allowed = np.ones((3, d), dtype=bool)
@@ -249,7 +249,7 @@ def test_how_much_a_move_counts():
 def test_rows_tilted_by_a_large_exponent():
     rows = Rows.of(random_mdp(np.random.default_rng(0), n_states=4, n_actions=2, zeros=0.0))
     exponent = np.random.default_rng(1).normal(size=len(rows.weights)) * 500
-    model, log_z = rows.tilted(exponent)
+    model, log_z = rows.tilt(exponent)
     assert_allclose(rows.sums(model), 1.0, rtol=1e-13)
     expected = [
         special.logsumexp(exponent[i:j], b=rows.weights[i:j])

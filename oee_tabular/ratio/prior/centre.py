@@ -108,7 +108,7 @@ class Log:
         visited = (tilt.whole.sums(observed) > 0) & (np.diff(tilt.whole.indptr) > 1)
         if not visited.any():
             return None
-        rows = tilt.whole.chosen(visited)
+        rows = tilt.whole.select(visited)
         counts = observed[rows.entries]
         levels = smooth_functions(simulator, SMOOTH, graph)
         return cls(rows, counts, kinds_of_rows(counts, rows), tilt.at(rows)[0], levels)
@@ -187,7 +187,7 @@ def _of_features(
 
     def at(rows: Rows) -> tuple[Array, Array]:
         columns = columns_of(fitted.chosen, lambda j: features[j].column(rows), scale, rows.spread(rows.action))
-        model, _ = rows.tilted(columns @ fitted.theta)
+        model, _ = rows.tilt(columns @ fitted.theta)
         return model, columns - rows.spread(rows.mean(model, columns))
 
     names = [name_of(chosen, features) for chosen in fitted.chosen]

@@ -27,7 +27,7 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import DIGITS, Rows, distinct
+from oee_tabular.mdp.rows import DIGITS, Rows, distinct_rows
 from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 SMOOTH, MOVES = 3, 8  # functions on the graph, displacements
@@ -55,7 +55,7 @@ class Feature:
 
     def column(self, rows: Rows) -> Array:
         """Its values at the entries of ``rows``, centred in each row under the simulator."""
-        found = rows.centred(np.asarray(self.values(rows), dtype=np.float64))
+        found = rows.center(np.asarray(self.values(rows), dtype=np.float64))
         if not self.by_deviation:
             return found
         deviation = np.sqrt(rows.sums(rows.weights * found**2))
@@ -130,7 +130,7 @@ def _ahead(simulator: FiniteMDP, level: Array) -> Callable[[Rows], Array]:
 def _displacements(simulator: FiniteMDP, rows: Rows) -> list[Feature]:
     """Indicators of the most frequent displacements that some row can choose against another."""
     places = _places(simulator)
-    kinds, kind = distinct(_steps(places, rows))
+    kinds, kind = distinct_rows(_steps(places, rows))
     mass = np.bincount(kind, weights=rows.weights) / max(len(rows), 1)
     order = np.argsort(-np.round(mass, 12), kind="stable")[:MOVES]
     return [

@@ -67,7 +67,7 @@ class LocalTilt:
     def at(self, rows: Rows) -> tuple[Array, sparse.csr_array]:
         """(entries,) the tilted rows, and the scores, csr (entries, (K + 1) d): d log zeta / d (u, theta)."""
         phi = self.tilt.phi(rows)
-        model, _ = rows.tilted(np.einsum("ij,ij->i", phi, rows.spread(self.theta[rows.state])))
+        model, _ = rows.tilt(np.einsum("ij,ij->i", phi, rows.spread(self.theta[rows.state])))
         group, nodes = rows.spread(self.graph.group[rows.state]), self.graph.penalty.shape[0]
         return model, _scatter(phi - rows.spread(rows.mean(model, phi)), group, nodes)
 
@@ -192,7 +192,7 @@ def fit_local_tilt(
     ``tilt`` is the best one for all states, ``graph`` that of ``neighbours``, where it is known. Cost: about ten values of
     lambda, four Newton steps each, a step O(visited entries d^2) and a sparse factor of (K + 1) d unknowns, K <= 1024 / d.
     """
-    rows = tilt.whole.chosen(tilt.whole.sums(observed) > 0)
+    rows = tilt.whole.select(tilt.whole.sums(observed) > 0)
     graph = neighbours(simulator, width=len(tilt.coefficients)) if graph is None else graph
     risk = LocalRisk(rows, observed[rows.entries], tilt.phi(rows), graph, np.inf)
     search = _Search(risk, tilt.coefficients)

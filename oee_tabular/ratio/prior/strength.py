@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.mdp.rows import Rows, distinct
+from oee_tabular.mdp.rows import Rows, distinct_rows
 from oee_tabular.ratio.prior._kernels import Counts, evidence_by_kind
 
 SMALLEST, LARGEST = 1.0, 1e8  # at least one move: few moves must not talk the evidence out of a row of the prior
@@ -67,7 +67,7 @@ def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
     """
     shape = [rows.largest(rows.weights), rows.sums(rows.weights**2), rows.sums(rows.weights**3)]
     keys = np.column_stack([np.diff(rows.indptr), *np.round(shape, 6)])
-    _, kind = distinct(keys)
+    _, kind = distinct_rows(keys)
     n_row, size = rows.sums(observed), int(kind.max()) + 1
     few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (np.bincount(kind, n_row, size) < FEWEST_MOVES)
     return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)

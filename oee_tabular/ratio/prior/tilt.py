@@ -68,7 +68,7 @@ class Tilt:
     def at(self, rows: Rows) -> tuple[Array, Array]:
         """(entries,) the tilted rows, and the scores (entries, d): phi less its mean under the tilt."""
         phi = self.phi(rows)
-        model, _ = rows.tilted(phi @ self.coefficients)
+        model, _ = rows.tilt(phi @ self.coefficients)
         return model, phi - rows.spread(rows.mean(model, phi))
 
     @property
@@ -104,7 +104,7 @@ class TiltRisk:
     def value(self, theta: Array) -> tuple[float, Array]:
         """f, and the rows under the tilt."""
         exponent = self.exponent(theta)
-        model, log_normalizer = self.rows.tilted(exponent)
+        model, log_normalizer = self.rows.tilt(exponent)
         return float(self.n @ log_normalizer - self.counts @ exponent) + self.penalty(theta), model
 
     def slopes(self, theta: Array, model: Array) -> tuple[Array, Any]:
@@ -182,7 +182,7 @@ def fit_default_tilt(observed: Array, simulator: FiniteMDP, *, solver: str = "du
     second number also bends the rows that one power fits.
     """
     whole = Rows.of(simulator) if whole is None else whole
-    visited = whole.chosen(whole.sums(observed) > 0)
+    visited = whole.select(whole.sums(observed) > 0)
     counts = observed[visited.entries]
     one = _fit(counts, visited, _powers(1), whole, solver)
     two = _fit(counts, visited, _powers(2), whole, solver)
@@ -217,7 +217,7 @@ def fit_tilt(
     Cost: O(visited entries d^2) a step, about ten steps, and a pass over all. ``whole``: ``Rows.of(simulator)``, where known.
     """
     whole = Rows.of(simulator) if whole is None else whole
-    visited = whole.chosen(whole.sums(observed) > 0)
+    visited = whole.select(whole.sums(observed) > 0)
     counts = observed[visited.entries]
     if features is None:
         return _fit(counts, visited, _powers(1), whole, solver)
@@ -230,7 +230,7 @@ def _fit(counts: Array, visited: Rows, columns: Columns, whole: Rows, solver: st
     sums: Any = 0.0
     largest = 1.0
     for rows in whole.blocks():
-        each = rows.centred(columns(rows))
+        each = rows.center(columns(rows))
         sums = sums + (each * rows.weights[:, None]).T @ each
         largest = max(largest, float(np.abs(each).max(initial=0.0)))
     gram = sums / len(whole)
@@ -240,7 +240,7 @@ def _fit(counts: Array, visited: Rows, columns: Columns, whole: Rows, solver: st
     rank = _rank(gram / np.outer(scale, scale), d, warn=warn)
 
     def phi(rows: Rows) -> Array:
-        return np.asarray(rows.centred(columns(rows)) / scale)
+        return np.asarray(rows.center(columns(rows)) / scale)
 
     found = minimise(TiltRisk(visited, counts, phi(visited), np.ones(d)), np.zeros(d), solver)
     gap = found.gap / max(float(counts.sum()), 1.0)

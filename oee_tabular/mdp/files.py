@@ -1,0 +1,74 @@
+"""A FiniteMDP as the plain arrays of an npz file: csr parts of P and r(s, a, s'), the others as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular import _checks
+from oee_tabular._sparse import csr_from_parts
+from oee_tabular.mdp.naming import from_text, to_text
+from oee_tabular.mdp.samples import Sampling
+
+if TYPE_CHECKING:
+    from oee_tabular.mdp.finite_mdp import FiniteMDP
+
+_PARTS = ("data", "indices", "indptr")
+_NAMES = ("state_names", "action_names")
+
+
+def file_arrays(mdp: FiniteMDP, layout: object) -> dict[str, Any]:
+    """Return what a file holds; ``layout``: the one that was given, without the coordinates of names."""
+    arrays: dict[str, Any] = {
+        "shape": np.array(mdp.rewards.shape),
+        "initial": mdp.initial,
+        "discount": np.array(mdp.discount),
+        "terminal_state": mdp.terminal_state,
+    }
+    tables: dict[str, Any] = {"transitions": mdp.csr, "rewards": mdp.transition_rewards}
+    if mdp.reward_data is None:
+        arrays["rewards"] = mdp.rewards
+    if layout is not None:
+        arrays["layout"] = layout
+    if mdp.sampling is not None:
+        arrays |= {"sampling_pairs": mdp.sampling.pairs, "sampling_starts": np.array(mdp.sampling.starts)}
+        tables["sampling_error"] = mdp.sampling.reward_error
+    for name, table in tables.items():
+        arrays |= {} if table is None else {f"{name}_{part}": getattr(table, part) for part in _PARTS}
+    return arrays | {name: to_text(names) for name in _NAMES if (names := getattr(mdp, name)) is not None}
+
+
+def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of ``FiniteMDP`` from what a file holds; KeyError or ValueError for what is none."""
+    sizes = arrays["shape"]
+    if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
+        raise ValueError(f"shape must be two positive integers, states and actions; it is {sizes.tolist()!r:.80}")
+    n_states, n_actions = sizes.tolist()
+    shape = n_states * n_actions, n_states
+    rewards = arrays["rewards"] if "rewards" in arrays else _stored_csr(arrays, "rewards", shape)
+    return {
+        "transitions": _stored_csr(arrays, "transitions", shape),
+        "rewards": rewards,
+        "initial": arrays["initial"],
+        "discount": float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
+        "terminal_state": arrays["terminal_state"],
+        "layout": arrays.get("layout"),
+        "sampling": _stored_sampling(arrays, shape) if "sampling_pairs" in arrays else None,
+    } | {name: from_text(arrays[name], name) for name in _NAMES if name in arrays}
+
+
+def _stored_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> sparse.csr_array:
+    data, indices, indptr = (arrays[f"{name}_{part}"] for part in _PARTS)
+    return csr_from_parts(data, indices, indptr, shape, name)
+
+
+def _stored_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling:
+    pairs = _checks.float_array(arrays["sampling_pairs"], "sampling_pairs", ndim=1)
+    starts = float(_checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0))
+    if pairs.shape != shape[:1] or not (pairs >= 0).all() or not starts > 0:
+        raise ValueError(f"sampling_pairs must be {shape[0]} numbers of samples, and sampling_starts positive")
+    error = _stored_csr(arrays, "sampling_error", shape) if "sampling_error_data" in arrays else None
+    return Sampling(pairs, starts, error)
