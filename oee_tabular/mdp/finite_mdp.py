@@ -178,8 +178,7 @@ class FiniteMDP:
 
     def absorbing(self) -> BoolArray:
         """(S,) mask of the terminal states: closed, with reward 0."""
-        unpaid: BoolArray = np.all(self.rewards == 0.0, axis=1)
-        return self.closed() & unpaid
+        return np.asarray(self.closed() & (self.rewards == 0.0).all(axis=1))
 
     def closed(self) -> BoolArray:
         """(S,) mask of the states that every action leads back to."""
@@ -204,10 +203,8 @@ class FiniteMDP:
             undefined = np.flatnonzero(~align(self.transition_rewards, csr)[1])
             if undefined.size:
                 first = "; ".join(name_transition(csr, k, self.n_actions, self.names) for k in undefined[:3])
-                raise ValueError(
-                    f"new transitions must stay where r(s, a, s') is defined; {undefined.size} transitions do not, "
-                    f"the first: {first}"
-                )
+                rule = "new transitions must stay where r(s, a, s') is defined"
+                raise ValueError(f"{rule}; {undefined.size} transitions do not, the first: {first}")
         return self._replace(transitions=csr, sampling=None)
 
     def with_rewards(self, rewards: object) -> Self:
