@@ -27,7 +27,6 @@ KINDS = {
     "finite_mdp": "FiniteMDP",
     "transitions": "log of numbered states (Transitions)",
     "transition_counts": "counted log (TransitionCounts)",
-    "transition_counts_partial": "count that was stopped",
     "continuous_transitions": "log of continuous states (ContinuousTransitions)",
 }
 FORMULA = re.compile(

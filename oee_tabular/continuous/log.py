@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data.columns import Log, integers
-from oee_tabular.data.files import COLUMNS, Columns, Format, is_minari, minari_episodes
-from oee_tabular.data.tables import csv_header, meant, parquet_header
+from oee_tabular.data.files import Columns, Format, is_minari, minari_episodes
+from oee_tabular.data.labels import COLUMNS, suggest_columns
+from oee_tabular.data.reader import csv_labels, parquet_labels
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
@@ -71,20 +72,31 @@ class VectorFormat(Format):
                 columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
         return columns
 
+    def require_labels(self, labels: Sequence[str], name: str) -> None:
+        """The vectors of a move are there, before their numbers are looked at."""
+        whole = [
+            label if label in COLUMNS else match[1]
+            for label in labels
+            if (match := NUMBERED.fullmatch(label)) or label in COLUMNS
+        ]
+        self._require_move(whole, labels, name)
+
     def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
         """The three of a move, and not of a move between numbered states."""
-        absent = [column for column in self.required if column not in columns]
-        if absent:
-            found = [*columns, *(label for label in labels if not self.known(label))]
-            raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
-                f"{', no '.join(absent)}, only {', '.join(found) or 'nothing':.300}"
-                + meant(("state_0", "next_state_0", *self.required), found)
-            )
+        self._require_move(list(columns), labels, name)
         if columns["state"].ndim == 1 and columns["next_state"].ndim == 1:
             raise ValueError(
                 f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered "
                 "states"
+            )
+
+    def _require_move(self, columns: Sequence[str], labels: Sequence[str], name: str) -> None:
+        absent = [column for column in self.required if column not in columns]
+        if absent:
+            raise ValueError(
+                f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
+                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
+                + suggest_columns(("state_0", "next_state_0", *self.required), labels)
             )
 
     def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
@@ -110,9 +122,9 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
     if suffix == ".npz":
         return _files.npz_kind(_files.read_npz(name)) == VECTORS.kind
     if suffix == ".csv":
-        return "state_0" in _header(csv_header, name)
+        return "state_0" in _header(csv_labels, name)
     if suffix == ".parquet":
-        return "state_0" in _header(parquet_header, name)
+        return "state_0" in _header(parquet_labels, name)
     if not is_minari(name):
         return False
     first = next(iter(minari_episodes(name)), None)

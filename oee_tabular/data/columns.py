@@ -20,6 +20,7 @@ class Log:
     """The columns of a log, (n,) or, where states are vectors, (n, d); those of ``Transitions`` are described there."""
 
     FILES: ClassVar[files.Format]
+    ALLOWS_MISSING_REWARDS: ClassVar[bool] = False
 
     state: Column
     action: Column
@@ -52,8 +53,8 @@ class Log:
             "timestep": timestep,
             "behavior_probability": behavior_probability,
         }
-        readers: dict[str, Callable[[Any, str], Column]] = {
-            "reward": lambda value, name: _checks.float_array(value, name, ndim=1),
+        readers: dict[str, Callable[[Any, str], Column | None]] = {
+            "reward": self._check_reward,
             "terminated": booleans,
             "truncated": booleans,
             "episode": lambda value, name: integers(_numbered(value), name, low=None),
@@ -68,7 +69,7 @@ class Log:
         n = lengths["state"]
         if n == 0:
             raise ValueError("state must have at least one row; the log is empty")
-        _check_numbers(columns["reward"], columns["behavior_probability"])
+        _check_probability(columns["behavior_probability"])
         if columns["terminated"] is None:
             columns["terminated"] = np.zeros(n, dtype=np.bool_)
         if columns["episode"] is not None:
@@ -77,6 +78,16 @@ class Log:
             columns["truncated"] = np.zeros(n, dtype=np.bool_)
         for name, column in columns.items():
             object.__setattr__(self, name, None if column is None else freeze(column))
+
+    @classmethod
+    def _check_reward(cls, value: Any, name: str) -> Array | None:
+        """Finite numbers; nan is a missing one, where that is allowed, and None a column without any."""
+        reward = _checks.float_array(value, name, ndim=1)
+        if not cls.ALLOWS_MISSING_REWARDS:
+            _checks.require_finite(reward, name)
+            return reward
+        _checks.require_finite(np.where(np.isnan(reward), 0.0, reward), name)
+        return None if reward.size and np.isnan(reward).all() else reward
 
     @staticmethod
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
@@ -137,6 +148,8 @@ class Log:
     def concatenate(cls, logs: Sequence[Self]) -> Self:
         """One log of several, in their order: episodes are numbered on; a column that one of them lacks is dropped.
 
+        Rewards that one of them lacks are missing there, nan.
+
         Examples
         --------
         >>> from oee_tabular import Transitions
@@ -148,6 +161,10 @@ class Log:
         if not parts or not all(isinstance(log, cls) for log in parts):
             raise ValueError(f"logs must be one or more {cls.__name__}; got {parts!r:.80}")
         columns = [log.columns() for log in parts]
+        if cls.ALLOWS_MISSING_REWARDS and any("reward" in part for part in columns):
+            columns = [
+                part if "reward" in part else part | {"reward": np.full(len(part["state"]), np.nan)} for part in columns
+            ]
         joined = {
             name: [part[name] for part in columns] for name in columns[0] if all(name in part for part in columns)
         }
@@ -179,16 +196,16 @@ class Log:
         Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
         vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
         """
-        logs = [cls._load_one(name) for name in files.log_files(path)]
+        logs = [cls._load_file(file) for file in files.find_log_files(path)]
         return logs[0] if len(logs) == 1 else cls.concatenate(logs)
 
     @classmethod
-    def _load_one(cls, path: str | os.PathLike[str]) -> Self:
-        columns = files.load(cls.FILES, path)
+    def _load_file(cls, file: files.LogFile) -> Self:
+        columns = files.load(cls.FILES, file)
         try:
             return cls(**columns)
         except ValueError as error:
-            raise ValueError(f"{_files.local(path)!r}: {error}") from None
+            raise ValueError(f"{_files.local(file.path)!r}: {error}") from None
 
 
 def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
@@ -247,9 +264,7 @@ def booleans(value: object, name: str) -> BoolArray:
     return true
 
 
-def _check_numbers(reward: Array | None, probability: Array | None) -> None:
-    if reward is not None:
-        _checks.require_finite(reward, "reward")
+def _check_probability(probability: Array | None) -> None:
     if probability is not None:
         bad = np.flatnonzero(~((probability >= 0) & (probability <= 1)))
         if bad.size:

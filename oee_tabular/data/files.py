@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import glob
+import importlib.util
 import os
+import re
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular import _files
+from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
-from oee_tabular.data.tables import csv_frame, parquet_frame, plain_csv, require_columns, require_module, warn_left_out
+from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
+from oee_tabular.data.reader import LogFile, csv_labels, read_columns, write_parquet
 from oee_tabular.mdp.naming import Name, from_text, to_text
 
-TABLES = (".csv", ".parquet")
-MOVE = ("state", "action", "next_state")
-COLUMNS = (
-    "state",
-    "action",
-    "next_state",
-    "reward",
-    "terminated",
-    "truncated",
-    "episode",
-    "timestep",
-    "behavior_probability",
-)
-FLAG = "U6"  # True, False, 0 or 1, and a letter that would be too many
-TYPES = dict(zip(COLUMNS, ("i8", "i8", "i8", "f8", FLAG, FLAG, "i8", "i8", "f8"), strict=True))
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
+ENDINGS = (".csv", ".parquet", ".npz", ".csv.gz")
 Columns = dict[str, Column]
 
 
@@ -45,7 +35,7 @@ class Format:
     way = (
         "; in Python, several to a state as well: Transitions.from_frame(frame, state='its name', ...).save('log.csv')"
     )
-    endings = ".npz, .csv, .parquet, or be a Minari folder or id"
+    endings = ".npz, .csv, .csv.gz, .parquet, or be a Minari folder or id"
 
     def known(self, label: str) -> bool:
         """Whether a table's column is one of a log's."""
@@ -70,9 +60,13 @@ class Format:
         """The columns of a log, of those of the table ``name``."""
         return flat
 
-    def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
-        """ValueError where a file with these labels is no log of this kind."""
+    def require_labels(self, labels: Sequence[str], name: str) -> None:
+        """ValueError where a table with these labels is no log of this kind, before it is read."""
         require_columns(repr(name), self.required, labels, way=self.way)
+
+    def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
+        """ValueError where a file with these columns is no log of this kind."""
+        require_columns(repr(name), self.required, columns, way=self.way)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """ValueError where a Minari episode is none of such a log."""
@@ -99,72 +93,120 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
         form.save_data_set(log, name)
     elif suffix == ".npz":
         _files.save_npz(name, form.kind, form.stored(log.columns()))
-    elif suffix in TABLES:
+    elif suffix == ".csv":
         import pandas as pd
 
-        frame = pd.DataFrame(form.flat(log.columns()))
-        if suffix == ".parquet":
-            require_module("pyarrow", "parquet")
         with _files.whole_file(name) as handle:
-            (frame.to_csv if suffix == ".csv" else frame.to_parquet)(handle, index=False)
+            pd.DataFrame(form.flat(log.columns())).to_csv(handle, index=False)
+    elif suffix == ".parquet":
+        with _files.whole_file(name) as handle:
+            write_parquet(handle.name, form.flat(log.columns()))
     else:
         raise form.refuse(name)
 
 
-def load(form: Format, path: str | os.PathLike[str]) -> Columns:
+def load(form: Format, file: LogFile) -> Columns:
     """The columns of a log in the format that the path's ending names; unknown ones are left out with a warning."""
-    name = _files.local(path)
-    suffix = Path(name).suffix.lower()
-    if suffix == ".npz":
+    name = _files.local(file.path)
+    if file.suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
         columns.pop(_files.KIND)
         labels = list(columns)
         with _files.parts_of(name, "a log"):
-            columns = form.read({column: columns[column] for column in labels if column in COLUMNS})
-    elif suffix == ".csv" and (plain := plain_csv(name, TYPES)):
-        columns, labels = form.gathered(plain, name), list(plain)
-    elif suffix in TABLES:
-        frame = (csv_frame if suffix == ".csv" else parquet_frame)(name, form.known)
-        flat = {str(label): frame[label].to_numpy() for label in frame.columns if form.known(str(label))}
-        _refuse_missing(frame, flat, name)
-        columns, labels = form.gathered(flat, name), frame.attrs["labels"]
+            columns = form.read(columns)
+        unknown = [label for label in labels if label not in COLUMNS]
+        if unknown:
+            raise ValueError(f"{name!r} must hold the columns of a log alone; it has {_checks.show(unknown[0])}")
+        form.require(columns, labels, name)
+    elif file.suffix in (".csv", ".parquet"):
+        flat, labels = read_columns(file, form.known, lambda given: form.require_labels(given, name))
+        columns = form.gathered(flat, name)
+        form.require(columns, labels, name)
+        warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=4)
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
-        labels = list(columns)
     else:
         raise form.refuse(name)
-    form.require(columns, labels, name)
-    warn_left_out(name, [label for label in labels if not form.known(label)], COLUMNS, level=3)
     return {column: columns[column] for column in COLUMNS if column in columns}
 
 
-def log_files(path: Any) -> list[str]:
-    """The files of a log: a file, a Minari data set, a folder of files, a pattern, or a list of these."""
-    if isinstance(path, list | tuple):
-        names = [name for one in path for name in log_files(one)]
-        if not names:
-            raise ValueError("path must name at least one file; it is an empty list")
-        again = sorted({name for name in names if names.count(name) > 1})
-        if again:
-            raise ValueError(f"path must name each file once; {again[0]!r} is named twice")
-        return names
-    name = _files.local(path)
+def find_log_files(path: Paths, *, tables_only: bool = False) -> list[LogFile]:
+    """The files that a path, a folder, a pattern or a list of them names, in the order of their names.
+
+    Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them; folders
+    ``column=value`` name a column [1]. A Minari data set is one file, unless there must be ``tables_only``.
+
+    [1] Apache Hive.
+    """
+    given = [path] if isinstance(path, str | os.PathLike) else list(_checks.collection(path, "path", "paths of files"))
+    some = [file for one in given for file in _files_at(_files.local(one), tables_only)]
+    if not some:
+        raise ValueError("path must name files; it is an empty list")
+    again = {file.path for k, file in enumerate(some) if file.path in {other.path for other in some[:k]}}
+    if again:
+        raise ValueError(f"path must name each file once; {sorted(again)[0]!r} is named twice")
+    return some
+
+
+def _files_at(name: str, tables_only: bool) -> list[LogFile]:
+    """The files of a folder, a file, or those that a pattern names."""
     place = Path(name)
     if place.is_dir():
-        inside = [one for one in sorted(place.rglob("*")) if _is_data_file(one.relative_to(place)) and one.is_file()]
-        return [str(one) for one in inside] or [name]
-    if glob.has_magic(name) and not place.exists():
-        some = [one for one in sorted(glob.glob(name, recursive=True)) if Path(one).is_file()]
-        if not some:
+        below = [(file, file.relative_to(place)) for file in sorted(place.rglob("*")) if file.is_file()]
+        inside = [LogFile(str(file), _fixed(way)) for file, way in below if _is_data_file(way)]
+        if not inside and tables_only:
+            raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
+        return inside or [LogFile(name)]
+    if place.is_file() or not glob.has_magic(name):
+        if tables_only and not place.is_file():
             raise FileNotFoundError(2, "no such file", name)
-        return some
-    return [name]
+        if tables_only and not name.lower().endswith(ENDINGS):
+            raise ValueError(f"path must end in {', '.join(ENDINGS)}, or be a folder; it is {name!r}")
+        return [LogFile(name)]
+    matching = [Path(file) for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
+    if not matching:
+        raise FileNotFoundError(2, "no file matches the pattern", name)
+    return [LogFile(str(file), _fixed(file)) for file in matching]
 
 
 def _is_data_file(path: Path) -> bool:
-    """Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them."""
-    hidden = any(step.startswith((".", "_")) for step in path.parts)
-    return not hidden and path.suffix.lower() in (*TABLES, ".npz")
+    is_hidden = any(step.startswith((".", "_")) for step in path.parts)
+    return not is_hidden and path.name.lower().endswith(ENDINGS)
+
+
+def _fixed(path: Path) -> tuple[tuple[str, str], ...]:
+    """Columns that folders name, as Hive does."""
+    steps = (step.partition("=") for step in path.parts[:-1])
+    return tuple((label, value) for label, equals, value in steps if equals and label in COLUMNS)
+
+
+def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
+    """A file's path below what all have in common: the same wherever a folder stands."""
+    common = os.path.commonpath([os.path.dirname(os.path.abspath(one.path)) for one in files])
+    return re.sub(r"[\\/]+", "/", os.path.relpath(os.path.abspath(file.path), common))
+
+
+def require_module(module: str, extra: str) -> None:
+    """ImportError that names the extra where a module is missing."""
+    if importlib.util.find_spec(module) is None:
+        raise ImportError(f"{module} is not installed; in a clone: pip install '.[{extra}]'")
+
+
+def csv_frame(path: str) -> Any:
+    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError for another file."""
+    import pandas as pd
+
+    name = _files.local(path)
+    csv_labels(name)
+    old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # later ones need no option
+    options: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+    try:
+        with open(name, "rb") as handle, warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
+            warnings.simplefilter("ignore", pd.errors.DtypeWarning)
+            return pd.read_csv(handle, index_col=False, **options)
+    except (pd.errors.ParserWarning, ValueError, OverflowError) as error:
+        raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
 
 
 def _texts(names: Column) -> Column:
@@ -176,14 +218,6 @@ def as_objects(names: Sequence[Name]) -> Column:
     array = np.empty(len(names), dtype=object)
     array[:] = names
     return array
-
-
-def _refuse_missing(frame: Any, columns: Columns, name: str) -> None:
-    """Each of a log's own columns has a value in every row; vectors are checked where they are put together."""
-    for label in columns:
-        missing = np.flatnonzero(frame[label].isna().to_numpy()) if label in COLUMNS else np.zeros(0)
-        if missing.size:
-            raise ValueError(f"column {label!r} of {name!r} must have a value in every row; row {missing[0]} has none")
 
 
 def is_minari(name: str) -> bool:

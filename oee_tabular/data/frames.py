@@ -11,8 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Column
-from oee_tabular.data.files import COLUMNS, MOVE
-from oee_tabular.data.tables import SEPARATORS, meant
+from oee_tabular.data.labels import COLUMNS, MOVE, SEPARATORS, suggest_columns
 from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
@@ -43,7 +42,7 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
             raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
     table = eager(frame)
     asked = _asked([str(label) for label in table.columns], column_names)
-    parts = {field: [_values(table, label) for label in group] for field, group in asked.items()}
+    parts = {field: [_values(table, label, field) for label in group] for field, group in asked.items()}
     return {  # several as tuples
         field: several[0] if len(several) == 1 else list(zip(*(part.tolist() for part in several), strict=True))
         for field, several in parts.items()
@@ -58,7 +57,7 @@ def _asked(labels: list[str], column_names: Mapping[str, object]) -> dict[str, l
     if missing:
         shown = f"{', '.join(labels):.300}" or "none"
         raise ValueError(
-            f"frame must have the columns {', '.join(MOVE)}; it has {shown}{_meant(missing, labels)} "
+            f"frame must have the columns {', '.join(MOVE)}; it has {shown}{_suggest(missing, labels)} "
             f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
     used = {label for group in asked.values() for label in group}
@@ -96,18 +95,20 @@ def _labels(field: str, given: object, labels: list[str]) -> list[str]:
     return group
 
 
-def _meant(missing: list[str], labels: list[str]) -> str:
-    return "" if any(mark in labels[0] for mark in SEPARATORS if len(labels) == 1) else meant(missing, labels)
+def _suggest(missing: list[str], labels: list[str]) -> str:
+    return "" if any(mark in labels[0] for mark in SEPARATORS if len(labels) == 1) else suggest_columns(missing, labels)
 
 
-def _values(table: Any, label: str) -> Column:
-    """A column's values; ValueError for a row that has none."""
+def _values(table: Any, label: str, field: str) -> Column:
+    """A column's values; ValueError for a row that has none, but for a reward, which is nan."""
     series = table[label]
     absent = series.is_null().to_numpy()
     values = np.asarray(series.to_numpy())
     if values.dtype.kind == "f":
         absent = absent | np.isnan(values)
     rows = np.flatnonzero(absent)
+    if rows.size and field == "reward":
+        return np.array([np.nan if none else value for none, value in zip(absent, values, strict=True)])
     if rows.size:
         raise ValueError(f"column {label!r} of the frame must have a value in every row; row {rows[0]} has none")
     return values

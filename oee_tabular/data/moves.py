@@ -15,12 +15,13 @@ SPARE = 8  # bytes of a table that counts, for each byte of the column: beyond i
 
 
 class Moves(NamedTuple):
-    """Of each row of a log: how many moves it stands for, the sum of their rewards, the least and the largest, (n,) each."""
+    """Of each row of a log: how many transitions it stands for, and of their rewards the sum, least, largest and number."""
 
     number: Array
     reward_sum: Array | None
     reward_min: Array | None
     reward_max: Array | None
+    reward_count: Array | None  # of the transitions that have a reward
 
 
 def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:

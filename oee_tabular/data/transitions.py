@@ -35,7 +35,7 @@ class Transitions(Log):
         Names are texts, or tuples of texts and numbers, none of which reads as a number. They are numbered in the order
         in which they first stand there (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
         which ``Problem`` and ``transition_ratio`` do by themselves.
-    reward : (n,) finite numbers, optional
+    reward : (n,) finite numbers, optional; nan where one is missing (without any, ``log.reward`` is None)
     terminated : (n,) booleans, optional
         The move ended the task. Default: none did.
     episode : (n,) integers or texts, optional
@@ -64,6 +64,7 @@ class Transitions(Log):
     """
 
     FILES: ClassVar[files.Format] = files.Format()
+    ALLOWS_MISSING_REWARDS: ClassVar[bool] = True
     open: ClassVar[Callable[..., Any]]  # counts files of any size; ``data``'s own, which knows counts and logs
 
     state: IntArray
@@ -227,7 +228,11 @@ class Transitions(Log):
 
     def moves(self) -> Moves:
         """Each row with the one move that it stands for and what it paid."""
-        return Moves(np.ones(len(self)), self.reward, self.reward, self.reward)
+        if self.reward is None:
+            return Moves(np.ones(len(self)), None, None, None, None)
+        has_reward = ~np.isnan(self.reward)
+        total = np.where(has_reward, self.reward, 0.0)
+        return Moves(np.ones(len(self)), total, self.reward, self.reward, has_reward.astype(np.float64))
 
     def led_to(self, next_state: IntArray) -> Transitions:
         """The same with other next states."""
@@ -259,8 +264,8 @@ class Transitions(Log):
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
             "state_action_pairs_seen": None,
-            "reward_min": None if self.reward is None else float(self.reward.min()),
-            "reward_max": None if self.reward is None else float(self.reward.max()),
+            "reward_min": None if self.reward is None else float(np.nanmin(self.reward)),
+            "reward_max": None if self.reward is None else float(np.nanmax(self.reward)),
             "behavior_probability": self.behavior_probability is not None,
         }
 

@@ -123,9 +123,15 @@ def _rewards_of_rows(problem: Problem) -> Array:
     rows = log.state * n_actions + log.action
     size = problem.simulator.n_states * n_actions
     moves = log.moves()
-    pay = simulator_rewards(problem.simulator, log) * moves.number if moves.reward_sum is None else moves.reward_sum
-    paid = np.bincount(rows, weights=pay, minlength=size)
-    number = np.bincount(rows, weights=moves.number, minlength=size)
+    if moves.reward_sum is None or moves.reward_count is None:
+        total, count = simulator_rewards(problem.simulator, log) * moves.number, moves.number
+    else:
+        total, count = moves.reward_sum, moves.reward_count
+        unpaid = np.bincount(rows, weights=count, minlength=size)[rows] == 0  # rewards are missing: the simulator's
+        total = np.where(unpaid, simulator_rewards(problem.simulator, log) * moves.number, total)
+        count = np.where(unpaid, moves.number, count)
+    paid = np.bincount(rows, weights=total, minlength=size)
+    number = np.bincount(rows, weights=count, minlength=size)
     return np.divide(paid, number, out=np.zeros(size), where=number > 0)
 
 

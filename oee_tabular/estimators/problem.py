@@ -244,9 +244,12 @@ class Problem:
         )
 
     def rewards_of(self, log: Transitions) -> Array:
-        """The log's rewards, or the simulator's where the log has none."""
+        """The log's rewards, and the simulator's where the log has none."""
         _checks.instance(log, Transitions, "log", "Transitions")
-        return simulator_rewards(self.simulator, log) if log.reward is None else log.reward
+        if log.reward is not None and not np.isnan(log.reward).any():
+            return log.reward
+        simulated = simulator_rewards(self.simulator, log)
+        return simulated if log.reward is None else np.where(np.isnan(log.reward), simulated, log.reward)
 
 
 class Made(dict[Any, Any]):

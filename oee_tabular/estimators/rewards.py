@@ -45,13 +45,15 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
     """The simulator, paying the log's mean reward for the moves that the log has."""
     moves = log.moves()
     assert moves.reward_sum is not None
+    assert moves.reward_count is not None
     shape = simulator.transitions.shape
     rows = log.state * simulator.n_actions + log.action
     total = csr_from_entries(rows, log.next_state, moves.reward_sum, shape)
-    seen = csr_from_entries(rows, log.next_state, moves.number, shape)
+    seen = csr_from_entries(rows, log.next_state, moves.reward_count, shape)
     matrix = simulator.transitions
     paid, known = align(total, matrix)
     often, _ = align(seen, matrix)
+    known &= often > 0  # rewards may be missing
     own = simulator.reward_data
     if own is None:
         own = np.repeat(simulator.rewards.reshape(-1), np.diff(matrix.indptr))
@@ -61,8 +63,8 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
 
 def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:
     """Where the log pays something else than the simulator for the same move; None: nowhere."""
-    number, _, least, most = log.moves()
-    if least is None or most is None:
+    _, _, least, most, number = log.moves()
+    if least is None or most is None or number is None:
         return None
     expected = simulator_rewards(simulator, log)
     scale = max(1.0, float(np.abs(expected).max()))

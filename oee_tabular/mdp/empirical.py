@@ -33,6 +33,9 @@ def log_arguments(
     if rewards is None and log.reward is None:
         raise ValueError("rewards must be given where the log has none; they are None")
     paid = np.zeros(len(columns[0])) if log.reward is None else log.reward
+    if rewards is None and np.isnan(paid).any():
+        raise ValueError("rewards must be given where some rows of the log have none; they are None")
+    paid = np.nan_to_num(paid)
     first = columns[0] if log.episode_starts is None else columns[0][log.episode_starts[:-1]]
     law = None
     if initial is not None:

@@ -59,9 +59,10 @@ def add_support(mdp: FiniteMDP, log: object, epsilon: object) -> dict[str, Any]:
     own, is_defined = align(table, new)
     value = mdp.rewards.reshape(-1)[row_of_entry(new)]
     if reward is not None:
-        total, is_paid = align(csr_from_entries(rows, columns, reward, shape), new)
-        count, _ = align(observed, new)
-        value = np.where(is_paid, total / np.where(is_paid, count, 1.0), value)
+        has_reward = ~np.isnan(reward)  # some may be missing
+        total, _ = align(csr_from_entries(rows, columns, np.where(has_reward, reward, 0.0), shape), new)
+        count, _ = align(csr_from_entries(rows, columns, has_reward.astype(np.float64), shape), new)
+        value = np.where(count > 0, total / np.where(count > 0, count, 1.0), value)
     beside = np.flatnonzero(~align(new, table)[1])  # defined where P is 0: they stay
     rewards = csr_from_entries(
         np.concatenate([row_of_entry(new), row_of_entry(table)[beside]]),

@@ -48,7 +48,7 @@ def test_own_files_import_nothing_that_they_do_not_need(tmp_path):
         "gymnasium",
         "matplotlib",
         "oee_tabular.testing",
-        "oee_tabular.data.streaming",
+        "duckdb",
     }
     script += f"print(sorted({slow | {'oee_tabular.continuous.names'}} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)

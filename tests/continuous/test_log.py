@@ -168,9 +168,9 @@ FILES = {
     "a missing column": ("state_0,action,next_state_1\n1,0,2\n", "must have every column .*; next_state_0 is missing"),
     "no action": ("state_0,next_state_0\n1,2\n", "must have the columns state_0, .* it has no action, only "),
     "both forms": ("state_0,state,action,next_state_0\n1,1,0,2\n", "must have either state or state_0, ...; it has both"),
-    "an empty field": ("state_0,action,next_state_0\n1,0,2\n,0,2\n", r"state\[1, 0\] must be finite; it is nan"),
-    "no table": ("", "must be a CSV table with a header"),
-    "words": ("state_0,action,next_state_0\nx,0,2\n", "state must be an array of numbers"),
+    "an empty field": ("state_0,action,next_state_0\n1,0,2\n,0,2\n", r"state_0\[1\] must have a value; it has none"),
+    "no table": ("", "must have the columns state_0"),
+    "words": ("state_0,action,next_state_0\nx,0,2\n", r"state_0\[0\] must be finite; it is .x."),
 }  # fmt: skip
 
 
@@ -205,7 +205,7 @@ def test_logs_are_joined_and_drawn_from():
 def test_a_column_with_a_hole_is_refused_by_name(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("state_0,action,next_state_0,reward\n1,0,2,\n1,0,2,1\n")
-    with pytest.raises(ValueError, match=r"column 'reward' of .* must have a value in every row; row 0 has none"):
+    with pytest.raises(ValueError, match=r"reward\[0\] must be finite; it is nan"):
         ContinuousTransitions.load(path)
 
 

@@ -117,8 +117,8 @@ def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, c
         main(["info", str(path)])
     assert ended.value.code == 2
     assert capsys.readouterr().err.startswith("oee: not enough memory; ")
-    pd.DataFrame({"state": np.zeros(2**18), "x": 0}).to_parquet(tmp_path / "a.parquet")
-    with pytest.raises(MemoryError, match=r"a\.parquet' needs 0\.00195 GiB"):
+    pd.DataFrame({"state": np.zeros(2**18), "action": 0, "next_state": 0}).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(MemoryError, match=r"a\.parquet' needs 0\.00586 GiB"):
         oee.Transitions.load(tmp_path / "a.parquet")
 
 
@@ -286,7 +286,7 @@ def test_words_are_no_numbers(tmp_path, words):
     with pytest.raises(ValueError, match="discount must be a number"):
         GRID.with_discount(np.array("0.5"))
     pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "reward": ["0.5"]}).to_parquet(tmp_path / "l.parquet")
-    with pytest.raises(ValueError, match=r"l\.parquet': reward must be an array of numbers"):
+    with pytest.raises(ValueError, match=r"column 'reward' of .*l\.parquet' must hold numbers; it holds texts"):
         oee.Transitions.load(tmp_path / "l.parquet")
 
 
@@ -318,14 +318,19 @@ def test_the_same_for_continuous_states(tmp_path, text):
         oee.ContinuousTransitions.load(tmp_path / "l.csv")
 
 
-def test_a_hundred_thousand_foreign_columns_are_not_read(tmp_path):
-    foreign = 100_000
+@pytest.mark.parametrize("foreign", [5000, 100_000])
+def test_foreign_columns_are_not_read(tmp_path, foreign):
+    """A million of them are refused as quickly as a hundred thousand."""
     names = ["state", "action", "next_state", *(f"sensor_{k}" for k in range(foreign))]
     rows = [",".join(["0", "0", "1", *["0.5"] * foreign])] * 2
     (tmp_path / "l.csv").write_text("\n".join([",".join(names), *rows]))
     start = time.perf_counter()
-    with pytest.warns(UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 99990 more$"):
-        assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
+    if foreign > 10_000:
+        with pytest.raises(ValueError, match=r"l\.csv' must have at most 10000 columns; it has 100003"):
+            oee.Transitions.load(tmp_path / "l.csv")
+    else:
+        with pytest.warns(UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 4990 more$"):
+            assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
     assert time.perf_counter() - start < 5
 
 
@@ -341,9 +346,7 @@ def test_a_parquet_file_with_a_column_twice(tmp_path):
 
     twice = pa.Table.from_arrays([pa.array([0])] * 4, names=["state", "state", "action", "next_state"])
     parquet.write_table(twice, tmp_path / "l.parquet")
-    with pytest.raises(
-        ValueError, match=r"l\.parquet' must be a parquet table; its columns must differ; it has 'state' twice"
-    ):
+    with pytest.raises(ValueError, match=r"l\.parquet' must have columns that differ; it has 'state' twice"):
         oee.Transitions.load(tmp_path / "l.parquet")
 
 
@@ -393,7 +396,7 @@ def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("path", [None, 3, b"log.npz", "a\x00.npz", ["a"]])
+@pytest.mark.parametrize("path", [None, 3, b"log.npz", "a\x00.npz", [3]])
 def test_what_is_no_path(path):
     for reader in (oee.Transitions.load, oee.FiniteMDP.load, oee.ContinuousTransitions.load, LOG.save, GRID.save):
         with pytest.raises(ValueError, match="path must be"):

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import TransitionCounts, Transitions
-from oee_tabular.data.counted import Recording
+from oee_tabular import TransitionCounts, Transitions, _files
+from oee_tabular.data.counts import Recording
 
 LOG = Transitions([0, 1, 0], [0, 1, 0], [1, 2, 1], [0.0, 1.0, 0.0], terminated=[0, 1, 0], episode=[0, 0, 1])
 TOLD = Recording(True, 2, 1, 2, 1, 1, 3, 4, ("one", "two"))
@@ -64,9 +64,17 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
     full().save(tmp_path / "c.npz")
     arrays = dict(np.load(tmp_path / "c.npz"))
     arrays["count"][0] += 1
-    np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(ValueError, match=r"c\.npz' must hold the arrays that were saved"):
-        TransitionCounts.load(tmp_path / "c.npz")
+    for _ in range(2):
+        np.savez(tmp_path / "c.npz", **arrays)
+        with pytest.raises(ValueError, match=r"c\.npz' must hold the arrays that were saved"):
+            TransitionCounts.load(tmp_path / "c.npz")
+        arrays.pop(_files.DIGEST, None)
+    arrays.pop(_files.KIND)
+    for changed, text in ((arrays | {"extra": np.zeros(1)}, "the parts of counts alone; it has 'extra'"),
+                          ({"state": arrays["state"]}, "must hold every part of counts")):  # fmt: skip
+        _files.save_npz(tmp_path / "c.npz", "transition_counts", changed)
+        with pytest.raises(ValueError, match=text):
+            TransitionCounts.load(tmp_path / "c.npz")
     LOG.save(tmp_path / "log.npz")
     with pytest.raises(ValueError, match=r"must hold a counted log .* it holds a log of numbered states"):
         TransitionCounts.load(tmp_path / "log.npz")

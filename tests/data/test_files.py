@@ -1,15 +1,22 @@
+"""Logs as files: every format gives back every bit, and what is no log is refused in a sentence."""
+
+import gzip
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import random_mdp, random_policy
-from numpy.testing import assert_array_equal
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions, _files
 from oee_tabular._files import save_npz
-from oee_tabular.data import files, tables
+from oee_tabular.data import read_log
 
 FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
 
@@ -116,63 +123,230 @@ HEAD = "state,action,next_state,reward,terminated\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "plain"),
+    ("text", "rewards"),
     [
-        (HEAD + "0,1,2,0.1,False\n\n2,0,3,1e-3,True\n", True),
-        ("\ufeff\r\n" + HEAD + "0,1,2,-.5,0\r\n+2,0,03,7.000000000000001,1\r\n", True),
-        ('"state","action","next_state"\n 0,1 ,2\n', True),
-        (HEAD, False),
-        (HEAD + "0,1,2,0.5,yes\n", False),
-        (HEAD + "0,1,2,0.5,Falsely\n", False),
-        (HEAD + "0,1,2,0.5,True\n0,1,2,0.5,1\n", False),
-        (HEAD + "0,1,2,nan,False\n", False),
-        (HEAD + "0,1,2,inf,False\n", False),
-        (HEAD + "0,1,2,,False\n", False),
-        (HEAD + "0,1,2.0,1,False\n", False),
-        (HEAD + "0,1,2.5,1,False\n", False),
-        (HEAD + "0,1,1_0,1,False\n", False),
-        (HEAD + "0,1,9223372036854775808,1,False\n", False),
-        (HEAD + "-1,1,2,1,False\n", True),
-        (HEAD + "0,1,2,1,False,5\n", False),
-        (HEAD + "0,1,2\n", False),
-        (HEAD + "a,1,b,1,False\n", False),
-        (HEAD + "# 0,1,2,1,False\n", False),
-        (HEAD + '0,"1",2,1,False\n', False),
-        ("state,action,next_state,state\n0,1,2,3\n", False),
-        ("state,action,next_state,battery\n0,1,2,3\n", False),
-        ("state,action\n0,1\n", True),
-        ("", False),
+        (HEAD + "0,1,2,0.1,False\n\n2,0,3,1e-3,True\n", [0.1, 1e-3]),
+        (
+            "\ufeff\r\n" + HEAD.replace("\n", "\r\n") + "0,1,2,-.5,0\r\n+2,0,03,7.000000000000001,1\r\n",
+            [-0.5, 7.000000000000001],
+        ),
+        (HEAD.replace("action", '"action"') + ' 0,1 ,2,"3",1.0\n', [3.0]),
+        (HEAD + "0,1,2.0,1,false\n", [1.0]),
+        (HEAD + "0,1,2,,False\n0,1,2,nan,False\n0,1,2,5,False\n", [np.nan, np.nan, 5.0]),
     ],
 )
-@pytest.mark.filterwarnings("ignore:columns of")
-def test_numpy_and_pandas_read_the_same_csv(tmp_path, monkeypatch, text, plain):
-    """The same columns, to the last bit, or the same error; what is not plain is pandas' alone."""
+def test_numbers_of_a_csv(tmp_path, text, rewards):
+    (tmp_path / "log.csv").write_bytes(text.encode())
+    assert_array_equal(Transitions.load(tmp_path / "log.csv").reward, rewards)
+    assert_array_equal(Transitions.open(tmp_path / "log.csv").reward_sum.sum(), np.nansum(rewards))
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("0,1,2,0.5,yes", r"terminated\[1\] must be a boolean .*; it is 'yes'"),
+        ("0,1,2,0.5,Falsely", r"terminated\[1\] must be a boolean"),
+        ("0,1,2,inf,False", r"reward\[1\] must be finite; it is inf"),
+        ("0,1,2.5,1,False", r"next_state\[1\] must be an integer; it is 2\.5"),
+        ("0x1,1,2,1,False", r"state\[1\] must be an integer; it is '0x1'"),
+        ("0,1,1_0,1,False", r"next_state\[1\] must be an integer; it is 1_0"),
+        ("0,1,2,1_0,False", r"reward\[1\] must be finite; it is 1_0"),
+        ("0,1,9223372036854775808,1,False", r"next_state\[1\] must be"),
+        ("-1,1,2,1,False", r"state\[1\] must be at least 0"),
+        ('0,1,2,"0,5",False', r"reward\[1\] must be finite; it is '0,5' \(write a decimal point, not a comma\)"),
+        ("0,1,2,1,False,5", r"row 1 \(line 3\) must have 5 fields, as the header has; it has 6"),
+        ("0,1,2", r"row 1 \(line 3\) must have 5 fields, as the header has; it has 3"),
+        ('0,1,2,"5,False', r"row 1 \(line 3\) must"),
+    ],
+)
+def test_lines_that_are_none_of_a_log(tmp_path, line, text):
+    """One reader: the same rule for logs that are loaded and for those that are counted."""
+    (tmp_path / "log.csv").write_text(HEAD + "0,1,2,0.5,False\n" + line + "\n")
+    for read in (Transitions.load, Transitions.open):
+        with pytest.raises(ValueError, match=rf"log\.csv': {text}"):
+            read(tmp_path / "log.csv")
+    assert len(Transitions.open(tmp_path / "log.csv", bad_rows="drop")) == 1
+
+
+@pytest.mark.parametrize("read", [Transitions.load, Transitions.open])
+def test_tables_that_are_none_of_a_log(tmp_path, read):
     path = tmp_path / "log.csv"
-    path.write_bytes(text.encode())
-    assert (tables.plain_csv(str(path), files.TYPES) is not None) == plain
-    found = []
-    for read in (tables.plain_csv, lambda *_: None):
-        monkeypatch.setattr(files, "plain_csv", read)
+    for text, words in (
+        ("", "must have the columns state, action, next_state; it has none"),
+        ("state,action\n0,1\n", "must have the columns"),
+        ("state,action,next_state,state\n0,1,2,3\n", "must have columns that differ; it has 'state' twice"),
+        ("state,action,next_state,STATE\n0,1,2,3\n", "must have columns that differ; it has 'state' and 'STATE'"),
+        ("\x1b[31mX,action,next_state\n0,1,2\n", r"it has \\x1b\[31mX, action"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=rf"log\.csv' {words}" if not words.startswith("it") else words):
+            read(path)
+    path.write_text("state,action,next_state\n")
+    with pytest.raises(ValueError, match=r"at least one (good )?row"):
+        read(path)
+
+
+@pytest.mark.parametrize("read", [Transitions.load, Transitions.open])
+def test_encodings_and_compression(tmp_path, read):
+    text = HEAD + "0,1,2,0.5,False\n"
+    (tmp_path / "a.csv").write_bytes(text.encode("utf-16"))
+    (tmp_path / "b.csv.gz").write_bytes(gzip.compress(text.encode()))
+    assert len(read([tmp_path / "a.csv", tmp_path / "b.csv.gz"])) == 2
+    for data in (
+        b"\xfe\xff" + text.encode("utf-16-be"),
+        HEAD.encode() + b"0,1,2,\xff,False\n",
+        b"\xff" + text.encode(),
+    ):
+        (tmp_path / "c.csv").write_bytes(data)
+        with pytest.raises(ValueError, match=r"c\.csv'.*UTF-(8|16)"):
+            read(tmp_path / "c.csv")
+    (tmp_path / "d.csv.gz").write_bytes(gzip.compress(text.encode())[:-9])
+    with pytest.raises(ValueError, match=r"d\.csv\.gz'"):
+        read(tmp_path / "d.csv.gz")
+
+
+HOSTILE = ["it's.csv", "a[1]*?.parquet", 'q".parquet', "$path; DROP.csv", "s3:/x.csv", "état\n.parquet"]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_of_files_and_columns_are_never_sql(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    log = logs()["episodes"]
+    frame = pd.DataFrame(log.columns()).assign(**{"a\"; DROP TABLE x; --'": 1, "state'": 2})
+    path = tmp_path / name
+    (frame.to_csv if name.endswith("csv") else frame.to_parquet)(path, index=False)
+    (tmp_path / "a11.parquet").write_bytes(b"a pattern would match this")
+    with pytest.warns(UserWarning, match="left out"):
+        assert_array_equal(Transitions.load(path).state, log.state)
+    with pytest.warns(UserWarning, match="left out"):
+        assert len(Transitions.open(path)) == len(log)
+
+
+def test_duckdb_reads_one_file_and_loads_nothing(tmp_path):
+    import duckdb
+
+    from oee_tabular.data.reader import LogFile, open_table
+
+    logs()["episodes"].save(tmp_path / "log.csv")
+    (tmp_path / "other.csv").write_text("a\n1\n")
+    with open_table(LogFile(str(tmp_path / "log.csv")), lambda label: True) as table:
+        with pytest.raises(duckdb.Error, match="Permission"):
+            table.connection.execute(f"SELECT * FROM read_csv('{tmp_path}/other.csv')")
+        with pytest.raises(duckdb.Error):
+            table.connection.execute("LOAD httpfs")
+
+
+WITHOUT = """
+import sys
+sys.modules["duckdb"] = None
+import pandas as pd
+import oee_tabular as oee
+log = oee.Transitions([0, 1], [0, 0], [1, 0])
+log.save(sys.argv[1])
+assert len(oee.Transitions.load(sys.argv[1])) == len(oee.Transitions.from_frame(pd.DataFrame(log.columns()))) == 2
+oee.TransitionCounts([0], [0], [1], [2]).save(sys.argv[1])
+assert len(oee.Transitions.open(sys.argv[1])) == 2
+"""
+
+
+def test_arrays_frames_and_npz_need_no_duckdb(tmp_path):
+    subprocess.run([sys.executable, "-c", WITHOUT, str(tmp_path / "log.npz")], check=True)
+
+
+@pytest.mark.parametrize("ending", ["npz", "parquet"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_file_of_ours_never_loads_as_other_data(tmp_path, ending, seed):
+    path, rng = tmp_path / f"log.{ending}", np.random.default_rng(seed)
+    log = logs()["episodes"]
+    log.save(path)
+    data = bytearray(path.read_bytes())
+    for k in rng.integers(len(data), size=rng.integers(1, 4)):
+        data[k] ^= 1 << int(rng.integers(8))
+    path.write_bytes(data)
+    for read in (Transitions.load, Transitions.open):
         try:
-            found.append(Transitions.load(path).columns())
-        except ValueError as error:
-            found.append(str(error))
-    assert type(found[0]) is type(found[1])
-    if isinstance(found[0], str):
-        assert found[0] == found[1]
-    else:
-        assert list(found[0]) == list(found[1])
-        for name, column in found[0].items():
-            assert column.dtype == found[1][name].dtype
-            assert_array_equal(column, found[1][name])
+            loaded = read(path)
+        except ValueError:
+            continue
+        assert_array_equal(loaded.counts(5, 3).toarray(), log.counts(5, 3).toarray())
+        if read is Transitions.load:
+            assert loaded.columns().keys() == log.columns().keys()
+            for name, column in log.columns().items():
+                assert_array_equal(loaded.columns()[name], column)
 
 
-def test_a_long_csv_is_pandas_own(tmp_path, monkeypatch):
-    path = tmp_path / "log.csv"
-    path.write_text(HEAD + "0,1,2,0.1,False\n" * 20)
-    monkeypatch.setattr(tables, "PLAIN", 100)
-    assert tables.plain_csv(str(path), files.TYPES) is None
-    assert len(Transitions.load(path)) == 20
+def test_a_file_of_ours_that_another_program_wrote_anew_names_the_way_out(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    logs()["episodes"].save(tmp_path / "log.parquet")
+    table = parquet.read_table(tmp_path / "log.parquet")
+    parquet.write_table(table.slice(0, 3), tmp_path / "log.parquet")
+    for read in (Transitions.load, Transitions.open):
+        with pytest.raises(ValueError, match=r"log\.parquet' must be as it was saved: .*from_frame"):
+            read(tmp_path / "log.parquet")
+    Transitions.from_frame(table).save(tmp_path / "log.parquet")
+    assert len(Transitions.load(tmp_path / "log.parquet")) == len(table)
+
+
+def test_pyarrow_reads_what_is_saved(tmp_path):
+    parquet, log = pytest.importorskip("pyarrow.parquet"), logs()["episodes"]
+    log.save(tmp_path / "log.parquet")
+    table = parquet.read_table(tmp_path / "log.parquet")
+    for name, column in log.columns().items():
+        assert_array_equal(table[name].to_numpy(), column)
+
+
+def test_unknown_members_of_an_npz_are_refused(tmp_path):
+    save_npz(tmp_path / "log.npz", "transitions", logs()["bare"].columns() | {"rewards": np.zeros(2)})
+    with pytest.raises(ValueError, match=r"log\.npz' must hold the columns of a log alone; it has 'rewards'"):
+        Transitions.load(tmp_path / "log.npz")
+
+
+# ---- several files
+
+
+def test_several_files_a_pattern_and_a_folder_are_one_log(tmp_path):
+    log = logs()["episodes"]
+    for k in range(3):
+        log.save(tmp_path / f"part-{k}.{('csv', 'parquet', 'npz')[k]}")
+    (tmp_path / "_SUCCESS").write_text("")
+    whole = Transitions.concatenate([log] * 3)
+    for path in (
+        tmp_path,
+        str(tmp_path / "part-*"),
+        [tmp_path / f"part-{k}" for k in ()] or sorted(tmp_path.glob("part*")),
+    ):
+        loaded = Transitions.load(path)
+        for name, column in whole.columns().items():
+            assert_array_equal(getattr(loaded, name), column)
+    mdp = oee.FiniteMDP(np.full((5, 3, 5), 0.2), np.zeros(5), 0, 0.9)
+    assert_array_equal(oee.Problem(mdp, tmp_path).counts.toarray(), whole.counts(5, 3).toarray())
+    assert_array_equal(read_log(sorted(tmp_path.glob("part*")), mdp).state, whole.state)
+
+
+def test_missing_rewards_are_missing(tmp_path):
+    """A mean is over the transitions that have a reward, however the log was put together."""
+    (tmp_path / "a.csv").write_text("state,action,next_state,reward\n0,0,1,4\n0,0,1,\n1,0,1,\n")
+    (tmp_path / "b.csv").write_text("state,action,next_state\n0,0,1\n")
+    (tmp_path / "c.csv").write_text("state,action,next_state,reward\n0,0,1,2\n")
+    log, counts = Transitions.load(tmp_path), Transitions.open(tmp_path)
+    assert_array_equal(log.reward, [4, np.nan, np.nan, np.nan, 2])
+    assert_array_equal(counts.reward_count, [2, 0])
+    assert_array_equal(counts.reward_sum, [6, 0])
+    assert Transitions.load(tmp_path / "b.csv").reward is None
+    assert log.select([1, 2]).reward is None
+    for ending in ("npz", "csv", "parquet"):
+        log.save(tmp_path / "d" if ending == "none" else tmp_path / f"d_{ending}.{ending}")
+        assert_array_equal(Transitions.load(tmp_path / f"d_{ending}.{ending}").reward, log.reward)
+    assert_array_equal(Transitions.from_frame(pd.DataFrame(log.columns())).reward, log.reward)
+    counts.save(tmp_path / "counts.npz")
+    again = oee.TransitionCounts.load(tmp_path / "counts.npz")
+    mdp = oee.FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [[[0.0, 1.0]], [[0.0, -1.0]]], 0, 0.9)
+    for data in (log, counts, again):
+        problem = oee.Problem(mdp, data, rewards="log")
+        assert_allclose(problem.model.transition_rewards.toarray(), [[0, 3], [0, -1]])
+        assert problem.reward_conflict.rows == 2
+    assert_array_equal(oee.Problem(mdp, log).rewards_of(log), [4, 1, -1, 1, 2])
 
 
 def test_columns_that_a_log_does_not_know_are_named(tmp_path):

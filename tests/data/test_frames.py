@@ -293,7 +293,7 @@ BARE = pd.DataFrame({"state": [0, 0], "action": [0, 0], "next_state": [0, 0]})
         (frame(), {"state": 3}, r"state must be a column's name, or several; got int$"),
         (frame(), {"state": []}, r"state must be the name of one column; it is \[\]$"),
         (frame(), {"reward": ["reward", "episode"]}, r"reward must be the name of one column"),
-        (BARE.assign(reward=[0.0, np.nan]), {}, r"column 'reward' of the frame must have a value .*; row 1 has none$"),
+        (BARE.assign(timestep=[0.0, np.nan]), {}, r"column 'timestep' of the frame must have a value .*; row 1 has none$"),
         (BARE.assign(action=["go", None]), {}, r"column 'action' of the frame must have .*; row 1 has none$"),
         (pd.concat([BARE, BARE], axis=1), {}, r"frame must have columns that differ; "),
         (frame().head(0), {}, r"state must have at least one row; the log is empty$"),

@@ -1,27 +1,20 @@
-"""Logs larger than memory: files of any number and size become counts, whatever the batches, the processes and the stops."""
+"""Logs of any size as counts: the same bits whatever the file's form, the order of processes, and the rows left out."""
 
-import json
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
-import tracemalloc
 
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import rngs
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import TransitionCounts, Transitions
-from oee_tabular.data import _counting, batches, sampling, streaming, tally
-
-pytest.importorskip("pyarrow")
+from oee_tabular.data import counting
 
 GRID = oee.tasks.gridworld(3, slip=0.3)
 UNIFORM = oee.uniform_policy(GRID)
@@ -100,52 +93,26 @@ def test_problems_take_it_in_place_of_the_log(tmp_path):
     assert tables[0].warnings == tables[1].warnings
 
 
-@pytest.mark.parametrize("ending", [".parquet", ".csv"])
-def test_batches_change_nothing(tmp_path, ending, monkeypatch):
-    folder = written(tmp_path / "a", ending)
-    whole, some = Transitions.open(folder), Transitions.open(folder, kept_moves=60)
-    assert 0 < len(some.sample) <= 60 < len(whole.sample)
-    for rows, block in ((1, 100), (7, 200), (50, 1000)):
-        monkeypatch.setattr(batches, "BATCH", rows)
-        monkeypatch.setattr(batches, "_BLOCK", block)
-        same(Transitions.open(folder), whole)
-        same(Transitions.open(folder, kept_moves=60), some)
-
-
-@pytest.mark.parametrize("group", [50_000, 2_000_000], ids=["many groups", "one group"])
-def test_of_a_parquet_file_a_batch_is_held_and_not_the_file(tmp_path, group):
-    n, rng = 2_000_000, np.random.default_rng(0)
-    columns = {name: rng.integers(high, size=n) for name, high in (("state", 50), ("action", 3), ("next_state", 50))}
-    path = tmp_path / "log.parquet"
-    pd.DataFrame(columns | {"reward": rng.random(n)}).to_parquet(path, row_group_size=group)
-    Transitions.open(path)  # modules and kernels
-    tracemalloc.start()
-    try:
-        assert len(Transitions.open(path)) == n
-        most = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert most < 0.6 * os.path.getsize(path)  # rows of a batch are 4 MB; the file has 20
-
-
-def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path):
+@pytest.mark.parametrize("ending", [".parquet", ".csv", ".npz"])
+def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
     """As many as fit; their order is that of the files, and every episode comes first about as often as another."""
-    folder = written(tmp_path / "a", number=2, episodes=30)
-    keys = {}
+    folder = written(tmp_path / "a", ending, number=2, episodes=30)
+    places = {}
     for k, log in enumerate(logs(2, 30)):
-        salt = sampling.Episodes(f"part-{k}.parquet", 0, lambda *_: None).salt
-        for e, key in enumerate(sampling._mixed(np.arange(30), salt)):
-            keys[int(key)] = (k, e, log.select(log.episode == e))
-    order = sorted(keys)
+        for e, place in enumerate(counting._hash(np.arange(30), f"part-{k}{ending}")):
+            places[int(place)] = (k, e, log.select(log.episode == e))
+    order = sorted(places)
     for size in (5, 40, 100, 200):
-        fitting = np.cumsum([len(keys[key][2]) for key in order]) <= size
-        chosen = sorted((keys[key][:2], keys[key][2].state) for key, fits in zip(order, fitting, strict=True) if fits)
+        fitting = np.cumsum([len(places[place][2]) for place in order]) <= size
+        chosen = sorted(
+            (*places[p][:2], places[p][2].state.tolist()) for p, fits in zip(order, fitting, strict=True) if fits
+        )
         sample = Transitions.open(folder, kept_moves=size).sample
-        expected = np.concatenate([state for _, state in chosen]) if chosen else None
-        assert sample is None if expected is None else np.array_equal(sample.state, expected)
-    places = sampling._mixed(np.arange(100_000), 12345).astype(np.float64) / 2.0**64
-    assert abs(places.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 1e5)
-    assert abs(np.corrcoef(places[:-1], places[1:])[0, 1]) < 5 / np.sqrt(1e5)
+        expected = [state for *_, states in chosen for state in states]
+        assert (sample is None) if not expected else (sample.state.tolist() == expected)
+    draw = counting._hash(np.arange(100_000), "log").astype(np.float64) / 2.0**64
+    assert abs(draw.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 1e5)
+    assert abs(np.corrcoef(draw[:-1], draw[1:])[0, 1]) < 5 / np.sqrt(1e5)
 
 
 def test_folders_name_columns_as_hive_does(tmp_path):
@@ -178,74 +145,6 @@ def test_one_move_ended_and_not_and_rewards_that_vary(tmp_path):
     assert_array_equal(found.reward_max, [1.0, 5.0])
 
 
-# ---- the kernels, against plain Python
-
-
-def test_the_table_grows_and_counts():
-    rng = np.random.default_rng(0)
-    keys = np.column_stack([rng.integers(0, 40, 20_000), rng.integers(0, 3, 20_000), rng.integers(0, 40, 20_000),
-                            rng.integers(0, 2, 20_000)])  # fmt: skip
-    keys[::97, 0] = 2**53 - 1
-    pay = rng.normal(size=20_000)
-    table = tally.Growing()
-    for k in range(0, 20_000, 3000):
-        sums = np.column_stack([np.ones(len(pay[k : k + 3000])), *[pay[k : k + 3000]] * 3])
-        table.add(tally.rows_of(keys[k : k + 3000], sums))
-    expected = {}
-    for key, reward in zip(map(tuple, keys.tolist()), pay, strict=True):
-        n, total, least, most = expected.get(key, (0, 0.0, np.inf, -np.inf))
-        expected[key] = (n + 1, total + reward, min(least, reward), max(most, reward))
-    key, sums = tally.in_order(*table.contents())
-    assert list(map(tuple, key.tolist())) == sorted(expected)
-    assert_array_equal(sums, [expected[one] for one in sorted(expected)])
-    assert len(key) <= 0.6 * len(table.table.cell)
-
-
-def plainly(steps, timed, cut):
-    """What ``walk`` says, from whole columns: numbers of episodes, and what is wrong with each row."""
-    n = len(steps.episode)
-    new = np.append(True, steps.episode[1:] != steps.episode[:-1])
-    ordinal = np.cumsum(new) - 1
-    place = np.arange(n) - np.flatnonzero(new)[ordinal]
-    over = (steps.terminated | (steps.truncated if cut else False)) & ~steps.bad
-    before = np.append(False, over[:-1])
-    unlike = np.append(False, steps.next_state[:-1] != steps.state[1:]) & ~steps.bad & ~np.append(False, steps.bad[:-1])
-    wrong = (steps.timestep != place) if timed else np.zeros(n, dtype=bool)
-    fault = np.select(
-        [steps.gap | steps.bad, ~new & before, ~new & unlike, wrong],
-        [_counting.LOST, _counting.EARLY, _counting.APART, _counting.TIMESTEP], _counting.FINE,
-    )  # fmt: skip
-    return ordinal, fault
-
-
-@given(rngs, st.booleans(), st.booleans())
-def test_the_walk_over_episodes_in_batches_is_that_over_columns(rng, timed, cut):
-    n = int(rng.integers(1, 40))
-    flag = lambda share: rng.random(n) < share  # noqa: E731
-    episode = np.cumsum(flag(0.3))
-    place = np.arange(n) - np.searchsorted(episode, episode)
-    steps = _counting.Steps(
-        episode, rng.integers(0, 2, n), rng.integers(0, 2, n), flag(0.1), flag(0.1) if cut else np.zeros(0, dtype=bool),
-        np.where(flag(0.1), 0, place) if timed else np.zeros(0, dtype=np.int64), flag(0.1), flag(0.1),
-    )  # fmt: skip
-    carried = np.zeros(_counting.CARRIED, dtype=np.int64)
-    carried[_counting.ORDINAL] = -1
-    ordinal, fault = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    ends = [0, *sorted(rng.integers(0, n + 1, 2).tolist()), n]
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
-        batch = _counting.Steps(*(column[low:high] if len(column) else column for column in steps))
-        _counting.walk(batch, carried, ordinal[low:high], fault[low:high])
-    _counting.close(carried)
-    expected = plainly(steps, timed, cut)
-    assert_array_equal(ordinal, expected[0])
-    assert_array_equal(fault, expected[1])
-    lengths = np.bincount(ordinal)
-    last = np.append(np.diff(ordinal) > 0, True)
-    over = (steps.terminated | (steps.truncated if cut else False)) & ~steps.bad
-    told = [carried[k] for k in (_counting.SHORTEST, _counting.LONGEST, _counting.UNFINISHED)]
-    assert told == [lengths.min(), lengths.max(), (last & ~over).sum()]
-
-
 # ---- rows that are none of a log
 
 
@@ -274,15 +173,14 @@ VALUES = {
     "flag": ("terminated", 4, 7, r"terminated\[4\] must be a boolean \(or 0 or 1\); it is 7"),
     "timestep": ("timestep", 4, -1, r"timestep\[4\] must be at least 0; it is -1"),
     "missing": ("state", 4, None, r"state\[4\] must have a value; it has none"),
-    "no reward": ("reward", 4, None, r"reward\[4\] must have a value; it has none"),
     "no episode": ("episode", 4, None, r"episode\[4\] must have a value; it has none"),
     "episode fraction": ("episode", 4, 6.5, r"episode\[4\] must be an integer; it is 6\.5"),
 }
 WORDS = {
-    "word": ("state", 4, "x", r"state\[4\] must be an integer; it is x"),
-    "reward": ("reward", 4, "much", r"reward\[4\] must be finite; it is much"),
+    "word": ("state", 4, "x", r"state\[4\] must be an integer; it is 'x'"),
+    "reward": ("reward", 4, "much", r"reward\[4\] must be finite; it is 'much'"),
     "flag": ("truncated", 4, "perhaps", r"truncated\[4\] must be a boolean"),
-    "date": ("episode", 4, "2020-01-01", r"episode\[4\] must be an integer; it is 2020-01-01"),
+    "date": ("episode", 4, "2020-01-01", r"episode\[4\] must be an integer; it is '2020-01-01'"),
 }
 
 
@@ -303,10 +201,10 @@ def bad_file(tmp_path, ending, name, row, value):
 def test_names_have_another_way(tmp_path):
     (tmp_path / "names.csv").write_text("state,action,next_state\nhall,0,dock\n")
     hint = r" \(names take a simulator that has them"
-    with pytest.raises(ValueError, match=rf"state\[0\] must be an integer; it is \w+{hint}"):
+    with pytest.raises(ValueError, match=rf"state\[0\] must be an integer; it is .hall.{hint}"):
         Transitions.open(tmp_path / "names.csv")
     pd.read_csv(tmp_path / "names.csv").to_parquet(tmp_path / "names.parquet")
-    with pytest.raises(ValueError, match=rf"must hold integers; it holds (large_)?string{hint}"):
+    with pytest.raises(ValueError, match=rf"must hold integers; it holds texts{hint}"):
         Transitions.open(tmp_path / "names.parquet")
 
 
@@ -334,7 +232,8 @@ def test_lines_with_other_fields(tmp_path, line):
     text.insert(5, line)
     (tmp_path / "a.csv").write_text("\n".join(text) + "\n")
     with pytest.raises(
-        ValueError, match=r"a\.csv': row 4 must have 9 fields, as the header has; it has \d+|a\.csv' must be"
+        ValueError,
+        match=r"a\.csv': row 4 \(line 6\) must (have 9 fields, as the header has; it has \d+|close its quotes)",
     ):
         Transitions.open(tmp_path)
     if line.startswith('"'):
@@ -344,20 +243,15 @@ def test_lines_with_other_fields(tmp_path, line):
     assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
 
 
-def test_numbers_of_rows_stay_right_behind_lost_lines_and_in_any_batch(tmp_path, monkeypatch):
+def test_numbers_of_rows_stay_right_behind_lost_lines(tmp_path):
     text = frame_of().to_csv(index=False).splitlines()
     text.insert(2, "1,2")
     text[7] = text[7].replace("0,0,1", "x,0,1", 1)
     (tmp_path / "a.csv").write_text("\n".join(text) + "\n")
-    for block in (2**20, 120, 100):
-        monkeypatch.setattr(batches, "_BLOCK", block)
-        found = Transitions.open(tmp_path, bad_rows="drop")
-        assert found.recording.dropped == 2
-        assert [reason.split("': ")[1][:16] for reason in found.recording.reasons] == [
-            "row 1 must have ",
-            "state[6] must be",
-        ]
-        assert len(found) == 6
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert found.recording.dropped == 2
+    assert [reason.split("': ")[1][:8] for reason in found.recording.reasons] == ["row 1 mu", "state[6]"]
+    assert len(found) == 6
 
 
 def test_a_bad_row_behind_a_lost_line_and_a_lost_line_at_the_end(tmp_path):
@@ -375,30 +269,27 @@ def test_several_faults_of_one_column_are_all_counted(tmp_path):
     frame.to_parquet(tmp_path / "a.parquet", index=False)
     found = Transitions.open(tmp_path, n_states=9, bad_rows="drop")
     assert (found.recording.dropped, len(found)) == (3, 4)
-    assert [reason.partition("': ")[2] for reason in found.recording.reasons] == [
-        "state[1] must be at least 0; it is -1", "state[2] must be in 0..8; it is 9",
-    ]  # fmt: skip
+    (reason,) = found.recording.reasons
+    assert reason.endswith("state[1] must be at least 0; it is -1; 2 other rows break the same rule")
 
 
 ORDER = {
     "timestep": (
         {"timestep": (4, 3)},
-        r"timestep\[4\] must be the number of the step in episode 6, in order from 0; it is 3",
+        r"timestep\[4\] must be the number of the step in its episode, in order from 0; it is 3",
     ),
-    "apart": ({"state": (4, 0)}, r"state\[4\] must be the next_state of the row before, in episode 6; it is 0"),
+    "apart": ({"state": (4, 0)}, r"state\[4\] must be the next_state of the row before, in the same episode; it is 0"),
     "early": (
         {"terminated": (3, 1)},
-        r"episode\[4\] must be another than that of the row before, which ended episode 6",
+        r"episode\[4\] must be another than that of the row before, which ended it",
     ),
     "cut early": ({"truncated": (3, 1)}, r"episode\[4\] must be another than that of the row before, which ended"),
 }
 
 
 @pytest.mark.parametrize("case", ORDER)
-@pytest.mark.parametrize("rows", [1, 3, 100])
-def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case, rows, monkeypatch):
+def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case):
     """Their moves are moves; the episode is none to be sampled."""
-    monkeypatch.setattr(batches, "BATCH", rows)
     changes, text = ORDER[case]
     frame_of(**changes).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
     with pytest.raises(ValueError, match=text):
@@ -409,19 +300,16 @@ def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case, rows, monkeyp
     assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
 
 
-@pytest.mark.parametrize("rows", [1, 2, 100])
 @pytest.mark.parametrize(
-    ("names", "row"), [([5, 5, 5, 6, 6, 5, 5], 5), ([5, 5, 5, 4, 4, 5, 5], 3), ([9, 9, 9, 2, 2, 9, 9], 5)]
+    ("names", "row"), [([5, 5, 5, 6, 6, 5, 5], 5), ([5, 5, 5, 4, 4, 5, 5], 5), ([9, 9, 9, 2, 2, 9, 9], 5)]
 )
-def test_episodes_stand_together(tmp_path, rows, names, row, monkeypatch):
-    """Of names that grow by 1 the row is where they begin."""
-    monkeypatch.setattr(batches, "BATCH", rows)
+def test_episodes_stand_together(tmp_path, names, row):
     frame_of().assign(episode=names).to_parquet(tmp_path / "a.parquet", index=False)
-    with pytest.raises(ValueError, match=rf"keep the rows .* together; {names[0]} begins again from row {row} on"):
+    with pytest.raises(ValueError, match=rf"keep the rows .* together; {names[0]} begins again in row {row}"):
         Transitions.open(tmp_path)
     found = Transitions.open(tmp_path, bad_rows="drop")
     assert len(found) == 7
-    assert found.sample is None
+    assert found.sample.n_episodes == 1
     for fine in ([9, 9, 9, 2, 2, 5, 5], [1, 1, 1, 2, 2, 3, 3], [-1, -1, -1, 7, 7, 0, 0]):
         frame_of().assign(episode=fine).to_parquet(tmp_path / "a.parquet", index=False)
         assert Transitions.open(tmp_path).sample.n_episodes == 3
@@ -437,9 +325,7 @@ def test_files_that_are_none_are_named(tmp_path):
     with pytest.raises(FileNotFoundError):
         Transitions.open(f"{tmp_path}/*.none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(
-        ValueError, match=r"path must hold files in \.csv, \.parquet, \.npz; the folder .*empty' has none"
-    ):
+    with pytest.raises(ValueError, match=r"path must hold files in \.csv, .*; the folder .*empty' has none"):
         Transitions.open(tmp_path / "empty")
     with pytest.raises(ValueError, match=r"path must name each file once; .*part-0.parquet' is named twice"):
         Transitions.open([folder, folder / "part-0.parquet"])
@@ -459,9 +345,7 @@ def test_files_that_are_none_are_named(tmp_path):
     ):
         Transitions.open(folder)
     frame_of().astype({"action": str}).to_parquet(folder / "part-2.parquet", index=False)
-    with pytest.raises(
-        ValueError, match=r"column 'action' of .*part-2\.parquet' must hold integers; it holds (large_)?string"
-    ):
+    with pytest.raises(ValueError, match=r"column 'action' of .*part-2\.parquet' must hold integers; it holds texts"):
         Transitions.open(folder)
     (folder / "part-2.parquet").write_bytes(b"PAR1nothing")
     with pytest.raises(ValueError, match=r"part-2\.parquet' must be a parquet table"):
@@ -489,15 +373,14 @@ def test_bad_calls(tmp_path, options, text):
         Transitions.open(written(tmp_path / "a", number=1), **options)
 
 
-# ---- processes, clusters, stops
+# ---- processes, clusters, kills
 
 
 def test_processes_give_the_same_bytes(tmp_path):
     folder = written(tmp_path / "a")
     serial = Transitions.open(folder, kept_moves=100, output=tmp_path / "serial.npz")
     same(serial, Transitions.open(folder, kept_moves=100, jobs=2, output=tmp_path / "two.npz"))
-    one, two = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("serial", "two"))
-    assert one["checksum"] == two["checksum"]
+    assert (tmp_path / "serial.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
 
 
 def test_a_dask_cluster_gives_the_same_bits(tmp_path):
@@ -518,91 +401,30 @@ def test_a_scheduler_that_does_not_answer(tmp_path):
     assert time.perf_counter() - start < 15
 
 
-def spoil(path):
-    data = bytearray(path.read_bytes())
+def test_an_unreadable_file_is_named_and_nothing_is_written(tmp_path):
+    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    data = bytearray((folder / "part-2.parquet").read_bytes())
     data[8:200] = bytes(192)
-    path.write_bytes(data)
-
-
-def test_an_unreadable_part_is_named_and_the_rest_not_counted_twice(tmp_path):
-    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
-    expected = Transitions.open(folder)
-    good = (folder / "part-2.parquet").read_bytes()
-    spoil(folder / "part-2.parquet")
-    with pytest.raises(ValueError, match=r"part-2\.parquet' must be a parquet table"):
+    (folder / "part-2.parquet").write_bytes(data)
+    with pytest.raises(ValueError, match=r"part-2\.parquet' must be"):
         Transitions.open(folder, output=output)
-    assert not output.exists()
-    told = json.loads(str(np.load(tmp_path / "c.partial.npz")["told"]))
-    assert list(told["files"]) == ["part-0.parquet", "part-1.parquet"]
-    (folder / "part-2.parquet").write_bytes(good)
-    same(Transitions.open(folder, output=output), expected)
-    same(TransitionCounts.load(output), expected)
-    assert not (tmp_path / "c.partial.npz").exists()
-    same(Transitions.open(output), expected)
-
-
-def test_a_stopped_count_goes_on_only_with_the_same(tmp_path):
-    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
-    good = (folder / "part-2.parquet").read_bytes()
-    spoil(folder / "part-2.parquet")
-    with pytest.raises(ValueError, match="must be a parquet table"):
-        Transitions.open(folder, output=output)
-    (folder / "part-2.parquet").write_bytes(good)
-    with pytest.raises(
-        ValueError, match=r"settings must be those of the count that was stopped, .* delete .*c\.partial\.npz"
-    ):
-        Transitions.open(folder, output=output, n_states=9)
-    first = (folder / "part-0.parquet").read_bytes()
-    logs(5)[4].save(folder / "part-0.parquet")
-    with pytest.raises(ValueError, match=r"part-0\.parquet' must be as it was counted; it has changed since"):
-        Transitions.open(folder, output=output)
-    (folder / "part-0.parquet").unlink()
-    with pytest.raises(ValueError, match=r"files that were counted before the stop; 'part-0\.parquet' is gone"):
-        Transitions.open(folder, output=output)
-    (folder / "part-0.parquet").write_bytes(first)
-    arrays = dict(np.load(tmp_path / "c.partial.npz"))
-    arrays["sums"][0, 0] += 1
-    np.savez(tmp_path / "c.partial.npz", **arrays)
-    with pytest.raises(ValueError, match=r"c\.partial\.npz' must hold the arrays that were saved"):
-        Transitions.open(folder, output=output)
-
-
-def test_bad_rows_that_stop_a_count_can_be_dropped_in_the_next(tmp_path):
-    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
-    good = (folder / "part-3.parquet").read_bytes()
-    frame = pd.read_parquet(folder / "part-1.parquet").assign(reward=np.nan)
-    frame.to_parquet(folder / "part-1.parquet", index=False)
-    with pytest.raises(ValueError, match=r"must have a value|must be finite"):
-        Transitions.open(folder, output=output)
-    spoil(folder / "part-3.parquet")
-    with pytest.raises(ValueError, match="must be a parquet table"):
-        Transitions.open(folder, output=output, bad_rows="drop")
-    (folder / "part-3.parquet").write_bytes(good)
-    with pytest.raises(ValueError, match="bad_rows must be 'drop', as before the stop; it is 'refuse'; delete"):
-        Transitions.open(folder, output=output)
-    found = Transitions.open(folder, output=output, bad_rows="drop")
-    same(found, Transitions.open(folder, bad_rows="drop"))
-    assert found.recording.dropped == len(frame)
+    assert os.listdir(tmp_path) == ["a"]
 
 
 KILLED = """
 import sys, time
-from oee_tabular import Transitions
-from oee_tabular.data import streaming, tally
-streaming.SECONDS, streaming.SHARE = 0.0, 1e9
-count = tally.count_part
-def slow(part, *rest):
-    if part.path.endswith("part-2.parquet"):
-        print("here", flush=True)
-        time.sleep(60)
-    return count(part, *rest)
-tally.count_part = slow
+from oee_tabular import Transitions, _files
+synced = _files.os.fsync
+def slow(handle):
+    print("here", flush=True)
+    time.sleep(60)
+_files.os.fsync = slow
 Transitions.open(sys.argv[1], output=sys.argv[2])
 """
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill -9 here")
-def test_kill_and_resume_counts_nothing_twice(tmp_path):
+def test_a_count_that_is_killed_leaves_nothing_under_its_name(tmp_path):
     folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
     with subprocess.Popen(
         [sys.executable, "-c", KILLED, str(folder), str(output)], stdout=subprocess.PIPE, env=dict(os.environ)
@@ -610,12 +432,4 @@ def test_kill_and_resume_counts_nothing_twice(tmp_path):
         assert process.stdout.readline() == b"here\n"
         process.kill()
     assert not output.exists()
-    calls = []
-    count, tally.count_part = tally.count_part, lambda part, *rest: calls.append(part.path) or count(part, *rest)
-    try:
-        found = Transitions.open(folder, output=output)
-    finally:
-        tally.count_part = count
-    assert [path[-14:] for path in calls] == ["part-2.parquet", "part-3.parquet"]
-    same(found, Transitions.open(folder))
-    assert streaming.holds_counts(output)
+    same(Transitions.open(folder, output=output), TransitionCounts.load(output))

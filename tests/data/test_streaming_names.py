@@ -74,20 +74,6 @@ def test_names_that_the_simulator_has_not(tmp_path, row, text):
     assert (dropped.recording.dropped, len(dropped)) == (1, 1)
 
 
-def test_a_count_that_was_stopped_goes_on_with_the_same_names(tmp_path, monkeypatch):
-    for k in range(2):
-        (tmp_path / f"{k}.csv").write_text("state,action,next_state\nhall,go,dock\n")
-    files, simulator = [tmp_path / "0.csv", tmp_path / "1.csv"], named_simulator()
-    (tmp_path / "1.csv").write_text("state,action,next_state\nhal,go,dock\n")
-    with pytest.raises(ValueError, match="hal"):
-        Transitions.open(files, simulator=simulator, output=tmp_path / "c.npz")
-    (tmp_path / "1.csv").write_text("state,action,next_state\nhall,go,dock\n")
-    other = simulator.with_names(["dock", "hall", "x", "y"], HEADINGS)
-    with pytest.raises(ValueError, match="settings must be those of the count that was stopped"):
-        Transitions.open(files, simulator=other, output=tmp_path / "c.npz")
-    assert Transitions.open(files, simulator=simulator, output=tmp_path / "c.npz").count.tolist() == [2.0]
-
-
 def test_the_simulator_says_how_many_states_there_are():
     with pytest.raises(ValueError, match="n_states and n_actions must be left out where simulator is given"):
         Transitions.open("log.csv", simulator=named_simulator(), n_states=4)

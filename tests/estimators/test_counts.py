@@ -226,7 +226,7 @@ def test_terminated_moves_of_counts_are_led_to_the_terminal_state():
 
 
 def test_what_was_left_out_is_told():
-    told = oee.data.counted.Recording(True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",))
+    told = oee.data.counts.Recording(True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",))
     log = oee.TransitionCounts([0], [0], [0], [7], recording=told, sample=LOG)
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
     assert texts == [

@@ -6,7 +6,6 @@ them can stand beside the counts.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
@@ -22,6 +21,7 @@ from oee_tabular.data.moves import Moves, counts_of
 from oee_tabular.data.transitions import Transitions
 
 KIND = "transition_counts"
+REWARDS = ("reward_sum", "reward_min", "reward_max", "reward_count")
 
 
 class Recording(NamedTuple):
@@ -53,7 +53,8 @@ class TransitionCounts:
     state, action, next_state : (K,) integers from 0
     count : (K,) positive numbers; whole ones are counts of independent moves, on which tests and intervals rest
     terminated : (K,) booleans, optional; one move may stand twice, ended and not
-    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of what the moves of a row paid
+    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of the rewards of a row's transitions
+    reward_count : (K,) numbers, how many of them have a reward; by default all. Least and largest of none are nan
     recording : how they were recorded; a bag of counts is taken for the moves of episodes, of which bounds hold for both
     sample : Transitions, optional: whole episodes of the log, drawn uniformly, for importance sampling
 
@@ -77,6 +78,7 @@ class TransitionCounts:
     reward_sum: Array | None = None
     reward_min: Array | None = None
     reward_max: Array | None = None
+    reward_count: Array | None = None
     recording: Recording = field(default_factory=Recording)
     sample: Transitions | None = None
 
@@ -95,15 +97,16 @@ class TransitionCounts:
         columns["terminated"] = booleans(self.terminated, "terminated")
         if not columns["terminated"].size:
             columns["terminated"] = np.zeros(len(columns["state"]), dtype=np.bool_)
-        for name in ("reward_sum", "reward_min", "reward_max"):
+        for name in REWARDS:
             if getattr(self, name) is not None:
                 columns[name] = _checks.float_array(getattr(self, name), name, ndim=1)
-                _checks.require_finite(columns[name], name)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns must have equal lengths; they have {lengths}")
-        if len({name in columns for name in ("reward_sum", "reward_min", "reward_max")}) > 1:
+        if len({name in columns for name in REWARDS[:3]}) > 1:
             raise ValueError("reward_sum, reward_min and reward_max must be given together")
+        if "reward_sum" in columns:
+            _check_rewards(columns)
         if lengths["state"] == 0:
             raise ValueError("state must have at least one row; the log is empty")
         bad = np.flatnonzero(~((columns["count"] > 0) & (columns["count"] <= 2.0**53)))
@@ -148,11 +151,11 @@ class TransitionCounts:
 
     def moves(self) -> Moves:
         """The rows, with how many moves each stands for and what they paid."""
-        return Moves(self.count, self.reward_sum, self.reward_min, self.reward_max)
+        return Moves(self.count, self.reward_sum, self.reward_min, self.reward_max, self.reward_count)
 
     def columns(self) -> dict[str, Column]:
         """The columns that there are."""
-        names = ("state", "action", "next_state", "count", "terminated", "reward_sum", "reward_min", "reward_max")
+        names = ("state", "action", "next_state", "count", "terminated", *REWARDS)
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def led_to(self, next_state: IntArray) -> TransitionCounts:
@@ -173,8 +176,8 @@ class TransitionCounts:
             "truncated": told.truncated,
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "reward_min": float(np.min(self.reward_min)) if paid else None,  # type: ignore[arg-type]
-            "reward_max": float(np.max(self.reward_max)) if paid else None,  # type: ignore[arg-type]
+            "reward_min": float(np.nanmin(self.reward_min)) if paid else None,  # type: ignore[arg-type]
+            "reward_max": float(np.nanmax(self.reward_max)) if paid else None,  # type: ignore[arg-type]
             "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
             "broken_episodes": told.broken or None,
             "rows_dropped": told.dropped or None,
@@ -200,15 +203,20 @@ class TransitionCounts:
         return text
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, whole or not at all, with a checksum of what it holds."""
-        _files.save_npz(path, KIND, sealed(to_arrays(self)))
+        """Write .npz, whole or not at all, with a digest of what it holds."""
+        arrays: dict[str, Column] = self.columns() | {
+            "recording": np.array([int(value) for value in self.recording[:-1]]),
+            "reasons": np.array(self.recording.reasons, dtype=np.str_),
+        }
+        sample = {} if self.sample is None else self.sample.columns()
+        _files.save_npz(path, KIND, arrays | {f"sample_{name}": column for name, column in sample.items()})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
         """Read what ``save`` wrote; a ValueError that names the file where it is something else, or has changed since."""
         arrays = _files.load_npz(path, KIND)
         with _files.parts_of(path, "counts"):
-            return from_arrays(unsealed(arrays))
+            return _from_arrays(arrays)
 
 
 def holds_counts(path: str | os.PathLike[str]) -> bool:
@@ -216,49 +224,33 @@ def holds_counts(path: str | os.PathLike[str]) -> bool:
     return _files.kind_of(path) == KIND
 
 
-def to_arrays(log: TransitionCounts) -> dict[str, Column]:
-    """The parts of counts as arrays."""
-    arrays: dict[str, Column] = log.columns() | {
-        "recording": np.array([int(value) for value in log.recording[:-1]]),
-        "reasons": np.array(log.recording.reasons, dtype=np.str_),
-    }
-    kept = {} if log.sample is None else log.sample.columns()
-    return arrays | {f"sample_{name}": column for name, column in kept.items()}
+def _check_rewards(columns: dict[str, Column]) -> None:
+    """Finite where there are rewards; how many there are is filled in."""
+    columns.setdefault("reward_count", columns["count"].copy())
+    count = columns["reward_count"]
+    bad = np.flatnonzero(~((count >= 0) & (count <= columns["count"])))
+    if bad.size:
+        raise ValueError(f"reward_count[{bad[0]}] must be in [0, count]; it is {count[bad[0]]:g}")
+    for name in REWARDS[:3]:
+        _checks.require_finite(np.where((count == 0) & np.isnan(columns[name]), 0.0, columns[name]), name)
 
 
-def from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
-    """Counts from their parts."""
-    known = ("state", "action", "next_state", "count", "terminated")
-    rewards = {name: arrays[name] for name in ("reward_sum", "reward_min", "reward_max") if name in arrays}
-    kept = {name.removeprefix("sample_"): column for name, column in arrays.items() if name.startswith("sample_")}
-    first, *numbers = arrays["recording"].tolist()
-    if len(numbers) != len(Recording._fields) - 2:
-        raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers) + 1}")
+def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
+    """Counts from the parts of their file."""
+    parts = {name: column for name, column in arrays.items() if name != _files.KIND}
+    numbers = parts.pop("recording").tolist()
+    reasons = tuple(parts.pop("reasons").tolist())
+    if len(numbers) != len(Recording._fields) - 1:
+        raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}")
+    sample = {name: parts.pop(name) for name in list(parts) if name.startswith("sample_")}
+    required = ("state", "action", "next_state", "count", "terminated")
+    columns = {name: parts.pop(name) for name in (*required, *REWARDS) if name in parts or name in required}
+    if parts:
+        raise ValueError(f"it must hold the parts of counts alone; it has {_checks.show(next(iter(parts)))}")
     return TransitionCounts(
-        **{name: arrays[name] for name in known},
-        **rewards,
-        recording=Recording._make([bool(first), *numbers, tuple(arrays["reasons"].tolist())]),
-        sample=Transitions(**kept) if kept else None,
+        **columns,
+        recording=Recording._make([bool(numbers[0]), *numbers[1:], reasons]),
+        sample=Transitions(**{name.removeprefix("sample_"): column for name, column in sample.items()})
+        if sample
+        else None,
     )
-
-
-def sealed(arrays: dict[str, Column]) -> dict[str, Column]:
-    """With a checksum (SHA-256) of names, types, shapes and bytes."""
-    return arrays | {"checksum": np.array(_checksum(arrays))}
-
-
-def unsealed(arrays: dict[str, Column]) -> dict[str, Column]:
-    """Without the checksum; ValueError where it is another than that of the arrays."""
-    rest = {name: array for name, array in arrays.items() if name not in ("checksum", _files.KIND)}
-    if str(arrays["checksum"]) != _checksum(rest):
-        raise ValueError("the checksum must be that of the arrays; they have changed since they were counted")
-    return rest
-
-
-def _checksum(arrays: dict[str, Column]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
