@@ -62,7 +62,7 @@ def test_numbers_after_names_and_names_that_come_late(tmp_path):
         ),
         ("hall,jump,dock", r"log\.csv': action\[1\] must be one of the simulator's names; it is 'jump' \("),
         ("hall,go,", r"log\.csv': next_state\[1\] must have a value; it has none"),
-        ("hall,go,7", r"log\.csv': next_state\[1\] must be one of the simulator's names; it is '7'"),
+        ("hall,go,7", r"log\.csv': next_state\[1\] must be one of the simulator's names; it is 7"),
     ],
 )
 def test_names_that_the_simulator_has_not(tmp_path, row, text):
