@@ -239,7 +239,7 @@ class InClass(Method):
         else:
             points = move_points(simulator, self.coordinates)
             chosen = _move_kernel(points, self.bandwidth) if isinstance(self.kernel, str) else self.kernel
-            space = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.centred)
+            space = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.center)
             phi = space.matrix
             details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
         n = float(observed.sum())
