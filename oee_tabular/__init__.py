@@ -18,8 +18,6 @@ from __future__ import annotations
 import importlib
 
 TYPE_CHECKING = False  # typing takes most of the time of an import, in which the command cannot catch Ctrl-C
-if TYPE_CHECKING:
-    from typing import Any
 
 __version__ = "0.1.0"
 
@@ -44,108 +42,38 @@ _EXPORTS = {
     "theory": "",
 }
 
-if TYPE_CHECKING:
-    from oee_tabular import (
-        bench,
-        data,
-        design,
-        estimators,
-        exact,
-        inference,
-        mdp,
-        plots,
-        ratio,
-        report,
-        simulate,
-        tasks,
-        testing,
-        theory,
-    )
-    from oee_tabular.data import ContinuousTransitions, TransitionCounts, Transitions
-    from oee_tabular.design import Plan, plan_data_collection
-    from oee_tabular.estimators import Estimate, Problem
-    from oee_tabular.exact import (
-        Moments,
-        action_values,
-        doubly_robust_moments,
-        efficiency_bound,
-        optimal_policy,
-        policy_is_moments,
-        policy_value,
-        return_moments,
-        state_values,
-        trajectory_efficiency_bound,
-        weighted_return_moments,
-    )
-    from oee_tabular.exact.occupancy import occupancy
-    from oee_tabular.inference import Interval, interval
-    from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
-    from oee_tabular.ratio import (
-        RatioFit,
-        TransitionRatio,
-        check_assumptions,
-        density_ratio,
-        density_ratio_samples,
-        transition_ratio,
-        true_ratio,
-    )
-    from oee_tabular.report import Report, evaluate
-    from oee_tabular.simulate import sample_episodes, sample_returns, sample_transitions
-    from oee_tabular.tasks import record_episodes
+if TYPE_CHECKING:  # the same for type checkers
+    # fmt: off
+    # isort: off
+    from typing import Any
 
-__all__ = [
-    "ContinuousTransitions",
-    "Estimate",
-    "FiniteMDP",
-    "Interval",
-    "Moments",
-    "Plan",
-    "Problem",
-    "RatioFit",
-    "Report",
-    "TransitionCounts",
-    "TransitionRatio",
-    "Transitions",
-    "action_values",
-    "bench",
-    "check_assumptions",
-    "data",
-    "density_ratio",
-    "density_ratio_samples",
-    "design",
-    "doubly_robust_moments",
-    "efficiency_bound",
-    "estimators",
-    "evaluate",
-    "exact",
-    "inference",
-    "interval",
-    "mdp",
-    "mix",
-    "occupancy",
-    "optimal_policy",
-    "plan_data_collection",
-    "plots",
-    "policy_is_moments",
-    "policy_value",
-    "ratio",
-    "record_episodes",
-    "report",
-    "return_moments",
-    "sample_episodes",
-    "sample_returns",
-    "sample_transitions",
-    "simulate",
-    "state_values",
-    "tasks",
-    "testing",
-    "theory",
-    "trajectory_efficiency_bound",
-    "transition_ratio",
-    "true_ratio",
-    "uniform_policy",
-    "weighted_return_moments",
-]
+    from oee_tabular import bench as bench, data as data, design as design, estimators as estimators, exact as exact
+    from oee_tabular import inference as inference, mdp as mdp, plots as plots, ratio as ratio, report as report
+    from oee_tabular import simulate as simulate, tasks as tasks, testing as testing, theory as theory
+    from oee_tabular.data import ContinuousTransitions as ContinuousTransitions, TransitionCounts as TransitionCounts
+    from oee_tabular.data import Transitions as Transitions
+    from oee_tabular.design import Plan as Plan, plan_data_collection as plan_data_collection
+    from oee_tabular.estimators import Estimate as Estimate, Problem as Problem
+    from oee_tabular.exact import Moments as Moments, action_values as action_values, efficiency_bound as efficiency_bound
+    from oee_tabular.exact import doubly_robust_moments as doubly_robust_moments, optimal_policy as optimal_policy
+    from oee_tabular.exact import policy_is_moments as policy_is_moments, policy_value as policy_value
+    from oee_tabular.exact import return_moments as return_moments, state_values as state_values
+    from oee_tabular.exact import trajectory_efficiency_bound as trajectory_efficiency_bound
+    from oee_tabular.exact import weighted_return_moments as weighted_return_moments
+    from oee_tabular.exact.occupancy import occupancy as occupancy
+    from oee_tabular.inference import Interval as Interval, interval as interval
+    from oee_tabular.mdp import FiniteMDP as FiniteMDP, mix as mix, uniform_policy as uniform_policy
+    from oee_tabular.ratio import RatioFit as RatioFit, TransitionRatio as TransitionRatio, true_ratio as true_ratio
+    from oee_tabular.ratio import check_assumptions as check_assumptions, density_ratio as density_ratio
+    from oee_tabular.ratio import density_ratio_samples as density_ratio_samples, transition_ratio as transition_ratio
+    from oee_tabular.report import Report as Report, evaluate as evaluate
+    from oee_tabular.simulate import sample_episodes as sample_episodes, sample_returns as sample_returns
+    from oee_tabular.simulate import sample_transitions as sample_transitions
+    from oee_tabular.tasks import record_episodes as record_episodes
+    # isort: on
+    # fmt: on
+
+__all__ = sorted({*_EXPORTS, *" ".join(_EXPORTS.values()).split()})  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:

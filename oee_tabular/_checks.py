@@ -30,8 +30,6 @@ T = TypeVar("T")
 
 LARGEST_INTEGER = 2**63 - 1
 SUM_TOLERANCE = 1e-8
-# of a container
-_MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _PACKAGE = os.path.dirname(os.path.abspath(__file__)) + os.sep
 SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then scaled
 
@@ -309,7 +307,7 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
 
 
 def require_memory(count: float, name: str, value: object = None, *, size: int = 8) -> None:
-    """``count`` numbers of ``size`` bytes are there to be taken: asked before, since a system may grant what it does not have.
+    """``count`` numbers of ``size`` bytes fit into memory: asked before, since a system may grant what it does not have.
 
     A ValueError where the ``value`` of an argument asks for them, else (a file that is read) a MemoryError.
     """
@@ -317,27 +315,15 @@ def require_memory(count: float, name: str, value: object = None, *, size: int =
     if needed <= free:
         return
     if value is None:
-        raise MemoryError(f"{name} needs {bytes_in_words(needed)} of memory; {bytes_in_words(free)} are free")
+        raise MemoryError(f"{name} needs {needed / 2**30:.3g} GiB of memory; {free / 2**30:.3g} GiB are free")
     raise ValueError(f"{name} must be small enough for this machine's memory; {value} needs {needed / 2**30:.3g} GiB")
-
-
-def bytes_in_words(number: float) -> str:
-    """1000 bytes, 2.5 GiB."""
-    return f"{number:.0f} bytes" if number < 2**20 else f"{number / 2**30:.3g} GiB"
 
 
 def free_memory() -> float:
     """Bytes that a process can still take; infinite where the system does not say."""
-    known = [math.inf]
     with contextlib.suppress(OSError, ValueError, IndexError):
-        text = Path("/proc/meminfo").read_text()
-        known.append(1024.0 * int(text.partition("MemAvailable:")[2].split()[0]))
-    with contextlib.suppress(AttributeError, OSError, ValueError):
-        known.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
-    for limit in _MEMORY_LIMITS:
-        with contextlib.suppress(OSError, ValueError):  # "max": none
-            known.append(float(int(Path(limit).read_text())))
-    return min(known)
+        return 1024.0 * int(Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0])
+    return math.inf
 
 
 def optional_horizon(horizon: object) -> int | None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
-import math
 import os
 import re
 import uuid
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -29,12 +28,10 @@ KINDS = {
     "transition_counts": "counted log (TransitionCounts)",
     "continuous_transitions": "log of continuous states (ContinuousTransitions)",
 }
-FORMULA = re.compile(
-    r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
-)  # what a spreadsheet takes a cell for that begins with it
+# a spreadsheet takes a cell that begins with one of these for a formula
+FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 LONGEST_PATH = 1000  # characters; systems allow 255 to 4096, and errors repeat it
 _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
-_PACKED = 1040  # bytes that deflate can make of one; it cannot make more than 1032
 
 
 def local(path: str | os.PathLike[str], argument: str = "path") -> str:
@@ -79,7 +76,7 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     target = _place(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(2, "no such folder", str(target.parent))
-    with _staged(target, path) as temporary, open(temporary, "xb") as handle:
+    with _temporary_path(target, path) as temporary, open(temporary, "xb") as handle:
         yield handle
         handle.flush()
         os.fsync(handle.fileno())
@@ -92,7 +89,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
     try:
         with ExitStack() as stack:
             for name, data in contents.items():
-                temporary = stack.enter_context(_staged(_place(folder / name), folder / name))
+                temporary = stack.enter_context(_temporary_path(_place(folder / name), folder / name))
                 temporary.write_bytes(data)
     except BaseException:
         if made:
@@ -101,7 +98,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 @contextmanager
-def _staged(target: Path, path: str | os.PathLike[str]) -> Iterator[Path]:
+def _temporary_path(target: Path, path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside ``target``, moved over it at the end; an error of the disk names ``path``."""
     temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
     try:
@@ -135,13 +132,13 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
     defused = frame.copy()
     for k, kind in enumerate(frame.dtypes):
         if kind.kind not in "biufc":
-            defused.isetitem(k, [_defused(value) for value in frame.iloc[:, k]])
-    defused.columns = [_defused(label) for label in frame.columns]
+            defused.isetitem(k, [_defuse(value) for value in frame.iloc[:, k]])
+    defused.columns = [_defuse(label) for label in frame.columns]
     text: str = defused.to_csv(index=False, **options)
     return text.encode()
 
 
-def _defused(value: object) -> Any:
+def _defuse(value: object) -> Any:
     if not isinstance(value, str):
         return value
     text = "\n".join(value.splitlines()) if "\r" in value else value  # a bare one ends the line, and is not quoted
@@ -153,7 +150,7 @@ def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     whole = hashlib.blake2b(digest_size=16)
     for name in sorted(arrays):
         array = arrays[name]
-        values = repr(array.tolist()).encode() if array.dtype.hasobject else np.ascontiguousarray(array)
+        values: Any = repr(array.tolist()).encode() if array.dtype.hasobject else np.ascontiguousarray(array)
         content = hashlib.blake2b(values, digest_size=16).hexdigest()
         whole.update(repr((name, array.dtype.str, array.shape, content)).encode())
     return whole.hexdigest()
@@ -180,9 +177,9 @@ def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArr
 def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:
     """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds otherwise."""
     arrays = read_npz(path)
-    found = npz_kind(arrays)
-    if found != kind:
-        holds = f"a {KINDS.get(found, found)}" if found else f"the arrays {', '.join(arrays):.200}"
+    stored = npz_kind(arrays)
+    if stored != kind:
+        holds = f"a {KINDS.get(stored, stored)}" if stored else f"the arrays {_checks.show(', '.join(arrays))}"
         raise ValueError(
             f"{os.fspath(path)!r} must hold a {KINDS[kind]}; it holds {holds}{f' ({hint})' if hint else ''}"
         )
@@ -203,71 +200,30 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
 def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     """Every array of an npz or npy file (the npy's under the name "array"). No pickles, and no changed file of ours.
 
-    Sizes that a file declares are compared with those that it has before memory is taken. Raises ValueError for what is
-    no such file, FileNotFoundError, and MemoryError ("needs 14.9 GiB") where its arrays do not fit.
+    Raises ValueError for what is no such file, FileNotFoundError, and MemoryError ("needs 14.9 GiB") where it does not fit.
     """
     name = local(path)
     with open(name, "rb") as handle, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a broken header may be strange Python
-        size = os.fstat(handle.fileno()).st_size
         try:
-            zipped = handle.read(4) in _ZIP
+            is_zip = handle.read(4) in _ZIP
+            members = zipfile.ZipFile(handle).infolist() if is_zip else []
+            size = sum(member.file_size for member in members) if is_zip else os.fstat(handle.fileno()).st_size
+            _checks.require_memory(size, repr(name), size=1)
             handle.seek(0)
-            arrays = _members(handle, size, name) if zipped else {"array": _array(handle, size, name)}
+            loaded = np.load(handle, allow_pickle=False)
+            arrays = dict(loaded) if is_zip else {"array": loaded}
+            if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+                raise ValueError("a member is no array")
         except Exception as error:  # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
-            if isinstance(error, MemoryError) and str(error):  # with a size; ast has none for a header that is too deep
+            if isinstance(error, MemoryError) and repr(name) in str(error):
                 raise
-            words = str(error) or type(error).__name__
+            words = _checks.escape_controls(str(error) or type(error).__name__)
             raise ValueError(f"{name!r} must be an npz or npy file of plain arrays; {words:.300}") from None
     saved = arrays.pop(DIGEST, None)
     if (KIND in arrays or saved is not None) and str(saved) != digest(arrays):
         raise ValueError(f"{name!r} must hold the arrays that were saved in it; it is damaged, or was edited")
     return arrays
-
-
-def _members(handle: IO[bytes], size: int, name: str) -> dict[str, NDArray[Any]]:
-    """The arrays of a zip file of ``size`` bytes."""
-    with zipfile.ZipFile(handle) as archive:
-        members = archive.infolist()
-        for member in members:
-            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise ValueError(f"{member.filename} must be stored or deflated; its method is {member.compress_type}")
-            if member.compress_size > size or member.file_size > _PACKED * (member.compress_size + 1):
-                raise ValueError(
-                    f"{member.filename} must be as long as it says, {_checks.bytes_in_words(member.file_size)}; it is not"
-                )
-        _checks.require_memory(sum(member.file_size for member in members), repr(name), size=1)
-        arrays = {}
-        for member in members:
-            with archive.open(member) as stream:
-                arrays[member.filename.removesuffix(".npy")] = _array(stream, member.file_size, name)
-                while stream.read(1 << 20):  # to the end, where the checksum is compared
-                    pass
-    return arrays
-
-
-def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
-    """The array of an npy stream of ``size`` bytes."""
-    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    version = np.lib.format.read_magic(stream)
-    if version not in headers:
-        raise ValueError(f"the version of the format must be 1.0 or 2.0; it is {'.'.join(map(str, version))}")
-    try:
-        shape, _, dtype = headers[version](stream)
-    except (MemoryError, RecursionError) as error:  # what Python's parser says of brackets without end
-        raise ValueError(f"the header cannot be read: {error}") from None
-    if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never unpickled")
-    declared, stored = dtype.itemsize * math.prod(shape), size - stream.tell()
-    if min(shape, default=1) < 0 or declared > stored:
-        raise ValueError(
-            f"an array of {dtype} of shape {shape} needs {_checks.bytes_in_words(declared)}; "
-            f"the file has {_checks.bytes_in_words(stored)}"
-        )
-    _checks.require_memory(declared, repr(name), size=1)
-    stream.seek(0)
-    found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-    return found
 
 
 def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
@@ -280,11 +236,9 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
     name = local(path)
     if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
         return None
-    try:
-        with zipfile.ZipFile(name) as archive, archive.open(f"{KIND}.npy") as stream:
-            return str(_array(stream, archive.getinfo(f"{KIND}.npy").file_size, name))
-    except (KeyError, OSError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError):
-        return None  # what is wrong with it is said by who reads all of it
+    with contextlib.suppress(Exception), np.load(name, allow_pickle=False) as arrays:
+        return str(arrays[KIND])
+    return None  # what is wrong with it is said by who reads all of it
 
 
 def render(write: Callable[[IO[bytes]], object]) -> bytes:

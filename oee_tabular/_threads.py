@@ -13,7 +13,7 @@ import numpy as np
 from oee_tabular._checks import Array
 
 Parameters = ParamSpec("Parameters")
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 def dot(x: Array, y: Array) -> float:
@@ -25,38 +25,36 @@ class _OneThread:
     """BLAS with one thread while anybody is inside, and then as before; Python threads may come and go in any order."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.inside = 0
+        self.lock, self.n_inside = threading.Lock(), 0
         self.libraries: list[Any] | None = None
         self.before: list[int] = []
         if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._in_child)
+            os.register_at_fork(after_in_child=self._reset)
 
-    def _in_child(self) -> None:
+    def _reset(self) -> None:
         """A forked process has none of the threads that were inside, nor one that would open the lock."""
         self.lock = threading.Lock()
-        if self.inside:
-            self.inside = 0
+        if self.n_inside:
+            self.n_inside = 0
             self._set(self.before)
 
     def __enter__(self) -> None:
         with self.lock:
-            if self.inside == 0:
+            if self.n_inside == 0:
                 if self.libraries is None:
-                    import scipy.linalg  # noqa: F401  a BLAS of its own, which must be there to be found
+                    import scipy.linalg  # noqa: F401  a BLAS of its own, which must be loaded first
                     from threadpoolctl import ThreadpoolController
 
-                    found = ThreadpoolController().select(user_api="blas").lib_controllers
-                    self.libraries = [library for library in found if library.num_threads]
-                self.before = [library.num_threads for library in self.libraries]
+                    self.libraries = ThreadpoolController().select(user_api="blas").lib_controllers
+                self.before = [library.num_threads or 1 for library in self.libraries]
                 self._set([1] * len(self.before))
-            self.inside += 1
+            self.n_inside += 1
 
     def __exit__(self, *error: object) -> None:
         with self.lock:
-            if self.inside == 1:
+            if self.n_inside == 1:
                 self._set(self.before)
-            self.inside = max(self.inside - 1, 0)
+            self.n_inside = max(self.n_inside - 1, 0)
 
     def _set(self, numbers: list[int]) -> None:
         for library, number in zip(self.libraries or [], numbers, strict=True):
@@ -67,11 +65,11 @@ class _OneThread:
 ONE_THREAD = _OneThread()
 
 
-def one_thread(function: Callable[Parameters, Found]) -> Callable[Parameters, Found]:
+def one_thread(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """The function, with one BLAS thread while it runs (five microseconds more)."""
 
     @functools.wraps(function)
-    def alone(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Found:
+    def alone(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
         with ONE_THREAD:
             return function(*args, **kwargs)
 

@@ -127,7 +127,7 @@ class Families(Mapping[str, Family]):
             return self.left_out[name]
         near = difflib.get_close_matches(str(name), list(self._makers), n=3, cutoff=0.4)
         hint = f"; nearest: {', '.join(near)}" if near else ""
-        return f"family must be one of {', '.join(self._makers)}; got {name!r}{hint}"
+        return f"family must be one of {', '.join(self._makers)}; got {_checks.show(name)}{hint}"
 
     def _make(self, name: str) -> Family:
         maker = self._makers[name]
@@ -149,7 +149,7 @@ def _fixed(maker: Callable[[], Family]) -> Family:
 def checked_seed(seed: object) -> int:
     """An integer from 0, or ValueError."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {seed!r}")
+        raise ValueError(f"seed must be an integer from 0; got {_checks.show(seed)}")
     return int(seed)
 
 

@@ -81,7 +81,7 @@ class GridInterpolation:
         try:
             shape = tuple(_checks.positive_integer(n, "shape") for n in self.shape)
         except TypeError:
-            raise ValueError(f"shape must be a tuple of positive integers; got {self.shape!r}") from None
+            raise ValueError(f"shape must be a tuple of positive integers; got {_checks.show(self.shape)}") from None
         if not shape or min(shape) < 2:
             raise ValueError(f"shape must have at least 2 vertices along each feature; it is {shape}")
         object.__setattr__(self, "shape", shape)

@@ -105,7 +105,7 @@ class ContinuousSimulator:
         if self.expert is not None and spec.startswith("mix:"):
             return _mixed(self.expert, _weight(spec, name))
         if ":" not in spec or spec.startswith("mix:"):
-            raise ValueError(f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {spec!r}")
+            raise ValueError(f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}")
         from oee_tabular.testing.command import own_modules, own_object
 
         with own_modules():
@@ -188,7 +188,7 @@ def _weight(spec: str, name: str) -> float:
     try:
         weight = float(spec.removeprefix("mix:"))
     except ValueError:
-        raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+        raise ValueError(f"{name} must be like mix:0.5; got {_checks.show(spec)}") from None
     return _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
 
 

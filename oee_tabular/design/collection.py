@@ -126,7 +126,7 @@ def plan_data_collection(
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     box = _checks.box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
     if sampling == "free" and restart is not None:
-        raise ValueError(f"restart must be left out with sampling 'free'; it is {restart!r}")
+        raise ValueError(f"restart must be left out with sampling 'free'; it is {_checks.show(restart)}")
     pis = _policies(policies, mdp)
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")

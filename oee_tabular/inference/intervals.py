@@ -163,7 +163,7 @@ def interval(
     strayed = bool(problem.dropped.any())
     if strayed and method not in ("likelihood", "robust"):
         raise ValueError(
-            f"method must be 'likelihood' or 'robust' where impossible moves were dropped; it is {method!r}"
+            f"method must be 'likelihood' or 'robust' where impossible moves were dropped; it is {_checks.show(method)}"
         )
     if strayed and evidence.has_box:
         raise ValueError(

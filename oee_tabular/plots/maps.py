@@ -132,7 +132,7 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
     try:
         rows, columns = shape
     except (TypeError, ValueError):
-        raise ValueError(f"shape must be (rows, columns); got {shape!r}") from None
+        raise ValueError(f"shape must be (rows, columns); got {_checks.show(shape)}") from None
     return Map.of_shape(_checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]"))
 
 

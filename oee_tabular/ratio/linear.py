@@ -209,7 +209,7 @@ class InClass(Method):
         _checks.instance(self.solver, str, "solver")
         if isinstance(self.ridge, str):
             raise ValueError(
-                f"ridge must be a number or a function of n with method {self._name!r}; got {self.ridge!r}"
+                f"ridge must be a number or a function of n with method {self._name!r}; got {_checks.show(self.ridge)}"
             )
         if self.kernel is None:
             if self.features is None:

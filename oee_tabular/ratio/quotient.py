@@ -82,7 +82,7 @@ class Quotient(Method):
     def __post_init__(self) -> None:
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
-            raise ValueError(f"solver must be a name or Sgd(...); got {self.solver!r}")
+            raise ValueError(f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}")
         refuse_words(self.ridge, self._name)
         _checks.box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
@@ -140,7 +140,7 @@ class Quotient(Method):
 def refuse_words(ridge: object, method: str) -> None:
     """A ridge chosen on the data is the conditional program's alone."""
     if isinstance(ridge, str):
-        raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {ridge!r}")
+        raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {_checks.show(ridge)}")
 
 
 def estimated_behavior(given: Given) -> Array:

@@ -84,7 +84,7 @@ class Tied(Method):
         if self.tie is None:
             raise ValueError("tie must be given with method 'tied': a key for each entry, or a function of (s, a, s')")
         if isinstance(self.strength, str):
-            raise ValueError(f"strength must be a number with method 'tied'; got {self.strength!r}")
+            raise ValueError(f"strength must be a number with method 'tied'; got {_checks.show(self.strength)}")
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
     def _fit(self, given: Given) -> TransitionRatio:

@@ -79,9 +79,9 @@ def method_named(name: str, **options: Any) -> Method:
         if option in named.options:
             given[option] = value
         elif option not in _OPTIONS:
-            raise TypeError(f"{option} must be an option of a method: {', '.join(_OPTIONS)}; got {value!r}")
+            raise TypeError(f"{option} must be an option of a method: {', '.join(_OPTIONS)}; got {_checks.show(value)}")
         elif not (option in _ANYWHERE and np.ndim(value) == 0 and value == _ANYWHERE[option]):
-            raise ValueError(f"{option} {_refused(name)}; got {value!r}")
+            raise ValueError(f"{option} {_refused(name)}; got {_checks.show(value)}")
     return named.make(**given)
 
 
@@ -162,11 +162,11 @@ def transition_ratio(
             method = "tied"
         for name, value in beside.items():
             if value is not None and name not in METHODS[method].make.HEEDS:
-                raise ValueError(f"{name} {_refused(method)}; got {value!r}")
+                raise ValueError(f"{name} {_refused(method)}; got {_checks.show(value)}")
         chosen = method_named(method, **options)
     for name, value in beside.items():
         if value is not None and name not in chosen.uses:
-            raise ValueError(f"{name} {chosen.refuses}; got {value!r}")
+            raise ValueError(f"{name} {chosen.refuses}; got {_checks.show(value)}")
     if horizon is not None and values_of is None:
         raise ValueError("horizon must be left out without values_of: it is that of the values")
     return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **beside)

@@ -299,7 +299,7 @@ def _chosen(
                 label += "'"
             found[label] = item
         else:
-            raise ValueError(f"estimators must be names or callables; got {item!r}")
+            raise ValueError(f"estimators must be names or callables; got {_checks.show(item)}")
     if not found:
         raise ValueError("estimators must name at least one; it is empty")
     return found, []

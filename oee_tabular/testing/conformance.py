@@ -203,7 +203,7 @@ def check_estimator(
 def check_numbers(seed: Seed, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ValueError(f"seed must be an integer of at least 0; got {seed!r}")
+        raise ValueError(f"seed must be an integer of at least 0; got {_checks.show(seed)}")
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
 

@@ -128,7 +128,7 @@ def require_mujoco() -> Any:
 def goal_number(goal: object) -> int:
     """``goal`` as a row number of GOALS."""
     if isinstance(goal, bool) or not isinstance(goal, int | np.integer) or not 0 <= goal < len(GOALS):
-        raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {goal!r}")
+        raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {_checks.show(goal)}")
     return int(goal)
 
 
