@@ -8,6 +8,7 @@ import operator
 import os
 import reprlib
 import sys
+import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -65,7 +66,9 @@ def escape_controls(text: str, keep: str = "") -> str:
     """``text`` with control characters, which a terminal obeys, as Python writes them; those in ``keep`` stay."""
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in keep else repr(c)[1:-1] for c in text)
+    return "".join(
+        c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else repr(c)[1:-1] for c in text
+    )
 
 
 def is_sparse(value: object) -> bool:

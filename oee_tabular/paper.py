@@ -1,7 +1,9 @@
 """The paper, equation by equation: "Off Environment Evaluation Using Convex Risk Minimization", numbers as printed.
 
-Dense arrays, nothing fast, nothing checked, nothing general: read it beside the paper. Arrows name what users call; the
-tests hold all of those to this page.
+Dense arrays, nothing fast, nothing general: read it beside the paper. Arrows name what users call; the tests hold all of
+those to this page. Nothing is checked here: inf or nan among the arguments gives inf or nan, float32 computes in single
+precision, rows that do not sum to 1 and empty boxes give numbers without meaning. What users call checks them.
+Not as printed: ``algorithm_1`` clips g to the box [nu, mu] after each step, which the paper does not print.
 
 P : (S, A, S), P[s, a, s'] = P(s' | s, a)   r : (S, A) rewards       S_0 : (S,) law of the start   gamma : discount
 pi : (S, A), pi[s, a] = pi(a | s)           nu, mu : the box of g    lam : the paper's lambda_n    te, tr : target, simulator

@@ -75,7 +75,9 @@ class Family:
         for name in ("policy", "data_policy"):
             object.__setattr__(self, name, check_policy(getattr(self, name), self.simulator, name=name))
         if not isinstance(self.about, str) or not self.about.strip():
-            raise ValueError(f"about must be a sentence that says what the simulator has wrong; got {_checks.show(self.about)}")
+            raise ValueError(
+                f"about must be a sentence that says what the simulator has wrong; got {_checks.show(self.about)}"
+            )
         object.__setattr__(self, "horizon", optional_horizon_length(self.horizon, self.simulator))
         object.__setattr__(self, "length", _checks.positive_integer(self.length, "length"))
 

@@ -144,7 +144,9 @@ def _sizes(sizes: Any) -> tuple[float, ...]:
     values = [sizes] if np.isscalar(sizes) else list(sizes)
     found = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
     if not found or found[0] <= 0:
-        raise ValueError(f"sizes must be positive numbers of moves per open row, at least one; got {_checks.show(sizes)}")
+        raise ValueError(
+            f"sizes must be positive numbers of moves per open row, at least one; got {_checks.show(sizes)}"
+        )
     return tuple(found)
 
 
@@ -268,7 +270,9 @@ def _numbers(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",") if part.strip()]
     except ValueError:
-        raise ValueError(f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(text)}") from None
+        raise ValueError(
+            f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(text)}"
+        ) from None
 
 
 def _command(planned: Plan, estimators: str, sizes: str | None, families: str | None) -> str:

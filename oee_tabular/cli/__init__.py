@@ -11,10 +11,11 @@ import typer
 
 from oee_tabular import _progress
 from oee_tabular.cli import commands
+from oee_tabular.cli.options import say
 
 
 def _tell(message: Warning | str, *_: object, **__: object) -> None:
-    typer.echo(f"oee: warning: {message}", err=True)
+    say(f"oee: warning: {message}", err=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -26,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
         with _progress.show_steps():
             commands.app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
-        typer.echo(f"oee: {_sentence(error)}", err=True)
+        say(f"oee: {_sentence(error)}", err=True)
         sys.exit(2)
 
 

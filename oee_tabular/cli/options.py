@@ -58,10 +58,17 @@ def shape_help(command: str) -> str:
     return f"Print JSON instead, with {', '.join(SHAPES[command])}."
 
 
+def say(text: str, *, err: bool = False) -> None:
+    """Print lines in which no name of a file or of a column speaks to the terminal."""
+    from oee_tabular._checks import escape_controls  # numpy, which the help does without
+
+    typer.echo(escape_controls(text, keep="\n"), err=err)
+
+
 def answer(command: str, text: str, record: Mapping[str, object], as_json: bool) -> None:
     """Print one or the other."""
     if not as_json:
-        typer.echo(text)
+        say(text)
         return
     from oee_tabular import __version__
     from oee_tabular.report.results import plain

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from oee_tabular.cli.inputs import ESTIMATORS_HELP
-from oee_tabular.cli.options import INPUT, OUTPUT, VALUE, Dask, Jobs, Seed, answer, json_option, option
+from oee_tabular.cli.options import INPUT, OUTPUT, VALUE, Dask, Jobs, Seed, answer, json_option, option, say
 
 
 def reproduce(
@@ -125,7 +125,7 @@ class _Lines:
     def say(self, text: str) -> None:
         self.lines += text.split("\n")
         if not self.as_json:
-            typer.echo(text)
+            say(text)
 
     def end(self, command: str) -> None:
         if self.as_json:

@@ -40,7 +40,9 @@ def action_set(space: Any, given: Any = None) -> Array:
     """
     if hasattr(space, "n"):
         if given is not None:
-            raise ValueError(f"actions must be left out where the environment has {space}; they are {_checks.show(given)}")
+            raise ValueError(
+                f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
+            )
         return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
     shape = getattr(space, "shape", None)
     if shape is None or len(shape) != 1 or not hasattr(space, "low"):

@@ -222,7 +222,9 @@ def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:
     """
     counts = (points,) * n if isinstance(points, int) else tuple(points)
     if len(counts) != n:
-        raise ValueError(f"noise_points must be a number or {n} numbers, one for each disturbance; it is {_checks.show(points)}")
+        raise ValueError(
+            f"noise_points must be a number or {n} numbers, one for each disturbance; it is {_checks.show(points)}"
+        )
     lines = [np.polynomial.hermite_e.hermegauss(_checks.positive_integer(count, "noise_points")) for count in counts]
     if not lines:
         return np.zeros((1, 0)), np.ones(1)

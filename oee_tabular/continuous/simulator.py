@@ -105,7 +105,9 @@ class ContinuousSimulator:
         if self.expert is not None and spec.startswith("mix:"):
             return _mixed(self.expert, _weight(spec, name))
         if ":" not in spec or spec.startswith("mix:"):
-            raise ValueError(f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}")
+            raise ValueError(
+                f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}"
+            )
         from oee_tabular.testing.command import own_modules, own_object
 
         with own_modules():

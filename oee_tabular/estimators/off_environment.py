@@ -97,7 +97,9 @@ class OffEnvironment(ExactLimit):
         if isinstance(self.ratio, str):
             _checks.one_of(self.ratio, "ratio", tuple(NAMED))
         elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
-            raise ValueError(f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}")
+            raise ValueError(
+                f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}"
+            )
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
         check_rollout_options(self.weighting, self.n_rollouts)
         _checks.boolean(self.self_normalized, "self_normalized")

@@ -121,7 +121,9 @@ class Conditional(Method):
         if self.prior is None:
             object.__setattr__(self, "prior", "none")
         if self.prior != "none":
-            raise ValueError(f"prior must be left out with functions=Network(...), which has none; got {_checks.show(self.prior)}")
+            raise ValueError(
+                f"prior must be left out with functions=Network(...), which has none; got {_checks.show(self.prior)}"
+            )
         box = _checks.box(self.lower, self.upper, normalized=True)
         if box != (0.0, np.inf):
             raise ValueError(

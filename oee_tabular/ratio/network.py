@@ -127,7 +127,9 @@ def check_network(network: object, *, solver: object) -> None:
     """What no method can have with a network: a ValueError, at the making of the method."""
     _checks.instance(network, Network, "functions", "Network(...)")
     if solver != "dual":
-        raise ValueError(f"solver must be left out with functions=Network(...), which has its own; got {_checks.show(solver)}")
+        raise ValueError(
+            f"solver must be left out with functions=Network(...), which has its own; got {_checks.show(solver)}"
+        )
 
 
 def check_boxed_network(

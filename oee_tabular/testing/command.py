@@ -191,7 +191,9 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
         raise ValueError(f"{what} must be given as MODULE:OBJECT, {example}; got {_checks.show(spec)}")
     if module_name.endswith(".py") or os.sep in module_name:
         hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
-        raise ValueError(f"MODULE must be a module's name, not a file's; got {_checks.show(module_name)} (try {hint}:{path})")
+        raise ValueError(
+            f"MODULE must be a module's name, not a file's; got {_checks.show(module_name)} (try {hint}:{path})"
+        )
     return module_name, path
 
 
