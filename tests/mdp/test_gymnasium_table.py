@@ -1,3 +1,5 @@
+"""MDPs of Gymnasium's tables: the table's own values, where termination leads, and what is refused."""
+
 import gymnasium
 import numpy as np
 import pytest
@@ -18,51 +20,23 @@ ENVIRONMENTS = [
 
 
 @pytest.mark.parametrize(("name", "kwargs"), ENVIRONMENTS)
-def test_values_agree_with_value_iteration_on_the_table_itself(name, kwargs):
-    """The table's own semantics (nothing after termination), evaluated without any of our conversion."""
+def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
+    """By value iteration on the table (nothing after termination), without any of our conversion."""
     env = gymnasium.make(name, **kwargs)
-    table = env.unwrapped.P
-    mdp = FiniteMDP.from_gymnasium(env, discount=0.9)
-    own = len(table)
-    rng = np.random.default_rng(0)
-    policy = rng.dirichlet(np.ones(mdp.n_actions), size=own)
-    values = np.zeros(own)
+    table, mdp = env.unwrapped.P, FiniteMDP.from_gymnasium(env, discount=0.9)
+    policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=len(table))
+    rows = [(s, a, p, t, r, done) for s in table for a in table[s] for p, t, r, done in table[s][a]]
+    s, a, p, t, r, done = (np.array(column) for column in zip(*rows, strict=True))
+    values = np.zeros(len(table))
     for _ in range(400):
-        values = np.array(
-            [
-                sum(
-                    policy[s, a] * p * (r + 0.9 * (0.0 if done else values[t]))
-                    for a in range(mdp.n_actions)
-                    for p, t, r, done in table[s][a]
-                )
-                for s in range(own)
-            ]
-        )
-    started = env.unwrapped.initial_state_distrib
-    assert_allclose(oee.policy_value(mdp, policy), started @ values, rtol=1e-9)
-    entered_by_death = {t for s in table for a in table[s] for _, t, _, done in table[s][a] if done}
-    ours = oee.state_values(mdp, policy)
-    for s in range(own):
-        if s not in entered_by_death or mdp.terminal_state[s] != s:
-            assert_allclose(ours[s], values[s], rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(("name", "kwargs"), ENVIRONMENTS)
-def test_terminated_moves_lead_to_states_that_are_over(name, kwargs):
-    env = gymnasium.make(name, **kwargs)
-    mdp = FiniteMDP.from_gymnasium(env)
-    table = env.unwrapped.P
-    over = mdp.absorbing()
-    transitions = mdp.transitions.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
-    for s in table:
-        if over[s]:
-            continue
-        for a in table[s]:
-            expected = np.zeros(mdp.n_states)
-            for p, t, _, done in table[s][a]:
-                expected[mdp.terminal_state[t] if done else t] += p
-                assert not done or over[mdp.terminal_state[t]]
-            assert_allclose(transitions[s, a], expected, rtol=0, atol=1e-15)
+        values = np.bincount(s, policy[s, a] * p * (r + 0.9 * np.where(done, 0.0, values[t])), len(table))
+    assert_allclose(oee.policy_value(mdp, policy), env.unwrapped.initial_state_distrib @ values, rtol=1e-9)
+    is_own = ~np.isin(np.arange(len(table)), t[done]) | (mdp.terminal_state != np.arange(len(table)))
+    assert_allclose(oee.state_values(mdp, policy)[: len(table)][is_own], values[is_own], rtol=1e-9, atol=1e-9)
+    over, expected = mdp.absorbing(), np.zeros((mdp.n_states, mdp.n_actions, mdp.n_states))
+    np.add.at(expected, (s, a, np.where(done, mdp.terminal_state[t], t)), p)
+    assert over[mdp.terminal_state[t[done]]].all()
+    assert_allclose(mdp.transitions.toarray().reshape(expected.shape)[~over], expected[~over], rtol=0, atol=1e-15)
 
 
 def test_goal_and_holes_of_frozen_lake_stay_apart():
@@ -71,64 +45,45 @@ def test_goal_and_holes_of_frozen_lake_stay_apart():
     assert_array_equal(np.flatnonzero(mdp.absorbing()), [5, 7, 11, 12, 15])
 
 
-def test_a_state_entered_alive_as_well_gets_a_twin():
+def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
     """Taxi: from its unreachable states the destination is entered without termination, so dropping off needs twins."""
     mdp = oee.tasks.toy_text("Taxi-v4")
-    assert mdp.n_states == 504
-    assert len(mdp.terminal_state) == 500
     twins = np.flatnonzero(mdp.terminal_state != np.arange(500))
-    assert len(twins) == 4
+    assert (mdp.n_states, len(mdp.terminal_state), len(twins)) == (504, 500, 4)
     assert_array_equal(np.sort(mdp.terminal_state[twins]), np.arange(500, 504))
-
-
-def test_a_policy_of_the_environment_s_own_shape_is_accepted():
-    mdp = oee.tasks.toy_text("Taxi-v4")
-    own = np.full((500, 6), 1 / 6)
+    mdp.save(tmp_path / "taxi.npz")
+    for other in (FiniteMDP.load(tmp_path / "taxi.npz"), mdp.with_action_noise(0.1), mdp.with_discount(0.5)):
+        assert_array_equal(other.terminal_state, mdp.terminal_state)
+        assert other.absorbing()[500:].all()
+    own = np.full((500, 6), 1 / 6)  # a policy of the environment's own shape
     assert oee.policy_value(mdp, own) == oee.policy_value(mdp, oee.uniform_policy(mdp))
     by_step = oee.policy_value(mdp, np.stack([own] * 3), horizon=3)  # forward in time, the other one backward
     assert_allclose(by_step, oee.policy_value(mdp, own, horizon=3), rtol=1e-13)
 
 
-def test_rain_comes_with_its_probability():
-    mdp = oee.tasks.toy_text("Taxi-v4", is_rainy=True, rainy_probability=0.6)
-    largest = mdp.transitions.max(axis=1).toarray()
-    assert np.isclose(largest, 0.6).any()
-
-
-def test_refusals():
-    with pytest.raises(ValueError, match="fickle Taxi passenger changes its destination outside it"):
-        FiniteMDP.from_gymnasium(gymnasium.make("Taxi-v4", fickle_passenger=True))
-    with pytest.raises(ValueError, match="BlackjackEnv has none"):
-        FiniteMDP.from_gymnasium(gymnasium.make("Blackjack-v1"))
-    flipped = gymnasium.wrappers.TransformReward(gymnasium.make("FrozenLake-v1"), lambda r: -r)
-    with pytest.raises(ValueError, match="the wrapper TransformReward may"):
-        FiniteMDP.from_gymnasium(flipped)
-    sticky = gymnasium.wrappers.StickyAction(gymnasium.make("FrozenLake-v1"), 0.25)
-    with pytest.raises(ValueError, match="the wrapper StickyAction may"):
-        FiniteMDP.from_gymnasium(sticky)
-
-
-def test_terminal_states_survive_saving_and_noise(tmp_path):
-    mdp = oee.tasks.toy_text("Taxi-v4")
-    mdp.save(tmp_path / "taxi.npz")
-    for other in (FiniteMDP.load(tmp_path / "taxi.npz"), mdp.with_action_noise(0.1), mdp.with_discount(0.5)):
-        assert_array_equal(other.terminal_state, mdp.terminal_state)
-        assert other.absorbing()[500:].all()
+def lake():
+    return gymnasium.make("FrozenLake-v1")
 
 
 @pytest.mark.parametrize(
-    "wrap",
+    ("make", "text"),
     [
-        gymnasium.wrappers.NormalizeReward,
-        lambda env: gymnasium.wrappers.FrameStackObservation(env, 2),
-        lambda env: gymnasium.wrappers.DelayObservation(env, 1),
+        (
+            lambda: gymnasium.make("Taxi-v4", fickle_passenger=True),
+            "fickle Taxi passenger changes its destination outside",
+        ),
+        (lambda: gymnasium.make("Blackjack-v1"), "BlackjackEnv has none"),
+        (lambda: gymnasium.wrappers.TransformReward(lake(), lambda r: -r), "the wrapper TransformReward may"),
+        (lambda: gymnasium.wrappers.StickyAction(lake(), 0.25), "the wrapper StickyAction may"),
+        (lambda: gymnasium.wrappers.NormalizeReward(lake()), "the wrapper NormalizeReward may"),
+        (lambda: gymnasium.wrappers.FrameStackObservation(lake(), 2), "the wrapper FrameStackObservation may"),
+        (lambda: gymnasium.wrappers.DelayObservation(lake(), 1), "the wrapper DelayObservation may"),
     ],
 )
-def test_wrappers_that_may_change_anything_are_refused(wrap):
-    with pytest.raises(ValueError, match=r"the wrapper .* may"):
-        FiniteMDP.from_gymnasium(wrap(gymnasium.make("FrozenLake-v1")))
-    harmless = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.make("FrozenLake-v1"))
-    assert FiniteMDP.from_gymnasium(harmless).n_states == 16
+def test_refusals(make, text):
+    with pytest.raises(ValueError, match=text):
+        FiniteMDP.from_gymnasium(make())
+    assert FiniteMDP.from_gymnasium(gymnasium.wrappers.RecordEpisodeStatistics(lake())).n_states == 16
 
 
 class Corridor(gymnasium.Env):
@@ -145,7 +100,6 @@ class Corridor(gymnasium.Env):
 
 def test_a_table_whose_last_state_is_never_entered():
     mdp = FiniteMDP.from_gymnasium(Corridor(), discount=0.5)
-    assert mdp.n_states == 3
     assert_array_equal(mdp.transitions.toarray(), [[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0]])
     assert_array_equal(mdp.initial, [0, 0, 1])
     assert_array_equal(oee.state_values(mdp, np.ones((3, 1))), [0, 0, 1])

@@ -15,7 +15,6 @@ POLICY = oee.uniform_policy(TARGET)
 ZETA = oee.true_ratio(TARGET, SIMULATOR)
 FAR = 10**9
 LOG = oee.sample_episodes(TARGET, POLICY, 20, 30, seed=0)
-PROBLEM = oee.Problem(SIMULATOR, LOG)
 
 FAR_AND_INFINITE = {
     "policy_value": lambda horizon: oee.policy_value(TARGET, POLICY, horizon=horizon),
@@ -33,28 +32,23 @@ FAR_AND_INFINITE = {
 
 @pytest.mark.parametrize("name", FAR_AND_INFINITE)
 def test_far_beyond_the_discount_is_the_infinite_sum(name):
-    made = FAR_AND_INFINITE[name]
     with pytest.warns(UserWarning, match="horizon 1000000000 is followed to step 13803"):
-        far = made(FAR)
-    np.testing.assert_allclose(far, made(None), rtol=1e-11, atol=1e-13)
+        far = FAR_AND_INFINITE[name](FAR)
+    np.testing.assert_allclose(far, FAR_AND_INFINITE[name](None), rtol=1e-11, atol=1e-13)
 
 
 def test_a_late_reward_is_not_cut_off():
     n = 12_000  # a corridor: the only reward comes after 12 000 steps, .99^12000 = 4e-53
     rows = sparse.csr_array((np.ones(n), (np.arange(n), np.minimum(np.arange(1, n + 1), n - 1))), shape=(n, n))
-    rewards = np.zeros(n)
-    rewards[-1] = 1.0
-    corridor = oee.FiniteMDP(rows, rewards, np.eye(1, n)[0], 0.99)
+    corridor = oee.FiniteMDP(rows, np.eye(1, n, n - 1)[0], 0, 0.99)
     with pytest.warns(UserWarning, match="is followed to step"):
         far = oee.policy_value(corridor, np.ones((n, 1)), horizon=FAR)
     assert far == pytest.approx(0.99 ** (n - 1) / 0.01, rel=1e-9)
 
 
 def test_policies_that_change_with_time_are_followed_to_their_end():
-    steps = 10_500
-    changing = np.repeat(POLICY[None], steps, axis=0)
-    fast = TARGET.with_discount(0.5)
-    assert oee.policy_value(fast, changing, horizon=steps) == pytest.approx(oee.policy_value(fast, POLICY), rel=1e-12)
+    changing, fast = np.repeat(POLICY[None], 10_500, axis=0), TARGET.with_discount(0.5)
+    assert oee.policy_value(fast, changing, horizon=10_500) == pytest.approx(oee.policy_value(fast, POLICY), rel=1e-12)
 
 
 def test_weights_that_outgrow_the_discount_are_not_cut():
@@ -68,20 +62,18 @@ def test_weights_that_outgrow_the_discount_are_not_cut():
 
 
 def test_at_discount_1_the_cost_is_said():
-    lasting = TARGET.with_discount(1.0)
     for call in (oee.policy_value, oee.return_moments, oee.occupancy):
         with pytest.raises(ValueError, match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)"):
-            call(lasting, POLICY, horizon=FAR)
+            call(TARGET.with_discount(1.0), POLICY, horizon=FAR)
     with pytest.warns(UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"):
         assert limit_horizon(20_000, 1.0, work=1.2e5) == 20_000
 
 
-@pytest.mark.parametrize("horizon", [2**63, 2**70])
 @pytest.mark.parametrize("call", [oee.policy_value, oee.return_moments, oee.optimal_policy, oee.occupancy])
-def test_beyond_64_bits(call, horizon):
+def test_beyond_64_bits(call):
     arguments = (TARGET,) if call is oee.optimal_policy else (TARGET, POLICY)
-    with pytest.raises(ValueError, match=rf"horizon must be at most 2\*\*63 - 1; it is {horizon}"):
-        call(*arguments, horizon=horizon)
+    with pytest.raises(ValueError, match=rf"horizon must be at most 2\*\*63 - 1; it is {2**63}"):
+        call(*arguments, horizon=2**63)
 
 
 def test_arrays_with_an_entry_for_each_step_must_fit():
@@ -98,31 +90,19 @@ def test_arrays_with_an_entry_for_each_step_must_fit():
 def test_sampled_episodes():
     with pytest.warns(UserWarning, match="is followed to step"):
         log = oee.sample_episodes(TARGET, POLICY, 3, FAR, seed=0)
-    same = oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0)
-    np.testing.assert_array_equal(log.state, same.state)
+    np.testing.assert_array_equal(log.state, oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0).state)
     endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.5)
-    assert (
-        len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000
-    )  # a log of a million moves is not cut
+    assert len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000  # a log of a million is not cut
 
 
 def test_from_the_command_line(tmp_path):
     LOG.save(tmp_path / "log.npz")
-    common = [
-        sys.executable,
-        "-m",
-        "oee_tabular",
-        "evaluate",
-        "--simulator",
-        "gridworld:3,slip=0.3",
-        "--log",
-        str(tmp_path / "log.npz"),
-        "--estimators",
-        "simulator",
-    ]
-    done = subprocess.run([*common, "--horizon", "1000000000"], capture_output=True, text=True)
-    assert done.returncode == 0
-    assert "oee: warning: horizon 1000000000 is followed to step" in done.stderr
-    done = subprocess.run([*common, "--horizon", "99999999999999999999"], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "horizon must be at most 2**63 - 1; it is 99999999999999999999" in done.stderr
+    words = ["evaluate", "--simulator", "gridworld:3,slip=0.3", "--log", str(tmp_path / "log.npz")]
+    for horizon, code, text in (
+        ("1000000000", 0, "oee: warning: horizon 1000000000 is followed to step"),
+        ("9" * 20, 2, f"horizon must be at most 2**63 - 1; it is {'9' * 20}"),
+    ):
+        command = [sys.executable, "-m", "oee_tabular", *words, "--estimators", "simulator", "--horizon", horizon]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == code
+        assert text in done.stderr

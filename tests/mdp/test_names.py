@@ -111,30 +111,31 @@ def test_bad_names(names, text):
         three(action_names=["a", "b", "c"])
 
 
-def test_a_first_state():
-    for initial, law in (
-        ("hall", [1, 0, 0]), (("room", 1), [0, 1, 0]), (2, [0, 0, 1]), (np.int64(1), [0, 1, 0]), (np.array(0), [1, 0, 0]),
-        ({"hall": 0.25, ("room", 1): 0.5, 2: 0.25}, [0.25, 0.5, 0.25]), ((0.5, 0.0, 0.5), [0.5, 0, 0.5]),
-        ([0, 1, 0], [0, 1, 0]), ("('room', 1)", [0, 1, 0]),
-    ):  # fmt: skip
-        mdp = FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES)
-        assert_array_equal(mdp.initial, law)
-    for initial, text in (
-        ("hal", r"initial must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
-        (3, r"initial must be in 0\.\.2; it is 3$"),
-        (-1, r"initial must be in 0\.\.2; it is -1$"),
-        ({"hall": 0.5}, r"initial must sum to 1"),
-        ({"hall": 1.5}, r"initial\['hall'\] must be in \[0, 1\]; it is 1\.5$"),
-        ({"x": 1.0}, r"initial's state must be one of the MDP's names; it is 'x' \(they are 'hall'"),
-        (True, r"initial must have shape \(3,\)"),
-        (0.5, r"initial must have shape \(3,\)"),
-    ):
-        with pytest.raises(ValueError, match=f"^{text}"):
-            FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES)
-    with pytest.raises(
-        ValueError, match=r"^initial must be a number in 0\.\.2, since the MDP has no names here; it is 'hall'"
-    ):
-        FiniteMDP(ROWS, [0, 0, 0], "hall", 0.9)
+@pytest.mark.parametrize(
+    ("initial", "law"),
+    [("hall", [1, 0, 0]), (("room", 1), [0, 1, 0]), (2, [0, 0, 1]), (np.int64(1), [0, 1, 0]), (np.array(0), [1, 0, 0]),
+     ({"hall": 0.25, ("room", 1): 0.5, 2: 0.25}, [0.25, 0.5, 0.25]), ((0.5, 0.0, 0.5), [0.5, 0, 0.5]),
+     ([0, 1, 0], [0, 1, 0]), ("('room', 1)", [0, 1, 0])],
+)  # fmt: skip
+def test_a_first_state(initial, law):
+    assert_array_equal(FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES).initial, law)
+
+
+@pytest.mark.parametrize(
+    ("initial", "names", "text"),
+    [("hal", STATES, r"initial must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
+     (3, STATES, r"initial must be in 0\.\.2; it is 3$"),
+     (-1, STATES, r"initial must be in 0\.\.2; it is -1$"),
+     ({"hall": 0.5}, STATES, r"initial must sum to 1"),
+     ({"hall": 1.5}, STATES, r"initial\['hall'\] must be in \[0, 1\]; it is 1\.5$"),
+     ({"x": 1.0}, STATES, r"initial's state must be one of the MDP's names; it is 'x' \(they are 'hall'"),
+     (True, STATES, r"initial must have shape \(3,\)"),
+     (0.5, STATES, r"initial must have shape \(3,\)"),
+     ("hall", None, r"initial must be a number in 0\.\.2, since the MDP has no names here; it is 'hall'")],
+)  # fmt: skip
+def test_bad_first_states(initial, names, text):
+    with pytest.raises(ValueError, match=f"^{text}"):
+        FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=names)
 
 
 def test_gymnasium_s_own_names():
@@ -179,13 +180,8 @@ def test_other_numbers_of_the_states_take_them_along():
 
 
 def test_a_number_or_a_name():
-    assert [number_of(item, STATES, 3, "x") for item in ("dock", ("room", 1), ["room", 1], "('room', 1)", 2)] == [
-        2,
-        1,
-        1,
-        1,
-        2,
-    ]
+    items = ("dock", ("room", 1), ["room", 1], "('room', 1)", 2)
+    assert [number_of(item, STATES, 3, "x") for item in items] == [2, 1, 1, 1, 2]
     for item, text in (
         (True, r"x must be a name or a number; it is True$"),
         (1.0, r"x must be a name or a number; it is 1\.0$"),
@@ -244,23 +240,12 @@ def test_sentences_speak_names():
 
 @pytest.mark.parametrize(
     ("call", "text"),
-    [
-        (
-            lambda: oee.Problem(three(), oee.Transitions(["hall"], ["stay"], ["dock"])),
-            r"s=hall, a=stay -> s'=dock \(1\)\.",
-        ),
-        (
-            lambda: oee.Problem(three(), oee.Transitions([0], [1], [2])),
-            r"No action leads from hall to dock in the simulator",
-        ),
-        (
-            lambda: oee.Problem(three(), oee.Transitions([0], [0], [1], terminated=[1])),
-            r"over in state \('room', 1\), every",
-        ),
-        (lambda: three(3).with_transitions(ROWS[:, ::-1][[0, 0, 2]]), r"s=\('room', 1\), a=go -> s'=hall"),
-        (lambda: reweight(three(), -1.0 * three().transitions), r"at s=hall, a=go -> s'=hall it is"),
-    ],
-)
+    [(lambda: oee.Problem(three(), oee.Transitions(["hall"], ["stay"], ["dock"])), r"s=hall, a=stay -> s'=dock"),
+     (lambda: oee.Problem(three(), oee.Transitions([0], [1], [2])), r"No action leads from hall to dock in the simulator"),
+     (lambda: oee.Problem(three(), oee.Transitions([0], [0], [1], terminated=[1])), r"over in state \('room', 1\), every"),
+     (lambda: three(3).with_transitions(ROWS[:, ::-1][[0, 0, 2]]), r"s=\('room', 1\), a=go -> s'=hall"),
+     (lambda: reweight(three(), -1.0 * three().transitions), r"at s=hall, a=go -> s'=hall it is")],
+)  # fmt: skip
 def test_errors_speak_names(call, text):
     with pytest.raises(ValueError, match=text):
         call()

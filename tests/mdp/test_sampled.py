@@ -82,9 +82,7 @@ def test_pairs_never_recorded_do_as_the_others_do_and_are_told():
     ):
         mdp = FiniteMDP.from_log(log)
     assert_allclose(dense(mdp)[0], [[0.5, 0.5], [1 / 3, 2 / 3], [0, 1]], rtol=1e-15)
-    assert_allclose(
-        mdp.rewards[0], [4.5, (3 + 6 + 9) / 3, 9.0], rtol=1e-15
-    )  # the mean of the recorded moves, by their number
+    assert_allclose(mdp.rewards[0], [4.5, (3 + 6 + 9) / 3, 9.0], rtol=1e-15)  # by the number of transitions
     assert_array_equal(dense(mdp)[1], [[0, 1]] * 3)
     assert_array_equal(mdp.rewards[1], 0.0)
 
@@ -93,9 +91,7 @@ def test_states_that_the_log_never_met_are_not_told():
     log = Transitions([0], [0], [0], [1.0])
     mdp = FiniteMDP.from_log(log, n_states=3)
     assert mdp.closed().tolist() == [True] * 3
-    with pytest.warns(
-        UserWarning, match=f"^3 state-action pairs were {FILLED}"
-    ):  # one action, two states that may begin, one with another
+    with pytest.warns(UserWarning, match=f"^3 state-action pairs were {FILLED}"):  # two states that may begin
         FiniteMDP.from_log(log, n_states=2, n_actions=2, initial={0: 0.5, 1: 0.5})
 
 
@@ -282,10 +278,8 @@ def test_numbers_that_no_episode_meets_stay():
 
 
 def test_it_stops_where_it_is_told():
-    with pytest.warns(
-        UserWarning,
-        match=r"^samples_per_pair, 5, was not reached within max_steps, 20, in [1-6] of the 6 state-action .* met: s=",
-    ):
+    text = r"^samples_per_pair, 5, was not reached within max_steps, 20, in [1-6] of the 6 state-action .* met: s="
+    with pytest.warns(UserWarning, match=text):
         FiniteMDP.from_env(Corridor(), samples_per_pair=5, seed=0, max_steps=20)
 
 
@@ -372,23 +366,17 @@ def test_a_log_of_names_is_matched():
 
 @pytest.mark.parametrize(
     ("log", "epsilon", "text"),
-    [
-        (LOG, 2, r"epsilon must be in \(0, 1\); it is 2$"),
-        (LOG, 0, r"epsilon must be in \(0, 1\); it is 0$"),
-        (LOG, 1, r"epsilon must be in \(0, 1\); it is 1$"),
-        (LOG, "x", r"epsilon must be a number; got 'x'$"),
-        (LOG, 0.1, r"log\.state\[\d+\] must be in 0\.\.2, the simulator's; it is \d$"),
-        (Transitions([0], [2], [0]), 0.1, r"log\.action\[0\] must be in 0\.\.1, the simulator's; it is 2$"),
-        (Transitions([0], [0], [3]), 0.1, r"log\.next_state\[0\] must be in 0\.\.2, the simulator's; it is 3$"),
-        (np.eye(3), 0.1, r"log must be Transitions; got ndarray$"),
-        (sparse.csr_array((3, 3)), 0.1, r"log must be of shape \(6, 3\) where it is counts; it has shape \(3, 3\)$"),
-        (
-            Transitions(["x"], [0], ["x"]),
-            0.1,
-            r"log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names",
-        ),
-    ],
-)
+    [(LOG, 2, r"epsilon must be in \(0, 1\); it is 2$"),
+     (LOG, 0, r"epsilon must be in \(0, 1\); it is 0$"),
+     (LOG, 1, r"epsilon must be in \(0, 1\); it is 1$"),
+     (LOG, "x", r"epsilon must be a number; got 'x'$"),
+     (LOG, 0.1, r"log\.state\[\d+\] must be in 0\.\.2, the simulator's; it is \d$"),
+     (Transitions([0], [2], [0]), 0.1, r"log\.action\[0\] must be in 0\.\.1, the simulator's; it is 2$"),
+     (Transitions([0], [0], [3]), 0.1, r"log\.next_state\[0\] must be in 0\.\.2, the simulator's; it is 3$"),
+     (np.eye(3), 0.1, r"log must be Transitions; got ndarray$"),
+     (sparse.csr_array((3, 3)), 0.1, r"log must be of shape \(6, 3\) where it is counts; it has shape \(3, 3\)$"),
+     (Transitions(["x"], [0], ["x"]), 0.1, r"log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names")],
+)  # fmt: skip
 def test_bad_support(log, epsilon, text):
     with pytest.raises(ValueError, match=f"^{text}"):
         still(3).with_support_of(log, epsilon)
