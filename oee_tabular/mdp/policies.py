@@ -120,9 +120,14 @@ def uniform_policy(mdp: Sized) -> Array:
     return np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
 
 
-def deterministic_policy(actions: IntArray, n_actions: int) -> Array:
+def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") -> Array:
     """Return the (S, A) policy that takes ``actions[s]`` in state s."""
-    return np.eye(n_actions)[actions]
+    bad = np.flatnonzero((actions < 0) | (actions >= n_actions))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {actions[bad[0]]}")
+    policy = np.zeros((len(actions), n_actions))
+    policy[np.arange(len(actions)), actions.astype(np.int64)] = 1.0
+    return policy
 
 
 def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
@@ -143,7 +148,7 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     for policy, name, other in ((policy_a, "policy_a", policy_b), (policy_b, "policy_b", policy_a)):
         given = _checks.as_array(policy, name)
         if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
-            given = _action_rows(given, np.shape(other)[1], name)
+            given = deterministic_policy(given, np.shape(other)[1], name)
         array = _checks.float_array(given, name, ndim=(2, 3))
         _checks.require_nonnegative(array, name)
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
@@ -294,15 +299,7 @@ def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     if not (isinstance(actions, np.ndarray) and actions.dtype.kind in "iu"):
         numbered = (number_of(a, names, mdp.n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(actions))
         actions = np.fromiter(numbered, np.int64, len(actions))
-    return _action_rows(actions, mdp.n_actions, name)
-
-
-def _action_rows(actions: Any, n_actions: int, name: str) -> Array:
-    """Return (S, A) from (S,) integers, checked."""
-    bad = np.flatnonzero((actions < 0) | (actions >= n_actions))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {actions[bad[0]]}")
-    return deterministic_policy(actions.astype(np.int64), n_actions)
+    return deterministic_policy(actions, mdp.n_actions, name)
 
 
 def _is_known(action: object, names: Any) -> bool:
