@@ -35,7 +35,7 @@ from oee_tabular.exact import (
     transition_gradient,
 )
 from oee_tabular.exact.efficiency import require_action_support
-from oee_tabular.exact.walks import walk_of
+from oee_tabular.exact.finite import values_to_go
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
@@ -191,7 +191,7 @@ def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> 
     """What V is after each of T steps: nothing after the last; of the infinite sum the same before."""
     if horizon is None:
         return [state_values(model, policy)] * (steps - 1) + [np.zeros(model.n_states)]
-    return list(walk_of(model, policy).values_to_go(steps)[1:])
+    return list(values_to_go(model, policy, steps)[1:])
 
 
 def _rollout_values(rollouts: Sampler, values: list[Array]) -> Array:

@@ -13,7 +13,6 @@ from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import Model, action_values, state_values
-from oee_tabular.exact.recursions import per_decision
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
@@ -156,5 +155,6 @@ def episode_limit(people: Population, model: Model) -> float:
     steps = rollout_horizon(people.target.discount, people.horizon)
     v, q = model_values(model, people.policy, people.horizon, steps)
     walk = walk_of(people.target, people.behavior, policy=people.policy)
-    pairs = walk.act.shape[1]
-    return per_decision(walk, steps, c=-np.ascontiguousarray(q).reshape(-1, pairs), h=v[:-1]).mean
+    reached = walk.weights_by_state(steps, power=1)[:-1, 0]
+    gains = v[:-1] + walk.sum_actions(walk.act * walk.u * (people.target.rewards - q).reshape(steps, -1))
+    return float(people.target.discount ** np.arange(steps, dtype=np.float64) @ (reached * gains).sum(axis=1))

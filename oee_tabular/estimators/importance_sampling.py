@@ -209,7 +209,7 @@ def _limit_without_the_finished(people: Population, behavior: Array) -> float:
     """sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}]: what dropping finished episodes estimates."""
     steps = rollout_horizon(people.target.discount, people.horizon)
     walk = walk_of(people.target, behavior, policy=people.policy)
-    reached = walk.reaches(steps, power=1)[:steps, 0]
+    reached = walk.weights_by_state(steps, power=1)[:steps, 0]
     going = ~people.target.absorbing()
     taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)
     paid = reached @ (taken * people.target.rewards).sum(axis=1)

@@ -1,9 +1,9 @@
-"""Finite horizons: backward sweeps over all states, or over the light cone of the first ones; and visits, forward.
+"""Finite horizons: backward sweeps over all states, or over the light cone of the first ones; visits and gradients, forward.
 
     V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
 
 Rows are read four entries at a time, with unsigned indices: signed ones, which could count from the end, cost twice as much.
-Every sum keeps the order of its row, so that a value has the same bits in whichever sweep it is worked out.
+Every sum keeps the order of its row.
 """
 
 from collections import namedtuple
@@ -55,18 +55,18 @@ def dot(x, y, size):
 
 
 @njit(cache=True)
-def sweep(kernel, rewards, steps):
-    """V with ``steps`` rewards to go: V_t = r + gamma K V_{t+1}, V_T = 0."""
+def sweep(kernel, rewards, horizon):
+    """V_0 = r + gamma K V_1, ..., V_T = 0."""
     n = len(rewards)
     value, other = np.zeros(n), np.zeros(n)
-    for _ in range(steps):
+    for _ in range(horizon):
         backup(kernel, rewards, value, other, np.uint64(0), np.uint64(n))
         value, other = other, value
     return value
 
 
 @njit(cache=True)
-def grown(array, size):
+def enlarge(array, size):
     """The array, or a copy of twice the length where it is shorter than ``size``."""
     if size <= len(array):
         return array
@@ -77,23 +77,20 @@ def grown(array, size):
 
 
 @njit(cache=True)
-def light_cone(rows, policy, rewards, initial, discount, steps, place):
-    """What ``steps`` rewards can depend on: a ``Cone``, its states in the order in which they are first reached.
+def light_cone(rows, policy, rewards, initial, discount, horizon, place):
+    """What ``horizon`` rewards can depend on: a ``Cone``, its states in the order in which they are first reached.
 
-    Rows have their entries in the order in which the actions do, and sums too, as ``_policy_rows.average_rows`` has them; they
-    are there only for states from which a move still counts. ``place`` (S,) must be zeros, uint32; what is not reached is not
-    read.
+    Rows are there only for states from which a transition still counts; a row's entries are in the order in which its actions
+    have them, as in ``_policy_rows.average_rows``. ``place`` (S,) must be zeros, uint32; what is not reached is not read.
     """
     indptr, indices, data = rows
     n_actions = policy.shape[1]
-    ends = np.zeros(steps, np.int64)
-    support, count = 0, 0
-    for s in range(len(initial)):
-        support += initial[s] != 0.0
-    states = np.zeros(2 * support + 64, np.uint32)
+    ends = np.zeros(horizon, np.int64)
+    count, n_initial = 0, np.count_nonzero(initial)
+    states = np.zeros(2 * n_initial + 64, np.uint32)
     last = np.zeros(len(states), np.int64)  # 1 + the last entry that leads to a state
     for s in range(len(initial)):
-        if count == support:
+        if count == n_initial:
             break
         if initial[s] != 0.0:
             states[count] = s
@@ -101,86 +98,74 @@ def light_cone(rows, policy, rewards, initial, discount, steps, place):
             place[s] = count
     ends[0] = count
     start, column, value = np.zeros(len(states), np.uint32), np.zeros(256, np.uint32), np.zeros(256)
-    done, size = 0, 0
-    for k in range(1, steps):
-        start = grown(start, count + 1)
-        for i in range(done, ends[k - 1]):
+    n_rows, size = 0, 0
+    for t in range(1, horizon):
+        start = enlarge(start, count + 1)
+        for i in range(n_rows, ends[t - 1]):
             row = np.int64(states[i]) * n_actions
-            most = np.int64(indptr[row + n_actions]) - np.int64(
-                indptr[row]
-            )  # room for a state at once: it is slow to ask
-            if count + most > len(states):
-                states, last = grown(states, count + most), grown(last, count + most)
-            if size + most > len(value):
-                column, value = grown(column, size + most), grown(value, size + most)
-            first, zeros = size, False
+            n_entries = np.int64(indptr[row + n_actions]) - np.int64(indptr[row])
+            states, last = enlarge(states, count + n_entries), enlarge(last, count + n_entries)
+            column, value = enlarge(column, size + n_entries), enlarge(value, size + n_entries)
+            first = size
             for a in range(n_actions):
                 share = policy[states[i], a]
                 if share == 0.0:
                     continue
-                for x in range(indptr[row + a], indptr[row + a + 1]):
-                    zeros |= data[x] == 0.0
-                    j = indices[x]
+                for k in range(indptr[row + a], indptr[row + a + 1]):
+                    if data[k] == 0.0:
+                        continue
+                    j = indices[k]
                     if place[j] == 0:
                         states[count] = j
                         count += 1
                         place[j] = count
                     to = np.int64(place[j]) - 1
                     if last[to] > first:
-                        value[last[to] - 1] += share * data[x]
+                        value[last[to] - 1] += share * data[k]
                     else:
                         column[size] = to
-                        value[size] = share * data[x]
+                        value[size] = share * data[k]
                         size += 1
                         last[to] = size
-            if zeros:
-                kept = first
-                for x in range(first, size):
-                    last[column[x]] = 0  # entries move up, and the next row begins where this one had some
-                    if value[x] != 0.0:
-                        column[kept], value[kept] = column[x], value[x]
-                        kept += 1
-                size = kept
             start[i + 1] = size
-        done = ends[k - 1]
-        ends[k] = count
-    pay = np.zeros(count)
+        n_rows = ends[t - 1]
+        ends[t] = count
+    mean = np.zeros(count)
     for i in range(count):
         for a in range(n_actions):
-            pay[i] += policy[states[i], a] * rewards[states[i], a]
+            mean[i] += policy[states[i], a] * rewards[states[i], a]
     begin = np.zeros(ends[0])
     for i in range(ends[0]):
         begin[i] = initial[states[i]]
-    kernel = Kernel(start[: done + 1], column[:size], value[:size], discount)
-    return Cone(states[:count], ends, kernel, pay, begin)
+    return Cone(states[:count], ends, Kernel(start[: n_rows + 1], column[:size], value[:size], discount), mean, begin)
 
 
 @njit(cache=True)
-def cone_values(cone):
-    """(T + 1,): J of 0 .. T rewards, by a sweep that leaves one ring of the cone out at each step."""
+def cone_values(cone, is_each):
+    """(T + 1,): J of 0 .. T rewards, a ring of the cone left out at each step; the last alone unless ``is_each``."""
     ends = cone.ends
-    steps = len(ends)
-    found = np.zeros(steps + 1)
+    horizon = len(ends)
+    out = np.zeros(horizon + 1)
     value, other = cone.rewards.copy(), np.zeros(len(cone.rewards))
-    for k in range(1, steps + 1):
+    for k in range(1, horizon + 1):
         if k > 1:
-            backup(cone.kernel, cone.rewards, value, other, np.uint64(0), np.uint64(ends[steps - k]))
+            backup(cone.kernel, cone.rewards, value, other, np.uint64(0), np.uint64(ends[horizon - k]))
             value, other = other, value
-        found[k] = dot(cone.initial, value, ends[0])
-    return found
+        if is_each or k == horizon:
+            out[k] = dot(cone.initial, value, ends[0])
+    return out
 
 
 @njit(cache=True)
 def cone_visits(cone):
-    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states, gathered through the transpose as far as t moves reach."""
+    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states: d_{t+1} = K^T d_t as far as t transitions reach."""
     ends = cone.ends
     indptr, indices, data, gamma = cone.kernel
     size = ends[-1]
     back = Kernel(*transposed(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
     here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
-    for i in range(len(cone.initial)):
-        here[i] = cone.initial[i]
+    here[: ends[0]] = cone.initial
     weight = 1.0
     for t in range(len(ends)):
         for i in range(ends[t]):
@@ -196,14 +181,13 @@ def cone_visits(cone):
 def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs, keep):
     """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), step by step over the states that are reached at t exactly.
 
-    ``here``, ``there`` (S,) and ``reached`` (S, uint32) must be zeros. If ``keep``, sum_t gamma^t Pr(s_t = s, a_t = a) is
-    added to ``pairs`` (S, A).
+    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t d_t . r. ``here``, ``there`` (S,) and
+    ``reached`` (S, uint32) must be zeros. If ``keep``, sum_t gamma^t Pr(s_t = s, a_t = a) is added to ``pairs`` (S, A).
     """
     indptr, indices, data = rows
-    steps, n_states, n_actions = policy.shape
-    found = np.zeros(steps + 1)
-    active = np.zeros(n_states, np.uint32)
-    following = np.zeros(n_states, np.uint32)
+    horizon, n_states, n_actions = policy.shape
+    out = np.zeros(horizon + 1)
+    active, following = np.zeros(n_states, np.uint32), np.zeros(n_states, np.uint32)
     count = 0
     for s in range(n_states):
         if initial[s] != 0.0:
@@ -211,8 +195,8 @@ def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs,
             active[count] = s
             count += 1
     weight = 1.0
-    for t in range(steps):
-        total, part, coming = 0.0, 0.0, 0
+    for t in range(horizon):
+        total, part, n_following = 0.0, 0.0, 0
         for i in range(count):
             s = active[i]
             mass = here[s]
@@ -222,45 +206,48 @@ def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs,
                 part += share * rewards[s, a]
                 if keep:
                     pairs[s, a] += weight * share
-                if share == 0.0 or t + 1 == steps:
+                if share == 0.0 or t + 1 == horizon:
                     continue
                 row = np.int64(s) * n_actions + a
-                for x in range(indptr[row], indptr[row + 1]):
-                    j = indices[x]
+                for k in range(indptr[row], indptr[row + 1]):
+                    j = indices[k]
                     if reached[j] != t + 1:
                         reached[j] = t + 1
-                        following[coming] = j
-                        coming += 1
-                    there[j] += share * data[x]
+                        following[n_following] = j
+                        n_following += 1
+                    there[j] += share * data[k]
             if i % CHUNK == CHUNK - 1:
                 total += part
                 part = 0.0
-        found[t + 1] = found[t] + weight * (total + part)
+        out[t + 1] = out[t] + weight * (total + part)
         weight *= gamma
         here, there = there, here
         active, following = following, active
-        count = coming
-    return found
+        count = n_following
+    return out
 
 
 @njit(cache=True)
-def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, found):
-    """found[x] += sum_t gamma^t d_t(s) (pay[x] + gamma V_{t+1}(s')) for the entries x of the actions that are taken.
+def values_to_go(kernel, rewards, out):
+    """Fill ``out`` (T + 1, S): V_t = r + gamma K V_{t+1}, V_T = 0."""
+    out[-1] = 0.0
+    for t in range(len(out) - 2, -1, -1):
+        backup(kernel, rewards, out[t + 1], out[t], np.uint64(0), np.uint64(len(rewards)))
 
-    ``kernel`` and ``rewards`` are those that V is of, filled into ``to_go`` (T + 1, S); ``back`` is the transposed kernel that
-    d is of, with discount 1; ``rows`` (S*A, S) has the entries, ``pay`` is aligned with them or empty.
+
+@njit(cache=True)
+def gradient_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
+    """out[k] += sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) for the entries k of the actions that are taken.
+
+    ``to_go`` (T + 1, S) is V; ``back`` is the transposed kernel that d is of, with discount 1; ``rows`` (S*A, S) has the
+    entries, ``rewards`` r(s, a, s') is aligned with them or empty.
     """
-    gamma, (indptr, columns, _) = kernel.discount, rows
-    steps, n = to_go.shape[0] - 1, to_go.shape[1]
-    n_actions = policy.shape[1]
-    to_go[steps] = 0.0
-    for t in range(steps - 1, -1, -1):
-        backup(kernel, rewards, to_go[t + 1], to_go[t], np.uint64(0), np.uint64(n))
-    nothing, here, there = np.zeros(n), initial.copy(), np.zeros(n)
+    indptr, columns, _ = rows
+    n_states, n_actions = policy.shape
+    nothing, here, there = np.zeros(n_states), initial.copy(), np.zeros(n_states)
     weight = 1.0
-    for t in range(steps):
-        ahead = to_go[t + 1]
-        for s in range(n):
+    for t in range(len(to_go) - 1):
+        for s in range(n_states):
             mass = weight * here[s]
             if mass == 0.0:
                 continue
@@ -268,8 +255,8 @@ def gradient_flows(kernel, rewards, to_go, back, initial, rows, policy, pay, fou
                 if policy[s, a] == 0.0:
                     continue
                 row = s * n_actions + a
-                for x in range(indptr[row], indptr[row + 1]):
-                    found[x] += mass * ((pay[x] if len(pay) else 0.0) + gamma * ahead[columns[x]])
-        backup(back, nothing, here, there, np.uint64(0), np.uint64(n))
+                for k in range(indptr[row], indptr[row + 1]):
+                    out[k] += mass * ((rewards[k] if len(rewards) else 0.0) + gamma * to_go[t + 1, columns[k]])
+        backup(back, nothing, here, there, np.uint64(0), np.uint64(n_states))
         here, there = there, here
         weight *= gamma

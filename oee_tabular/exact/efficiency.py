@@ -14,12 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
 from oee_tabular._threads import dot, one_thread
+from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
@@ -54,8 +54,8 @@ def efficiency_bound(
     >>> round(efficiency_bound(coin, [[1.0]] * 2, [[0.5], [0.5]]), 6)  # no standard error below sqrt(0.25 / n)
     0.25
     """
-    gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
-    return _weighted_sum(row_variances(target.transitions, target.transitions.data, gradient), share)
+    gradient, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", horizon)
+    return _divide_and_sum(row_variances(target.transitions, target.transitions.data, gradient), share)
 
 
 @one_thread
@@ -80,7 +80,7 @@ def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Array
     >>> round(leading_bias(target, [[1.0]] * 2, [[0.5], [0.5]]), 2)  # n = 1000: 0.0017 too low on average
     -1.67
     """
-    _, share = _problem(target, policy, data_distribution, "data_distribution", None)
+    _, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", None)
     pi = check_policy(policy, target)
     gamma, matrix = target.discount, target.transitions
     kernel = policy_kernel(target, pi).toarray()
@@ -93,7 +93,7 @@ def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Array
     mean = row_sums(matrix, matrix.data * ahead)
     covariance = row_sums(matrix, matrix.data * back * (ahead - mean[rows]))
     reached = occupancy(target, pi).reshape(-1)
-    return gamma / (1.0 - gamma) * _weighted_sum(reached * covariance, share)
+    return gamma / (1.0 - gamma) * _divide_and_sum(reached * covariance, share)
 
 
 def ratio_of_ratios_variance(
@@ -141,8 +141,8 @@ def ratio_of_ratios_variance(
     """
     _checks.boolean(independent_samples, "independent_samples")
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
-    gradient, share = _problem(target, policy, data_distribution, "data_distribution", horizon)
-    _, other = _problem(target, policy, simulator_distribution, "simulator_distribution", horizon)
+    gradient, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", horizon)
+    _, other = _gradient_and_share(target, policy, simulator_distribution, "simulator_distribution", horizon)
     _checks.instance(simulator, FiniteMDP, "simulator")
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
@@ -152,16 +152,16 @@ def ratio_of_ratios_variance(
     entry = row_of_entry(matrix)
     zeta = np.divide(matrix.data, probability, out=np.zeros_like(probability), where=probability > 0)
     mean = row_sums(matrix, matrix.data * gradient)
-    total = _weighted_sum(row_variances(matrix, matrix.data, gradient), share)
+    total = _divide_and_sum(row_variances(matrix, matrix.data, gradient), share)
     if rows == "normalised":
         added = row_sums(matrix, probability * zeta**2 * (gradient - mean[entry]) ** 2)
     else:
         added = row_sums(matrix, probability * (zeta * gradient) ** 2) - mean**2
-    total += _weighted_sum(np.maximum(added, 0.0), other)
+    total += _divide_and_sum(np.maximum(added, 0.0), other)
     if independent_samples and rows == "as_they_are":
         for weights in (share, other):
             level = float(mean.sum())
-            total += 2.0 * (_weighted_sum(mean**2, weights) - level**2)
+            total += 2.0 * (_divide_and_sum(mean**2, weights) - level**2)
     return total
 
 
@@ -218,60 +218,48 @@ def trajectory_efficiency_bound(
     14.04
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    steps = horizon_length(horizon, mdp, kept=12 * mdp.n_states)
+    length = horizon_length(horizon, mdp, kept=12 * mdp.n_states)
     _checks.one_of(model, "model", ("mdp", "tree", "stationary"))
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)
-    require_action_support(mdp, behavior, pi, steps)
-    matrix, n_actions = mdp.transitions, mdp.n_actions
-    plain, weighted = walk_of(mdp, pi), walk_of(mdp, behavior, policy=pi)
-    under_behavior = walk_of(mdp, behavior).reaches(steps, power=1)[:, 0]
-    if model == "stationary":
-        visits = (under_behavior[:steps].sum(axis=0)[:, None] * behavior).reshape(-1)
-        gradient = transition_gradient(mdp, pi, horizon=steps)
-        return _weighted_sum(row_variances(matrix, matrix.data, gradient), visits)
-    values = plain.values_to_go(steps)
-    value = dot(mdp.initial, values[0])
-    total = dot(mdp.initial, (values[0] - value) ** 2)
-    under_policy = plain.reaches(steps, power=1)[:, 0]
-    squared = weighted.reaches(steps, power=2)[:, 0]
-    paid = 0.0 if mdp.reward_data is None else mdp.reward_data
-    for t in range(steps):
-        ahead = paid + mdp.discount * values[t + 1][matrix.indices]
-        spread = row_variances(matrix, matrix.data, ahead)
-        if model == "tree":
-            weight = (squared[t][:, None] * behavior * weighted.u[0].reshape(-1, n_actions) ** 2).reshape(-1)
-        else:
-            alpha, beta = ((m[t][:, None] * b).reshape(-1) for m, b in ((under_policy, pi), (under_behavior, behavior)))
-            weight = np.divide(alpha**2, beta, out=np.zeros_like(alpha), where=beta > 0)
-        total += mdp.discount ** (2 * t) * dot(weight, spread)
+    require_action_support(mdp, behavior, pi, length)
+    matrix, weighted = mdp.transitions, walk_of(mdp, behavior, policy=pi)
+    if model == "tree":  # E[rho_0..t^2 1{x_t = x}]
+        squares = weighted.weights_by_state(length, power=2)[:-1, 0]
+        weights = np.repeat(squares, mdp.n_actions, axis=1) * (weighted.act * weighted.u**2)
+    else:
+        under_behavior, under_policy = (
+            np.repeat(walk.weights_by_state(length, power=1)[:-1, 0], mdp.n_actions, axis=1) * walk.act
+            for walk in (weighted._replace(u=np.ones_like(weighted.u)), walk_of(mdp, pi))
+        )
+        if model == "stationary":
+            gradient = transition_gradient(mdp, pi, horizon=length)
+            return _divide_and_sum(row_variances(matrix, matrix.data, gradient), under_behavior.sum(axis=0))
+        weights = np.zeros_like(under_behavior)
+        np.divide(under_policy**2, under_behavior, out=weights, where=under_behavior > 0)
+    values = values_to_go(mdp, pi, length)
+    total = dot(mdp.initial, (values[0] - dot(mdp.initial, values[0])) ** 2)
+    rewards = 0.0 if mdp.reward_data is None else mdp.reward_data
+    for t, weight in enumerate(weights):
+        ahead = rewards + mdp.discount * values[t + 1][matrix.indices]
+        total += mdp.discount ** (2 * t) * dot(weight, row_variances(matrix, matrix.data, ahead))
     return total
 
 
 def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int | None) -> None:
     """A ValueError that names the first (s, a) which the policy reaches and takes and the behaviour policy never does."""
-    lost = (policy > 0) & (behavior == 0) & ~mdp.absorbing()[:, None]
-    if not lost.any():
-        return
-    reached = np.zeros(mdp.n_states, dtype=np.bool_)
-    ahead = mdp.initial > 0
-    kernel: sparse.csr_array = sparse.csr_array(policy_kernel(mdp, policy).T)
-    for _ in range(mdp.n_states if horizon is None else min(horizon, mdp.n_states)):
-        reached |= ahead
-        ahead = (kernel @ ahead.astype(np.float64) > 0) & ~reached
-        if not ahead.any():
-            break
-    missing = np.argwhere(lost & reached[:, None])
-    if len(missing):
-        s, a = (int(i) for i in missing[0])
+    missing = (policy > 0) & (behavior == 0) & ~mdp.absorbing()[:, None]
+    if missing.any():
+        missing &= walk_of(mdp, policy).reachable_states(horizon)[:, None]
+    if missing.any():
+        s, a = (int(i) for i in np.argwhere(missing)[0])
         raise ValueError(
             f"behavior_policy must take every action that the policy takes; in state {mdp.names.state(s)} it never "
-            f"takes action {mdp.names.action(a)} "
-            f"({len(missing)} such state-action pairs in all)"
+            f"takes action {mdp.names.action(a)} ({int(missing.sum())} such state-action pairs in all)"
         )
 
 
-def _problem(
+def _gradient_and_share(
     target: FiniteMDP, policy: PolicyLike, distribution: ArrayLike, name: str, horizon: int | None
 ) -> tuple[Array, Array]:
     """The gradient on the target's entries, and the distribution as (S*A,)."""
@@ -282,7 +270,7 @@ def _problem(
     return transition_gradient(target, policy, horizon=horizon), share
 
 
-def _weighted_sum(values: Array, share: Array) -> float:
+def _divide_and_sum(values: Array, share: Array) -> float:
     """sum values / share; inf where share is 0 and the value is not."""
     missing = (share == 0) & (np.abs(values) > 1e-24 * np.abs(values).max(initial=0.0))  # rounding is no variance
     if missing.any():

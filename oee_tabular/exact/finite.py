@@ -1,7 +1,7 @@
 """Finite horizons, carried out as they stand: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0.
 
-Where only J is wanted, T rewards can depend on no more than the states that T - 1 moves reach: rows of P_pi are made for these
-alone (the light cone of the support of mu_0), and each step backward leaves its outermost ring out.
+Where only J is wanted, T rewards can depend on no more than the states that T - 1 transitions reach: rows of P_pi are made for
+these alone (the light cone of the support of mu_0), and each step backward leaves its outermost ring out.
 """
 
 from __future__ import annotations
@@ -9,21 +9,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import readable, rows_of
+from oee_tabular.exact.system import Kernel, as_readonly, policy_kernel, policy_system, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
 if TYPE_CHECKING:
     from oee_tabular.exact._finite import Cone
 
-STRICT = 1e-9  # the compiled check is stricter than check_policy, which decides where sums are odd
+STRICT_TOLERANCE = 1e-9  # of a row's sum: stricter than check_policy, which decides where sums are odd
 
 
-def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
+def check_policy_in_place(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
@@ -33,65 +34,47 @@ def policy_to_read(policy: PolicyLike, model: Model, horizon: int) -> Array:
         and policy.dtype == np.float64
         and policy.flags.c_contiguous
         and policy.shape in (shape, (horizon, *shape))
-        and is_stochastic_matrix(readable(policy.reshape(-1, model.n_actions)), STRICT)
+        and is_stochastic_matrix(as_readonly(policy.reshape(-1, model.n_actions)), STRICT_TOLERANCE)
     ):
         return policy
     return check_policy(policy, model, horizon=horizon)
 
 
-def light_cone(model: Model, policy: Array, steps: int) -> Cone:
-    """The kernel's light cone of a stationary policy."""
+def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
+    """The states that ``horizon`` rewards of a stationary policy can depend on, with their rows and rewards."""
     from oee_tabular.exact import _finite
 
     # numpy's zeros cost nothing until they are touched, the kernel's own would be written
-    place, given = (
-        np.zeros(model.n_states, np.uint32),
-        (readable(policy), readable(model.rewards), readable(model.initial)),
-    )
-    cone: Cone = _finite.light_cone(rows_of(model.csr), *given, model.discount, steps, place)
+    place, read = np.zeros(model.n_states, np.uint32), (as_readonly(x) for x in (policy, model.rewards, model.initial))
+    cone: Cone = _finite.light_cone(rows_of(model.csr), *read, model.discount, horizon, place)
     for part in cone.kernel[:3]:
         part.flags.writeable = False  # so that sweeps are compiled for one kind of array
     return cone
 
 
-def values_by_horizon(model: Model, policy: Array, steps: int) -> Array:
-    """(T + 1,): J of 0 .. T rewards, of a policy that has been checked."""
+def values_by_horizon(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
+    """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone unless ``is_each``."""
     from oee_tabular.exact import _finite
 
     if policy.ndim == 3:
         return _frontier(model, policy, None)
-    return np.asarray(_finite.cone_values(light_cone(model, policy, steps)))
+    return np.asarray(_finite.cone_values(light_cone(model, policy, horizon), is_each))
 
 
-def value_to_horizon(model: Model, policy: Array, steps: int) -> float:
-    """J of T rewards, of a policy that has been checked: the last of ``values_by_horizon``, bit for bit."""
+def initial_mean(model: Model, values: Array) -> float:
+    """mu_0 . V over the states where episodes start (the others may be infinite)."""
     from oee_tabular.exact import _finite
 
-    if policy.ndim == 3:
-        return float(_frontier(model, policy, None)[-1])
-    cone = light_cone(model, policy, steps)
-    if steps > 1 and cone.ends[0] == cone.ends[-1]:  # no ring to leave out
-        value = _finite.sweep(cone.kernel, cone.rewards, steps)
-        return float(_finite.dot(cone.initial, value, len(cone.initial)))
-    return float(_finite.cone_values(cone)[-1])
-
-
-def expected(model: Model, policy: Array, values: Array) -> float:
-    """mu_0 . V over the states where episodes start (the others may be infinite), with the bits of ``value_to_horizon``."""
-    from oee_tabular.exact import _finite
-
-    if policy.ndim == 3:
-        return value_to_horizon(model, policy, len(policy))
     return float(_finite.dot(model.initial, values, len(values)))
 
 
-def visits(model: Model, policy: Array, steps: int) -> Array:
+def visits(model: Model, policy: Array, horizon: int) -> Array:
     """(S, A): sum_{t<T} gamma^t Pr(s_t = s, a_t = a)."""
     from oee_tabular.exact import _finite
 
     pairs = np.zeros((model.n_states, model.n_actions))
     if policy.ndim == 2:
-        cone = light_cone(model, policy, steps)
+        cone = light_cone(model, policy, horizon)
         pairs[cone.states] = _finite.cone_visits(cone)[:, None] * policy[cone.states]
     else:
         _frontier(model, policy, pairs)
@@ -101,10 +84,32 @@ def visits(model: Model, policy: Array, steps: int) -> Array:
 def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
     from oee_tabular.exact import _finite
 
-    given = readable(model.rewards), readable(policy), readable(model.initial)
+    read = (as_readonly(x) for x in (model.rewards, policy, model.initial))
     rooms = np.zeros(model.n_states), np.zeros(model.n_states), np.zeros(model.n_states, np.uint32)
     visited, keep = (np.zeros((0, 0)), False) if pairs is None else (pairs, True)
-    return np.asarray(_finite.frontier(rows_of(model.csr), *given, model.discount, *rooms, visited, keep))
+    return np.asarray(_finite.frontier(rows_of(model.csr), *read, model.discount, *rooms, visited, keep))
+
+
+def values_to_go(model: Model, policy: Array, horizon: int) -> Array:
+    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to go."""
+    from oee_tabular.exact import _finite, _policy_rows
+
+    out = np.empty((horizon + 1, model.n_states))
+    rewards, _ = _policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)
+    _finite.values_to_go(policy_system(model, policy).kernel, rewards, out)
+    return out
+
+
+def gradient_to_horizon(model: Model, valued: Model, policy: Array, horizon: int) -> Array:
+    """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, on the entries of ``valued``."""
+    from oee_tabular.exact import _finite
+
+    back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, policy).T)), 1.0)
+    rewards = as_readonly(np.zeros(0) if valued.reward_data is None else valued.reward_data)
+    to_go, out = values_to_go(valued, policy, horizon), np.zeros(valued.transitions.nnz)
+    entries = rows_of(valued.csr)
+    _finite.gradient_flows(to_go, valued.discount, back, model.initial, entries, policy, rewards, out)
+    return np.asarray(out * np.repeat(policy.reshape(-1), np.diff(valued.transitions.indptr)))
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:
@@ -119,7 +124,7 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
     Returns
     -------
     (T + 1,) array
-        J_0 = 0, ..., J_T; entry t is ``policy_value(mdp, policy, horizon=t)``, for a stationary policy to the last bit.
+        J_0 = 0, ..., J_T; entry t is ``policy_value(mdp, policy, horizon=t)``.
 
     Raises
     ------
@@ -128,8 +133,8 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 
     Notes
     -----
-    Cost: O(T nnz) over the states that are reached in t moves, whatever the number of the others. A stationary policy's are
-    the values at the first states during one backward sweep, any other's are summed forward.
+    Cost: O(T nnz) over the states that are reached in t transitions, whatever the number of the others. A stationary
+    policy's are the values at the first states during one backward sweep, any other's are summed forward.
 
     Examples
     --------
@@ -139,5 +144,6 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
     [0.0, 0.5, 0.75, 0.875]
     """
     require_model(mdp)
-    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), 1.0, work=mdp.transitions.nnz, kept=3)
-    return values_by_horizon(mdp, policy_to_read(policy, mdp, steps), steps)
+    length = _checks.positive_integer(horizon, "horizon")
+    length = limit_horizon(length, 1.0, work=mdp.transitions.nnz, kept=3)
+    return values_by_horizon(mdp, check_policy_in_place(policy, mdp, length), length)

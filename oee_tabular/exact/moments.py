@@ -2,8 +2,8 @@
 
 The estimators are averages over n independent episodes of X; ``Moments`` has the mean and the variance of one X (so that the
 estimator's variance is ``variance / n``). Recursions in ``recursions``; definitions in each function. Reward timing: a
-reward r(s, a) at t carries the ratios of the moves before it, zeta_1 .. zeta_t, a reward r(s, a, s') also that of its own
-move. After an episode is over (an absorbing state) weights stand still.
+reward r(s, a) at t carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s, a, s') also that of its own
+transition. In an absorbing state, where an episode is over, weights stand still.
 
 Sources: the recursions of the second moment are Sobel's [1]; self-normalised estimators as ratio estimators [2, 2.6]; doubly
 robust per decision [3].
@@ -21,12 +21,13 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
-from oee_tabular.exact.recursions import Moments, moments_of, per_decision, scaled_moments, steps_followed
-from oee_tabular.exact.system import exponent, readable
+from oee_tabular.exact.finite import values_to_go
+from oee_tabular.exact.recursions import Moments, compute_moments, limit_walk, per_decision_moments, scale_moments
+from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
 
-KINDS = _, WHOLE = ("per_decision", "trajectory")
+KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
 
 
@@ -51,9 +52,9 @@ def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = 
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     _checks.boolean(sources, "sources")
-    steps = _checks.optional_horizon(horizon)
-    pi = check_policy(policy, mdp, horizon=steps)
-    return moments_of(walk_of(mdp, pi), steps, whole=False, self_normalized=False, sources=sources)
+    length = _checks.optional_horizon(horizon)
+    walk = walk_of(mdp, check_policy(policy, mdp, horizon=length))
+    return compute_moments(walk, length, is_trajectory=False, self_normalized=False, sources=sources)
 
 
 def weighted_return_moments(
@@ -94,18 +95,14 @@ def weighted_return_moments(
     --------
     >>> import oee_tabular as oee
     >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> found = weighted_return_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2)
-    >>> round(found.mean, 6), round(found.variance, 4)  # unbiased: J in the target is 1.1
+    >>> moments = weighted_return_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2)
+    >>> round(moments.mean, 6), round(moments.variance, 4)  # unbiased: J in the target is 1.1
     (1.1, 0.4251)
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
-    _checks.one_of(kind, "kind", KINDS)
-    _checks.boolean(self_normalized, "self_normalized")
-    _checks.boolean(sources, "sources")
-    steps = _checks.optional_horizon(horizon)
-    pi = check_policy(policy, simulator, horizon=steps)
-    walk = walk_of(simulator, pi, ratio=zeta)
-    return moments_of(walk, steps, whole=kind == WHOLE, self_normalized=self_normalized, sources=sources)
+    options, length = _check_options(kind, self_normalized, sources), _checks.optional_horizon(horizon)
+    walk = walk_of(simulator, check_policy(policy, simulator, horizon=length), ratio=zeta)
+    return compute_moments(walk, length, **options)
 
 
 def policy_is_moments(
@@ -140,16 +137,20 @@ def policy_is_moments(
     Moments(mean=1.0, variance=1.0, bias=0.0)
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
+    options, length = _check_options(kind, self_normalized, sources), _checks.optional_horizon(horizon)
+    behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=length)
+    pi = check_policy(policy, mdp, horizon=length)
+    if behavior.ndim != pi.ndim:
+        behavior, pi = np.broadcast_arrays(behavior, pi)
+    return compute_moments(walk_of(mdp, behavior, policy=pi), length, **options)
+
+
+def _check_options(kind: object, self_normalized: bool, sources: bool) -> dict[str, bool]:
+    """The options of ``compute_moments``."""
     _checks.one_of(kind, "kind", KINDS)
     _checks.boolean(self_normalized, "self_normalized")
     _checks.boolean(sources, "sources")
-    steps = _checks.optional_horizon(horizon)
-    behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=steps)
-    pi = check_policy(policy, mdp, horizon=steps)
-    if behavior.ndim != pi.ndim:
-        behavior, pi = np.broadcast_arrays(behavior, pi)
-    walk = walk_of(mdp, behavior, policy=pi)
-    return moments_of(walk, steps, whole=kind == WHOLE, self_normalized=self_normalized, sources=sources)
+    return {"is_trajectory": kind == "trajectory", "self_normalized": self_normalized, "sources": sources}
 
 
 def doubly_robust_moments(
@@ -193,28 +194,33 @@ def doubly_robust_moments(
     _checks.instance(simulator, FiniteMDP, "simulator")
     _checks.boolean(action_baseline, "action_baseline")
     _checks.boolean(sources, "sources")
-    steps = _checks.positive_integer(horizon, "horizon")
+    length = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)
     if baseline is None:
-        steps = steps_followed(walk, steps, False, True)
-    u = walk_of(simulator, pi).values_to_go(steps) if baseline is None else _checks.float_array(baseline, "baseline")
-    if u.shape != (steps + 1, simulator.n_states):
+        length = limit_walk(walk, length, False, True)
+        u = values_to_go(simulator, pi, length)
+    else:
+        u = _checks.float_array(baseline, "baseline")
+    if u.shape != (length + 1, simulator.n_states):
         raise ValueError(
-            f"baseline must have shape {(steps + 1, simulator.n_states)}, values to go at t; it has {u.shape}"
+            f"baseline must have shape {(length + 1, simulator.n_states)}, values to go at t; it has {u.shape}"
         )
     _checks.require_finite(u, "baseline")
-    shift = exponent(np.concatenate([walk.pay, u.ravel()]))
-    u = np.ldexp(u, -shift)
-    u[steps] = 0.0
-    walk = walk._replace(pay=readable(np.ldexp(walk.pay, -shift)))
-    weighted = walk.entries(walk.prob * walk.w)
-    paid = row_sums(weighted, weighted.data * walk.pay) if walk.by_move else walk.pay
-    known = np.empty((steps, walk.act.shape[1]))  # all of the step that the baseline knows
-    for t in range(steps):
-        known[t] = walk.discount * (weighted @ u[t + 1]) + paid
-    quiet = walk._replace(pay=readable(np.zeros(len(walk.pay))))
-    if action_baseline:
-        mean = walk.by_state(walk.act * known)
-        return scaled_moments(per_decision(quiet, steps, h=mean, k=u, sources=sources), shift)
-    return scaled_moments(per_decision(quiet, steps, c=known, k=u, sources=sources), shift)
+    shift = exponent(np.concatenate([walk.rewards.ravel(), u.ravel()]))
+    ahead, rewards = walk.discount * np.ldexp(u[1:], -shift), np.ldexp(walk.rewards[0], -shift)
+    ahead[-1] = 0.0
+    weighted = walk.row_matrix(walk.prob * walk.w)
+    if walk.by_transition:
+        rewards = row_sums(weighted, weighted.data * rewards)
+    known = np.array([weighted @ x for x in ahead]) + rewards  # (T, S*A): of each step, what the baseline knows
+    discounts = np.full(length, walk.discount)
+    if not action_baseline:  # D = known + w (gamma D' - gamma U')
+        walk = walk._replace(by_transition=False, rewards=as_readonly(known))
+        return scale_moments(per_decision_moments(walk, discounts, offsets=ahead, sources=sources), shift)
+    # D = its mean over actions + w (gamma D' - gamma U'): without that mean, it is of D' and U' that theirs is left out
+    mean = walk.sum_actions(walk.act * known)
+    ahead[:-1] -= walk.discount * mean[1:]
+    walk = walk._replace(rewards=as_readonly(np.zeros_like(walk.rewards)))
+    moments = per_decision_moments(walk, discounts, offsets=ahead, start=mean[0], sources=sources)
+    return scale_moments(moments, shift)

@@ -13,17 +13,13 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
-from oee_tabular.exact.finite import policy_to_read, visits
+from oee_tabular.exact.finite import check_policy_in_place, gradient_to_horizon, visits
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
-    Kernel,
-    as_readonly,
     drop_states,
-    policy_kernel,
     policy_system,
     recurrent_states,
-    rows_of,
 )
 from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
@@ -76,7 +72,7 @@ def occupancy(
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = optional_horizon_length(horizon, mdp, policy)
-    pi = check_policy(policy, mdp) if steps is None else policy_to_read(policy, mdp, steps)
+    pi = check_policy(policy, mdp) if steps is None else check_policy_in_place(policy, mdp, steps)
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
     if steps is None:
@@ -184,12 +180,4 @@ def transition_gradient(
             visited = time.sum(axis=1) / (1.0 - model.discount)
         found *= np.repeat((visited[:, None] * pi).reshape(-1), lengths)
         return np.asarray(found)
-    from oee_tabular.exact import _finite
-
-    back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, pi).T)), 1.0)
-    to_go, total = np.empty((steps + 1, model.n_states)), np.zeros(valued.transitions.nnz)
-    paid = np.zeros(0) if valued.reward_data is None else valued.reward_data
-    kernel, rewards = policy_system(valued, pi).kernel, policy_rewards(valued, pi)
-    entries = rows_of(valued.csr)
-    _finite.gradient_flows(kernel, rewards, to_go, back, model.initial, entries, pi, as_readonly(paid), total)
-    return np.asarray(total * np.repeat(pi.reshape(-1), lengths))
+    return gradient_to_horizon(model, valued, pi, steps)

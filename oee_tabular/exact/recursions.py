@@ -1,13 +1,14 @@
-"""Mean and variance of what is summed along a walk: per decision, over the whole, for ever, self-normalised.
+"""Mean and variance of what is summed along a walk: per decision, over the whole trajectory, for ever, self-normalised.
 
-Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``, ``_merged``).
+Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``, ``_strips``): X = p L + q R with
+the pair (L, R) of the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds given the path before
+it, E[(p_t, q_t) C_t (p_t, q_t)^T], (p_t, q_t) = (p, q) A_0 ... A_{t-1} and C_t the step's own covariance.
 """
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,12 +17,9 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
-from oee_tabular.exact.system import exponent, readable
+from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import Walk, radius_of
 from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
-
-if TYPE_CHECKING:
-    from oee_tabular.exact._moments import Extras
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +40,8 @@ class Moments:
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
-    >>> found = oee.return_moments(coin, [[1.0]] * 2, horizon=2, sources=True)
-    >>> found, found.by_step.tolist()  # the first state's chance, the first move's, the last's
+    >>> moments = oee.return_moments(coin, [[1.0]] * 2, horizon=2, sources=True)
+    >>> moments, moments.by_step.tolist()  # the first state's chance, the first transition's, the last's
     (Moments(mean=0.75, variance=0.3125, bias=0.0), [0.25, 0.0625, 0.0])
     """
 
@@ -67,228 +65,195 @@ class Moments:
         return _printing.facts(f"Moments of one episode: {_printing.SUM}", rows)
 
 
-def moments_of(walk: Walk, steps: int | None, *, whole: bool, self_normalized: bool, sources: bool) -> Moments:
-    """Of the product of ratios on one walk, with one weight for the ``whole`` return or with one for each reward."""
-    shift = largest_exponent(walk)
-    scaled = walk if shift == 0 else walk._replace(pay=readable(np.ldexp(walk.pay, -shift)))
-    with np.errstate(over="ignore", invalid="ignore"):  # of weights: said below
-        if steps is None:
-            if whole or self_normalized:
-                what = "trajectory" if whole else "self-normalised"
+def compute_moments(
+    walk: Walk, horizon: int | None, *, is_trajectory: bool, self_normalized: bool, sources: bool
+) -> Moments:
+    """Of the product of ratios on one walk, with one weight for the whole return or one for each reward."""
+    shift = exponent(walk.rewards)
+    if shift != 0:  # rewards that are never reached may be of any size
+        taken = (walk.act.max(axis=0) > 0.0) & np.repeat(walk.reachable_states(), walk.act.shape[1] // walk.n_states)
+        shift = exponent(walk.rewards[0, taken[walk.rows] if walk.by_transition else taken])
+        walk = walk._replace(rewards=as_readonly(np.ldexp(walk.rewards, -shift)))
+    with np.errstate(over="ignore", invalid="ignore"):  # of weights: scale_moments warns
+        if horizon is None:
+            if is_trajectory or self_normalized:
+                what = "trajectory" if is_trajectory else "self-normalised"
                 raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
-            return scaled_moments(infinite(scaled, sources), shift)
-        steps = steps_followed(scaled, steps, whole or self_normalized, sources)
-        if whole:
-            return scaled_moments(trajectory(scaled, steps, self_normalized, sources), shift)
-        if self_normalized:
-            return scaled_moments(per_step_ratio(scaled, steps, sources), shift)
-        return scaled_moments(per_decision(scaled, steps, sources=sources), shift)
+            return scale_moments(infinite_moments(walk, sources), shift)
+        horizon = limit_walk(walk, horizon, is_trajectory or self_normalized, sources)
+        discounts = np.full(horizon, walk.discount)
+        if is_trajectory:
+            result = trajectory_moments(walk, discounts, self_normalized, sources)
+        elif self_normalized:
+            result = self_normalized_moments(walk, discounts, sources)
+        else:
+            result = per_decision_moments(walk, discounts, sources=sources)
+        return scale_moments(result, shift)
 
 
-def largest_exponent(walk: Walk) -> int:
-    """That of the largest reward that is reached: others may be of any size."""
-    if exponent(walk.pay) == 0:
-        return 0
-    taken = walk.act.max(axis=0) > 0.0
-    row = walk.rows
-    state, reached = np.arange(len(taken)) // (len(taken) // walk.n_states), walk.initial > 0.0
-    while True:
-        rows = taken & reached[state]
-        ahead = reached.copy()
-        ahead[walk.indices[rows[row]]] = True
-        if (ahead == reached).all():
-            return exponent(walk.pay[rows[row]] if walk.by_move else walk.pay[rows])
-        reached = ahead
-
-
-def steps_followed(walk: Walk, steps: int, lasting: bool, sources: bool) -> int:
+def limit_walk(walk: Walk, horizon: int, is_lasting: bool, sources: bool) -> int:
     """The steps of a horizon that are carried out; weights that grow faster than the discount, or stay, keep all of them."""
-    if steps <= SHORT_HORIZON or len(walk.act) > 1:
-        return steps
+    if horizon <= SHORT_HORIZON or len(walk.act) > 1:
+        return horizon
     rate = walk.discount
-    if not (_all_one(walk.u) and _all_one(walk.w)):
+    if not (np.all(walk.u == 1.0) and np.all(walk.w == 1.0)):
         first, second = (radius_of(walk.weighted_kernel(power)) for power in (1, 2))
-        rate = 1.0 if lasting else max(rate, rate * first, rate**2 * second)
-    kept = 10.0 * walk.n_states if sources or lasting else 4.0
-    return limit_horizon(steps, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
+        rate = 1.0 if is_lasting else max(rate, rate * first, rate**2 * second)
+    kept = 10.0 * walk.n_states if sources or is_lasting else 4.0
+    return limit_horizon(horizon, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
 
 
-def per_decision(walk: Walk, steps: int, *, sources: bool = False, **given: Array | None) -> Moments:
-    """The kernel's X over ``steps`` steps, with what is ``given`` of ``extras_of``."""
+def per_decision_moments(
+    walk: Walk,
+    discounts: Array,
+    *,
+    sources: bool,
+    offsets: Array | None = None,
+    q: float = 1.0,
+    start: Array | float = 0.0,
+) -> Moments:
+    """Of q X_0 + start(s_0), X_t = u r + w (gamma_t X_{t+1} - k_t), k_t the ``offsets`` (1 or T, 1 or S)."""
     from oee_tabular.exact import _moments
 
-    extras = extras_of(walk, steps, **given)
-    shifted = np.any(extras.shift != 0.0) and not walk.by_move
-    constant = len(walk.act) == len(walk.u) == 1 and not np.any(extras.c)
-    merging = constant and (not shifted or _all_one(walk.u) or _all_one(walk.w))
-    mean, var, local = (merged if merging else _moments.per_decision)(walk, steps, extras, sources)
-    first, initial = walk.first
-    value = dot(initial, mean[first])
-    start = dot(initial, (mean[first] - value) ** 2)
-    found = Moments(value, start + dot(initial, var[first]))
-    if not sources:
-        return found
-    second = walk.reaches(steps, power=2)[:steps, 0]
-    parts = walk.discount ** (2.0 * np.arange(steps))[:, None] * second * local
-    return Moments(value, found.variance, 0.0, np.concatenate([[start], parts.sum(axis=1)]), parts.sum(axis=0))
+    if len(walk.act) == len(walk.rewards) == 1:
+        out, local = _merged_backward(walk, discounts, offsets, sources)
+    else:
+        shape = (1, walk.n_states) if offsets is None else (len(offsets), walk.n_states)
+        shifts = as_readonly(np.broadcast_to(0.0 if offsets is None else offsets, shape))
+        out, local = _moments.backward(walk, discounts, shifts, False, sources)
+    out[1] += start / q
+    return _combine(walk, discounts, out, local, 0.0, q)
 
 
-def extras_of(
-    walk: Walk,
-    steps: int,
-    *,
-    shift: Array | None = None,
-    scale: Array | None = None,
-    c: Array | None = None,
-    h: Array | None = None,
-    k: Array | None = None,
-) -> Extras:
-    """As the kernels read them; what is not given is 0 (``scale``: 1)."""
-    from oee_tabular.exact._moments import Extras
+def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: bool) -> tuple[Array, Array]:
+    """``_moments.backward`` by strips."""
+    from oee_tabular.exact import _policy_rows, _strips
 
-    times = (np.zeros(steps) if shift is None else shift, np.ones(steps) if scale is None else scale)
-    bases = (
-        np.zeros((1, size)) if x is None else np.atleast_2d(x)
-        for x, size in ((c, walk.act.shape[1]), (h, walk.n_states), (k, walk.n_states))
-    )
-    return Extras(*(readable(x) for x in (*times, *bases)))
+    n = walk.n_states
+    starts, successors, _ = _policy_rows.average_rows(walk[:3], walk.act[0].reshape(n, -1))
+    strips = _strips.merge(walk, starts, successors)
+    order = strips.order[:n]
+    shifts = np.zeros((0 if offsets is None else len(discounts), len(strips.order)))
+    if offsets is not None:
+        shifts[:, :n] = offsets[:, order] if offsets.shape[1] > 1 else offsets
+    mean, variance, own = _strips.backward(strips, discounts, shifts, keep)
+    out, local = np.zeros((5, n)), np.empty((len(own), 1, n))
+    out[0], out[1, order], out[4, order], local[:, 0, order] = 1.0, mean[:n], variance[:n], own[:, :n]
+    return out, local
 
 
-def merged(walk: Walk, steps: int, extras: Extras, keep: bool) -> tuple[Array, Array, Array]:
-    """``_moments.per_decision`` for a policy and pays that do not depend on time, 6 to 10 times as fast."""
-    from oee_tabular.exact import _merged
+def trajectory_moments(walk: Walk, discounts: Array, self_normalized: bool, sources: bool) -> Moments:
+    """X = W G, or W (G - its mean) / E W where it is self-normalised."""
+    from oee_tabular.exact import _moments
 
-    strips, n = _merged.merge(walk), walk.n_states
-    order, based = strips.order, np.any(extras.h) or np.any(extras.k)
-    at_start, ahead = (np.zeros((steps, len(order)) if based else (0, 0)) for _ in range(2))
-    if based:
-        at_start[:, :n], ahead[:, :n] = extras.h[:steps, order[:n]], extras.k[:steps, order[:n]]
-        ahead[0] = 0.0
-    placed = extras._replace(h=at_start, k=ahead)
-    found = []
-    for part in _merged.merged_moments(
-        strips, steps, placed, not walk.by_move and _all_one(walk.u), walk.discount, keep
-    ):
-        states = np.empty((*part.shape[:-1], n))
-        states[..., order[:n]] = part[..., :n]
-        found.append(states)
-    return found[0], found[1], found[2]
+    out, local = _moments.backward(walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources)
+    if not self_normalized:
+        return _combine(walk, discounts, out, local, 0.0, 1.0)
+    begin = np.flatnonzero(walk.initial)
+    weight, total = (dot(walk.initial[begin], x[begin]) for x in out[:2])
+    if weight == 0.0:
+        return Moments(float("nan"), float("nan"), float("nan"))
+    mean = float(total / np.float64(weight))
+    moments = _combine(walk, discounts, out, local, -mean / weight, 1.0 / weight)
+    return Moments(mean, moments.variance, moments.bias / weight, moments.by_step, moments.by_state)
 
 
-def _all_one(values: Array) -> bool:
-    return bool(np.all(values == 1.0))
+def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Moments:
+    """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t."""
+    horizon = len(discounts)
+    (mass, paid), (square, square_paid) = (_step_weights(walk, horizon, power) for power in (1, 2))
+    if np.any(mass == 0.0):
+        return Moments(float("nan"), float("nan"), float("nan"))
+    level, factor = paid / mass, walk.discount ** np.arange(horizon, dtype=np.float64)
+    bias = -dot(factor, (square_paid - level * square) / mass**2)
+    # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
+    discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
+    offsets = level[:, None]  # w (r - j) where the reward carries the weight of its own step,
+    if not walk.by_transition and np.all(walk.u == 1.0):  # r - j where it does not: j is then the next step's
+        offsets = discounts[:, None] * np.append(level[1:], 0.0)[:, None]
+    moments = per_decision_moments(walk, discounts, sources=sources, offsets=offsets, q=1.0 / mass[0])
+    return Moments(dot(factor, level), moments.variance, bias, moments.by_step, moments.by_state)
 
 
-def infinite(walk: Walk, sources: bool) -> Moments:
+def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
+    """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
+    before = walk.weights_by_state(horizon, power=power)[:horizon, 0]
+    chance, mass, paid = walk.act * walk.u**power, np.ones(walk.act.shape[1]), walk.rewards[0]
+    if walk.by_transition:
+        weighted = walk.row_matrix(walk.prob * walk.w**power)
+        mass, paid = row_sums(weighted), row_sums(weighted, weighted.data * paid)
+    weight, total = (np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1)) for x in (mass, paid))
+    return weight, total
+
+
+def _combine(walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float) -> Moments:
+    """Of X = p L + q R, with -Cov(L, X) as its ``bias``; by step and state where the kernel kept what each step adds."""
+    begin = np.flatnonzero(walk.initial)  # what other states have must not count, even infinite
+    initial, (mean_l, mean_r, var_l, cov, var_r) = walk.initial[begin], out[:, begin]
+    length, total = dot(initial, mean_l), dot(initial, mean_r)
+    off, variance = q * (mean_r - total), q * q * var_r
+    bias = 0.0
+    if p != 0.0:
+        off += p * (mean_l - length)
+        variance += p * p * var_l + 2.0 * p * q * cov
+        bias = -dot(initial, (mean_l - length) * off + p * var_l + q * cov)
+    start = dot(initial, off**2)
+    result = Moments(q * total + p * length, start + max(dot(initial, variance), 0.0), bias)
+    if len(local) == 0:
+        return result
+    is_trajectory = local.shape[1] == 3
+    before = walk.weights_by_state(len(discounts), power=2, with_returns=is_trajectory)[:-1]
+    factor = (q * np.cumprod(np.append(1.0, discounts[:-1])))[:, None]  # q_t = factor W, p_t = W (p + q G)
+    shares = factor**2 * before[:, 0] * local[:, -1]
+    if is_trajectory:
+        b0, b1, b2 = before[:, 0], before[:, 1], before[:, 2]
+        shares += (p * p * b0 + 2.0 * p * q * b1 + q * q * b2) * local[:, 0]
+        shares += 2.0 * factor * (p * b0 + q * b1) * local[:, 1]
+    by_step = np.concatenate([[start], shares.sum(axis=1)])
+    return Moments(result.mean, result.variance, bias, by_step, shares.sum(axis=0))
+
+
+def infinite_moments(walk: Walk, sources: bool) -> Moments:
     """Two linear systems; DivergentKernelError where a moment does not exist."""
     first, second = (walk.weighted_kernel(power) for power in (1, 2))
-    gamma, n = walk.discount, walk.n_states
-    n_actions = walk.act.shape[1] // n
-    act, u = walk.act[0], walk.u[0]
-    rows = walk.rows
+    gamma, n, rows = walk.discount, walk.n_states, walk.rows
     if gamma == 1.0:
         raise ValueError("horizon must be given: at discount 1 the infinite sum's variance is not worked out")
-    chance, f = act[rows] * walk.prob, u[rows]
-    state = rows // n_actions
-    pay = walk.w * walk.pay if walk.by_move else walk.pay[rows]
-    mean = solve_policy_system(first, np.bincount(state, chance * f * pay, n).astype(np.float64), gamma).x
-    value = f * (pay + gamma * walk.w * mean[walk.indices])
+    chance, f = walk.act[0][rows] * walk.prob, walk.u[0][rows]
+    state = rows // (walk.act.shape[1] // n)
+    paid = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
+    mean = solve_policy_system(first, np.bincount(state, chance * f * paid, n).astype(np.float64), gamma).x
+    value = f * (paid + gamma * walk.w * mean[walk.indices])
     own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(np.float64)
     try:
-        var = solve_policy_system(second, own, gamma**2).x
+        variance = solve_policy_system(second, own, gamma**2).x
     except DivergentKernelError as error:
         raise DivergentKernelError(
             "horizon must be given: the infinite sum has no variance, the second moment of its weights grows too fast "
             f"({error})"
         ) from None
-    begin, initial = walk.first
-    total = dot(initial, mean[begin])
-    start = dot(initial, (mean[begin] - total) ** 2)
-    found = Moments(total, start + dot(initial, np.maximum(var[begin], 0.0)))
+    out = np.zeros((5, n))
+    out[1], out[4] = mean, np.maximum(variance, 0.0)
+    result = _combine(walk, np.zeros(0), out, np.zeros((0, 1, n)), 0.0, 1.0)
     if not sources:
-        return found
+        return result
     reached = solve_policy_system(second, walk.initial, gamma**2, transpose=True).x
-    return Moments(total, found.variance, 0.0, None, reached * own)
+    return Moments(result.mean, result.variance, 0.0, None, reached * own)
 
 
-def trajectory(walk: Walk, steps: int, self_normalized: bool, sources: bool) -> Moments:
-    """X = W G, or W (G - its mean) / E W where it is self-normalised."""
-    from oee_tabular.exact import _moments
-
-    n = walk.n_states
-    out, local = _moments.trajectory(walk, steps, sources)
-    first, initial = walk.first
-    out = out[:, first]
-    weight, value = np.float64(dot(initial, out[0])), dot(initial, out[1])
-    off = np.stack([out[0] - weight, out[1] - value])
-    products = off[0] ** 2, off[0] * off[1], off[1] ** 2
-    start = np.array([dot(initial, x) for x in products])
-    parts = np.zeros((0, 3, n))
-    if sources:  # step t's share given the prefix: W^2 Var(G L' + gamma^t L' R')
-        before = walk.reaches(steps, power=2, returns=True)[:steps]
-        factor = walk.discount ** np.arange(steps, dtype=np.float64)[:, None]
-        b0, b1, b2 = before[:, 0], before[:, 1], before[:, 2]
-        own_l, own_cov, own_lr = local[:, 0], local[:, 1], local[:, 2]
-        parts = np.stack(
-            [
-                b0 * own_l,
-                b1 * own_l + factor * b0 * own_cov,
-                b2 * own_l + 2.0 * factor * b1 * own_cov + factor**2 * b0 * own_lr,
-            ],
-            axis=1,
-        )
-    total = start + np.array([dot(initial, x) for x in out[2:]])
-    mix, mean, bias, variance = np.array([0.0, 0.0, 1.0]), value, 0.0, float(total[2])
-    if self_normalized:
-        if weight == 0.0:
-            return Moments(float("nan"), float("nan"), float("nan"))
-        mean = float(value / weight)
-        mix = np.array([mean**2, -2.0 * mean, 1.0]) / weight**2
-        bias = -float((total[1] - mean * total[0]) / weight**2)
-        variance = max(float(mix @ total), 0.0)
-    if not sources:
-        return Moments(mean, variance, bias)
-    shares = np.einsum("i,tis->ts", mix, parts)
-    return Moments(mean, variance, bias, np.concatenate([[mix @ start], shares.sum(axis=1)]), shares.sum(axis=0))
-
-
-def per_step_ratio(walk: Walk, steps: int, sources: bool) -> Moments:
-    """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t."""
-    reached = [_paid(walk, steps, power) for power in (1, 2)]
-    (mass, paid), (square, square_paid) = reached
-    factor = walk.discount ** np.arange(steps, dtype=np.float64)
-    if np.any(mass == 0.0):
-        return Moments(float("nan"), float("nan"), float("nan"))
-    level = paid / mass
-    found = per_decision(walk, steps, shift=level, scale=1.0 / mass, sources=sources)
-    bias = -dot(factor, (square_paid - level * square) / mass**2)
-    return Moments(dot(factor, level), found.variance, bias, found.by_step, found.by_state)
-
-
-def _paid(walk: Walk, steps: int, power: int) -> tuple[Array, Array]:
-    """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
-    before = walk.reaches(steps, power=power)[:steps, 0]
-    chance, mass, pay = walk.act * walk.u**power, np.ones(walk.act.shape[1]), walk.pay  # chance: (1 or T, S*A)
-    if walk.by_move:
-        moved = walk.entries(walk.prob * walk.w**power)
-        mass, pay = row_sums(moved), row_sums(moved, moved.data * pay)
-    weight, paid = (np.asarray((before * walk.by_state(chance * x)).sum(axis=1)) for x in (mass, pay))
-    return weight, paid
-
-
-def scaled_moments(found: Moments, shift: int) -> Moments:
+def scale_moments(moments: Moments, shift: int) -> Moments:
     """The moments of 2^shift X from those of X, with a warning where they are not finite."""
     if shift != 0:
         with np.errstate(over="ignore", under="ignore"):
-            deviation = float(np.ldexp(found.standard_deviation, shift))
-            mean, bias = (float(np.ldexp(x, shift)) for x in (found.mean, found.bias))
-            by_step, by_state = (None if x is None else np.ldexp(x, 2 * shift) for x in (found.by_step, found.by_state))
-            found = Moments(mean, float(np.ldexp(found.variance, 2 * shift)), bias, by_step, by_state, deviation)
-        if found.variance < np.finfo(float).tiny < deviation or found.variance == np.inf > deviation:
+            deviation = float(np.ldexp(moments.standard_deviation, shift))
+            mean, bias = (float(np.ldexp(x, shift)) for x in (moments.mean, moments.bias))
+            parts = (None if x is None else np.ldexp(x, 2 * shift) for x in (moments.by_step, moments.by_state))
+            moments = Moments(mean, float(np.ldexp(moments.variance, 2 * shift)), bias, *parts, deviation)
+        if moments.variance < np.finfo(float).tiny < deviation or moments.variance == np.inf > deviation:
             warnings.warn(
-                f"the variance {found.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4
+                f"the variance {moments.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4
             )
-    if not np.isfinite([found.mean, found.standard_deviation]).all():
+    if not np.isfinite([moments.mean, moments.standard_deviation]).all():
         what = "beyond the largest float: the weights or the rewards are too large; or all weights of a step are 0"
         warnings.warn(f"a moment is {what}", stacklevel=4)
-    return found
+    return moments

@@ -67,9 +67,6 @@ def as_readonly(array: object) -> Any:
     return view
 
 
-readable = as_readonly  # the name in finite, moments, recursions and walks
-
-
 @dataclass(frozen=True, eq=False)
 class System:
     """M = I - gamma K, or its transpose.

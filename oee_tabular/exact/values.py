@@ -85,7 +85,7 @@ def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = N
     pi = check_policy(policy, model, horizon=steps)
     if steps is not None:
         values = _backward(model, pi, steps)
-        found = PolicyValues(values, finite.expected(model, pi, values), 0.0, "backward recursion")
+        found = PolicyValues(values, finite.initial_mean(model, values), 0.0, "backward recursion")
     else:
         found = infinite_values(model, pi)
     total = found.values.sum()  # quicker to make than to look at each; it may overflow where no value does
@@ -175,7 +175,10 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
         return value if np.isfinite(value) else float(warn_if_not_finite(value))
     steps = horizon_length(horizon, mdp, policy)
     return float(
-        warn_if_not_finite(factor * finite.value_to_horizon(mdp, finite.policy_to_read(policy, mdp, steps), steps))
+        warn_if_not_finite(
+            factor
+            * finite.values_by_horizon(mdp, finite.check_policy_in_place(policy, mdp, steps), steps, is_each=False)[-1]
+        )
     )
 
 

@@ -9,23 +9,25 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
-from oee_tabular._sparse import ratio_on, row_sums
+from oee_tabular._sparse import ratio_on
 from oee_tabular._threads import one_thread
-from oee_tabular.exact.system import readable, rows_of, spectral_radius
+from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
 
 class Walk(NamedTuple):
-    """How paths are drawn and weighted, as the kernels read it.
+    """How paths are drawn, weighted and rewarded, as the kernels read it.
 
-    Actions are drawn from ``act`` and moves from ``prob``; a step multiplies the weight by u(s, a) and w(s, a, s').
+    Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the weight by u(s, a) and w(s, a, s').
 
     Attributes
     ----------
     indptr, indices, prob : the rows of P
-    w, pay : aligned with its entries; ``pay`` with its rows unless ``by_move``
+    w : aligned with its entries
     act, u : (1 or T, S*A)
+    by_transition : whether rewards are r(s, a, s')
+    rewards : (1 or T, .), aligned with the entries of P, or with its rows unless ``by_transition``
     initial, discount : of the MDP
     """
 
@@ -35,8 +37,8 @@ class Walk(NamedTuple):
     w: Array
     act: Array
     u: Array
-    by_move: bool
-    pay: Array
+    by_transition: bool
+    rewards: Array
     initial: Array
     discount: float
 
@@ -46,77 +48,75 @@ class Walk(NamedTuple):
         return len(self.initial)
 
     @property
-    def first(self) -> tuple[IntArray, Array]:
-        """The states where episodes start, and their probabilities: what the others have must not count, even infinite."""
-        first = np.flatnonzero(self.initial)
-        return first, self.initial[first]
-
-    @property
     def rows(self) -> IntArray:
         """The row s*A + a of each entry."""
         return np.repeat(np.arange(self.act.shape[1]), np.diff(self.indptr))
 
-    def by_state(self, numbers: Array) -> Array:
-        """Sums over the actions of (., S*A)."""
+    def sum_actions(self, numbers: Array) -> Array:
+        """(., S): sums over the actions of (., S*A)."""
         return np.asarray(numbers.reshape(len(numbers), self.n_states, -1).sum(axis=2))
 
-    def entries(self, data: Array) -> sparse.csr_array:
-        """(S*A, S) with these values on the moves."""
+    def row_matrix(self, data: Array) -> sparse.csr_array:
+        """(S*A, S) with these values on the transitions."""
         kind = np.int32 if self.indptr.dtype == np.uint32 else np.int64
         shape = self.act.shape[1], self.n_states
         return sparse.csr_array((data, self.indices.view(kind), self.indptr.view(kind)), shape=shape)
 
+    def state_matrix(self, data: Array) -> sparse.csr_array:
+        """(S, S) with the sums over the actions of these values on the transitions."""
+        n = self.n_states
+        return sparse.csr_array((data, (self.rows // (self.act.shape[1] // n), self.indices)), shape=(n, n))
+
     def weighted_kernel(self, power: int) -> sparse.csr_array:
         """(S, S): sum_a act u^power sum P w^power."""
-        n, rows = self.n_states, self.rows
-        data = self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power
-        return sparse.csr_array((data, (rows // (self.act.shape[1] // n), self.indices)), shape=(n, n))
+        rows = self.rows
+        return self.state_matrix(self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power)
 
-    def reaches(self, steps: int, *, power: int, returns: bool = False) -> Array:
-        """(T + 1, 3, S): E[W^power G^i 1{s_t = s}]; without ``returns`` only i = 0 is filled in."""
+    def weights_by_state(self, horizon: int, *, power: int, with_returns: bool = False) -> Array:
+        """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0 alone."""
         from oee_tabular.exact import _moments
 
-        return np.asarray(_moments.forward(self, steps, power, returns))
+        return np.asarray(_moments.forward(self, horizon, power, with_returns))
 
-    def values_to_go(self, steps: int) -> Array:
-        """(T + 1, S): the unweighted expected return from t on."""
-        values = np.zeros((steps + 1, self.n_states))
-        plain = self.entries(self.prob)
-        paid = row_sums(plain, self.prob * self.pay) if self.by_move else self.pay
-        for t in range(steps - 1, -1, -1):
-            act = self.act[t if len(self.act) > 1 else 0][None]
-            values[t] = self.by_state(act * (paid + self.discount * (plain @ values[t + 1])))[0]
-        return values
+    def reachable_states(self, horizon: int | None = None) -> BoolArray:
+        """(S,): whether a path may be there at some t below the horizon."""
+        graph = self.state_matrix((self.act > 0.0).any(axis=0)[self.rows] * (self.prob > 0.0)).T
+        reached = self.initial > 0.0
+        for _ in range(self.n_states if horizon is None else min(horizon - 1, self.n_states)):
+            ahead = reached | (graph @ reached > 0.0)
+            if (ahead == reached).all():
+                break
+            reached = ahead
+        return np.asarray(reached)
 
 
 def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Array | None = None) -> Walk:
-    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on moves and by policy / behavior on actions.
+    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by policy / behavior on actions.
 
     The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
     """
-    matrix = mdp.transitions
-    over = mdp.absorbing()
-    w = np.ones(matrix.nnz) if ratio is None else factors_of(mdp, ratio, over)
+    matrix, absorbing = mdp.csr, mdp.absorbing()
+    w = np.ones(matrix.nnz) if ratio is None else transition_factors(mdp, ratio, absorbing)
     act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
     u = np.ones_like(act)
     if policy is not None:
-        wanted = np.broadcast_to(policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape)
-        u = np.divide(wanted, act, out=np.zeros_like(act), where=act > 0)
-        u = np.where(np.repeat(over, mdp.n_actions), 1.0, u)
-    by_move = mdp.reward_data is not None
-    pay = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
-    drawn = readable(w), readable(act), readable(u)
-    return Walk(*rows_of(matrix), *drawn, by_move, readable(pay), mdp.initial, mdp.discount)
+        evaluated = np.broadcast_to(policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape)
+        u = np.divide(evaluated, act, out=np.zeros_like(act), where=act > 0)
+        u = np.where(np.repeat(absorbing, mdp.n_actions), 1.0, u)
+    by_transition = mdp.reward_data is not None
+    rewards = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
+    parts = as_readonly(w), as_readonly(act), as_readonly(u), by_transition, as_readonly(rewards[None])
+    return Walk(*rows_of(matrix), *parts, mdp.initial, mdp.discount)
 
 
-def factors_of(mdp: FiniteMDP, ratio: Any, over: BoolArray) -> Array:
-    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the moves; 1 in the states that are ``over``."""
-    matrix = mdp.transitions
+def transition_factors(mdp: FiniteMDP, ratio: Any, absorbing: BoolArray) -> Array:
+    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the transitions; 1 in absorbing states."""
+    matrix = mdp.csr
     w = ratio_on(matrix, ratio, "zeta")
     if not 0.0 <= w.min() <= w.max() < np.inf:
         bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
         raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
-    return np.where(np.repeat(over, np.diff(matrix.indptr[:: mdp.n_actions])), 1.0, w)
+    return np.where(np.repeat(absorbing, np.diff(matrix.indptr[:: mdp.n_actions])), 1.0, w)
 
 
 def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
@@ -141,11 +141,11 @@ def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, ho
     ([1.0, 1.0, 1.0, 1.0], [1.0, 1.04, 1.0816, 1.1249])
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
-    steps = _checks.positive_integer(horizon, "horizon")
-    pi = check_policy(policy, simulator, horizon=steps)
+    length = _checks.positive_integer(horizon, "horizon")
+    pi = check_policy(policy, simulator, horizon=length)
     walk = walk_of(simulator, pi, ratio=zeta)
-    steps = limit_horizon(steps, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
-    first, second = (walk.reaches(steps, power=power)[:, 0].sum(axis=1) for power in (1, 2))
+    length = limit_horizon(length, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
+    first, second = (walk.weights_by_state(length, power=power)[:, 0].sum(axis=1) for power in (1, 2))
     return first, second
 
 
@@ -162,7 +162,7 @@ def radius_of(matrix: sparse.csr_array) -> float:
 def weight_growth(simulator: FiniteMDP, zeta: object, policy: PolicyLike) -> float:
     """log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
 
-    Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the moves that recur. Of a reducible chain the
+    Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the transitions that recur. Of a reducible chain the
     largest over all classes.
 
     Parameters

@@ -131,11 +131,11 @@ def sampler(
     seed: Seed, zeta: object = None, lanes: int = 64, name: str = "n_episodes",
 ) -> Sampler:  # fmt: skip
     """The engine for a checked policy; ``zeta`` as in ``sample_returns``, None: no weights; ``name``: what n is called."""
-    from oee_tabular.exact.walks import factors_of  # not at import: logs do without
+    from oee_tabular.exact.walks import transition_factors  # not at import: logs do without
 
     _checks.require_memory(9.0 * n, name, n)
     steps, over = horizon_length(horizon, mdp), mdp.absorbing()
-    ratio = np.zeros(0) if zeta is None else factors_of(mdp, zeta, over)
+    ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, over)
     return Sampler(mdp, alias_table(mdp, policy, ratio, over), ratio, stream_key(seed), n, steps, min(lanes, n))
 
 

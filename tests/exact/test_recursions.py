@@ -1,97 +1,59 @@
-"""The recursions behind moments: merged and centred sweeps agree, and each step and state has its own share of the variance."""
-
-import itertools
+"""Merged sweeps are those of a policy in time; each step and state has its own share of the variance."""
 
 import numpy as np
 import pytest
 from helpers import BEHAVIOR, POLICY, environments, histories, random_mdp, random_policy, ratio_of, rngs
 from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.exact._merged import LANES, PARTS, merge
-from oee_tabular.exact._moments import per_decision as centred
-from oee_tabular.exact.recursions import extras_of, merged
-from oee_tabular.exact.walks import walk_of
 
 KINDS = ("per_decision", "trajectory")
 
 
-@settings(max_examples=150)
-@given(rngs, st.sampled_from(["zeta", "policies", "none"]), st.booleans(), st.booleans())
-def test_merged_sweeps_are_the_centred_form(rng, weights, timed, based):
-    """One sweep over entries merged over actions; strips that fill and that do not."""
+def check_in_time(mdp, zeta, policy, behavior, horizon):
+    """A policy for each step that is always the same: entry by entry what the merged sweeps give."""
+    calls = [
+        lambda pi, **options: oee.return_moments(mdp, pi, **options),
+        lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, **options),
+        lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, self_normalized=True, **options),
+        lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, **options),
+        lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, self_normalized=True, **options),
+    ]
+    for call in calls:
+        merged, timed = (call(pi, horizon=horizon, sources=True) for pi in (policy, np.stack([policy] * horizon)))
+        for name in ("mean", "variance", "bias", "by_step", "by_state"):
+            one, two = getattr(merged, name), getattr(timed, name)
+            scale = max(1.0, np.abs(two).max(), abs(timed.mean) ** 2)
+            assert_allclose(one, two, rtol=1e-9, atol=1e-12 * scale, err_msg=name)
+
+
+@settings(max_examples=60)
+@given(rngs)
+def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
+    """Strips that fill and that do not."""
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5)))
-    steps = int(rng.integers(1, 7))
-    options = {
-        "zeta": lambda: {"ratio": ratio_of(rng, mdp)}, "policies": lambda: {"policy": random_policy(rng, mdp)},
-        "none": dict,
-    }[weights]()  # fmt: skip
-    walk = walk_of(mdp, random_policy(rng, mdp), **options)
-    shift, scale = (rng.normal(size=steps), np.exp(rng.normal(size=steps))) if timed else (None, None)
-    h, k = (rng.normal(size=(n, mdp.n_states)) for n in (steps, steps + 1)) if based else (None, None)
-    extras = extras_of(walk, steps, shift=shift, scale=scale, h=h, k=k)
-    old = centred(walk, steps, extras, True)
-    new = merged(walk, steps, extras, True)
-    for name, a, b in zip(("mean", "var", "local"), new, old, strict=True):
-        assert_allclose(a, b, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(b).max()), err_msg=name)
+    zeta = oee.true_ratio(random_mdp(rng, like=mdp), mdp)
+    check_in_time(mdp, zeta, random_policy(rng, mdp), random_policy(rng, mdp, zeros=0.0), int(rng.integers(1, 7)))
 
 
-@given(rngs, st.booleans(), st.booleans())
-def test_moves_to_states_that_stand_side_by_side(rng, timed, based):
-    """On a ring the strips' entries are consecutive states, but where it closes; the same numbers as in the centred form."""
-    n, n_actions, steps = int(rng.integers(70, 200)), 2, 4
-    steps_of = rng.choice(np.arange(-5, 40), 3, replace=False)
-    transitions = np.zeros((n, n_actions, n))
-    for step in steps_of:
-        transitions[np.arange(n), :, (np.arange(n) + step) % n] += rng.gamma(0.3, size=(n, n_actions)) + 1e-9
-    transitions /= transitions.sum(axis=2, keepdims=True)
-    mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
-    walk = walk_of(mdp, random_policy(rng, mdp), ratio=ratio_of(rng, mdp))
-    shift, scale = (rng.normal(size=steps), np.exp(rng.normal(size=steps))) if timed else (None, None)
-    h, k = (rng.normal(size=(x, n)) for x in (steps, steps + 1)) if based else (None, None)
-    strips = merge(walk)
-    offsets, columns, aligned, numbers, *_ = strips
-    columns = columns.reshape(-1, LANES).astype(np.int64)
-    assert_array_equal(aligned, (columns == columns[:, :1] + np.arange(LANES)).all(axis=1))
-    assert not aligned.all()
-    mass = numbers.reshape(-1, PARTS, LANES)[:, 0]
-    for first, last in itertools.pairwise(offsets):
-        assert (2.0 * mass[first] >= mass[first:last].max(axis=0)).all()
-    extras = extras_of(walk, steps, shift=shift, scale=scale, h=h, k=k)
-    old = centred(walk, steps, extras, True)
-    for a, b in zip(merged(walk, steps, extras, True), old, strict=True):
-        assert_allclose(a, b, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(b).max()))
-
-
-def test_a_grids_strips_are_read_side_by_side():
-    """Entries are in the order of their columns, at a wall as beside it: four of five strips' at 100 x 100 are consecutive."""
-    grid = oee.tasks.gridworld(100, 0.3)
-    aligned = merge(walk_of(grid, oee.uniform_policy(grid))).aligned
-    assert aligned.mean() > 0.8
-
-
-def test_rows_of_very_different_lengths_are_sorted_into_strips():
-    """One state of 200 that leads everywhere, the others to two: equal to the centred form, with no more room than needed."""
-    rng = np.random.default_rng(0)
-    transitions = np.zeros((200, 1, 200))
-    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
-    transitions[np.arange(200), 0, rng.integers(0, 200, 200)] += 0.5
-    transitions[77] = 1 / 200
-    mdp = oee.FiniteMDP(transitions, rng.normal(size=(200, 1, 200)), np.full(200, 1 / 200), 0.9)
-    walk = walk_of(mdp, np.ones((200, 1)), ratio=ratio_of(rng, mdp))
-    strips = merge(walk)
-    extras = extras_of(walk, 5)
-    old, new = centred(walk, 5, extras, True), merged(walk, 5, extras, True)
-    for a, b in zip(new, old, strict=True):
-        assert_allclose(a, b, rtol=1e-11, atol=1e-12)
-    offsets, order = strips.offsets, strips.order
-    assert offsets[-1] <= 200 + 2 * 6
-    assert order[199] == 77
-    assert sorted(order[:200]) == list(range(200))
-    assert (order[200:] == 200).all()
+@settings(max_examples=15)
+@given(rngs)
+def test_rings_and_rows_of_very_different_lengths(rng):
+    """A ring's entries lead to consecutive states; in the other, one state leads everywhere, the rest to three."""
+    n, n_actions = int(rng.integers(70, 200)), 2
+    for is_ring in (True, False):
+        transitions = np.zeros((n, n_actions, n))
+        for step in rng.choice(np.arange(-5, 40), 3, replace=False):
+            following = (np.arange(n) + step) % n if is_ring else rng.integers(0, n, n)
+            transitions[np.arange(n), :, following] += rng.gamma(0.3, size=(n, n_actions)) + 1e-9
+        if not is_ring:
+            transitions[n // 2] = 1.0
+        transitions /= transitions.sum(axis=2, keepdims=True)
+        mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
+        policy, behavior = (rng.dirichlet(np.ones(n_actions), n) for _ in range(2))
+        check_in_time(mdp, ratio_of(rng, mdp), policy, behavior, 4)
 
 
 def shares_by_enumeration(mdp, found, x, horizon):
@@ -184,13 +146,10 @@ def test_the_shares_of_doubly_robust_add_up(form, action_baseline):
     found = oee.doubly_robust_moments(simulator, zeta, POLICY, horizon=3, action_baseline=action_baseline, sources=True)
     assert_allclose(found.by_step.sum(), found.variance, rtol=1e-12)
     assert_allclose(found.by_step[0] + found.by_state.sum(), found.variance, rtol=1e-12)
-    own = walk_of(simulator, POLICY).values_to_go(3)
-    given_baseline = own.copy()
+    given_baseline = np.stack([oee.state_values(simulator, POLICY, horizon=3 - t) for t in range(3)] + [np.zeros(3)])
     given_baseline[3] = 9.0  # row T is not used
     again = oee.doubly_robust_moments(
         simulator, zeta, POLICY, baseline=given_baseline, horizon=3, action_baseline=action_baseline
     )
     assert_allclose((again.mean, again.variance), (found.mean, found.variance), rtol=1e-12)
     assert given_baseline[3, 0] == 9.0  # and the caller's array is the caller's
-    for t in range(3):
-        assert_allclose(own[t], oee.state_values(simulator, POLICY, horizon=3 - t), rtol=1e-12)
