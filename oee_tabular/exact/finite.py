@@ -45,7 +45,8 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     from oee_tabular.exact import _finite
 
     # numpy's zeros cost nothing until they are touched, the kernel's own would be written
-    place, read = np.zeros(model.n_states, np.uint32), (as_readonly(x) for x in (policy, model.rewards, model.initial))
+    place = np.zeros(model.n_states, np.uint32)
+    read = as_readonly(policy), as_readonly(model.rewards), as_readonly(model.initial)
     cone: Cone = _finite.light_cone(rows_of(model.csr), *read, model.discount, horizon, place)
     for part in cone.kernel[:3]:
         part.flags.writeable = False  # so that sweeps are compiled for one kind of array
@@ -84,7 +85,7 @@ def visits(model: Model, policy: Array, horizon: int) -> Array:
 def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
     from oee_tabular.exact import _finite
 
-    read = (as_readonly(x) for x in (model.rewards, policy, model.initial))
+    read = as_readonly(model.rewards), as_readonly(policy), as_readonly(model.initial)
     rooms = np.zeros(model.n_states), np.zeros(model.n_states), np.zeros(model.n_states, np.uint32)
     visited, keep = (np.zeros((0, 0)), False) if pairs is None else (pairs, True)
     return np.asarray(_finite.frontier(rows_of(model.csr), *read, model.discount, *rooms, visited, keep))

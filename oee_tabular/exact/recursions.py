@@ -247,8 +247,11 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
         with np.errstate(over="ignore", under="ignore"):
             deviation = float(np.ldexp(moments.standard_deviation, shift))
             mean, bias = (float(np.ldexp(x, shift)) for x in (moments.mean, moments.bias))
-            parts = (None if x is None else np.ldexp(x, 2 * shift) for x in (moments.by_step, moments.by_state))
-            moments = Moments(mean, float(np.ldexp(moments.variance, 2 * shift)), bias, *parts, deviation)
+            variance = float(np.ldexp(moments.variance, 2 * shift))
+            by_step, by_state = (
+                None if x is None else np.ldexp(x, 2 * shift) for x in (moments.by_step, moments.by_state)
+            )
+            moments = Moments(mean, variance, bias, by_step, by_state, deviation)
         if moments.variance < np.finfo(float).tiny < deviation or moments.variance == np.inf > deviation:
             warnings.warn(
                 f"the variance {moments.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4

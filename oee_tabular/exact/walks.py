@@ -80,7 +80,7 @@ class Walk(NamedTuple):
 
     def reachable_states(self, horizon: int | None = None) -> BoolArray:
         """(S,): whether a path may be there at some t below the horizon."""
-        graph = self.state_matrix((self.act > 0.0).any(axis=0)[self.rows] * (self.prob > 0.0)).T
+        graph = self.state_matrix(self.act.max(axis=0)[self.rows] * self.prob).T
         reached = self.initial > 0.0
         for _ in range(self.n_states if horizon is None else min(horizon - 1, self.n_states)):
             ahead = reached | (graph @ reached > 0.0)
@@ -105,8 +105,8 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Ar
         u = np.where(np.repeat(absorbing, mdp.n_actions), 1.0, u)
     by_transition = mdp.reward_data is not None
     rewards = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
-    parts = as_readonly(w), as_readonly(act), as_readonly(u), by_transition, as_readonly(rewards[None])
-    return Walk(*rows_of(matrix), *parts, mdp.initial, mdp.discount)
+    drawn = as_readonly(w), as_readonly(act), as_readonly(u)
+    return Walk(*rows_of(matrix), *drawn, by_transition, as_readonly(rewards[None]), mdp.initial, mdp.discount)
 
 
 def transition_factors(mdp: FiniteMDP, ratio: Any, absorbing: BoolArray) -> Array:
