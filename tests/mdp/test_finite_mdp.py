@@ -1,4 +1,6 @@
 import pickle
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,26 +13,96 @@ import oee_tabular as oee
 from oee_tabular import FiniteMDP
 
 
-def test_rows_are_state_major_and_zeros_are_dropped():
-    transitions = np.array([[[0.9, 0.1], [0.2, 0.8]], [[0.0, 1.0], [0.0, 1.0]]])
-    mdp = FiniteMDP(transitions, np.zeros(2), [1.0, 0.0], 0.9)
-    assert (mdp.n_states, mdp.n_actions, mdp.transitions.nnz) == (2, 2, 6)
-    assert_array_equal(mdp.transitions.toarray(), transitions.reshape(4, 2))
+def sparse_form(mdp):
+    """The same MDP of sparse arguments."""
+    rewards = mdp.rewards if mdp.reward_data is None else mdp.transition_rewards.copy()
+    return FiniteMDP(mdp.transitions.tocoo(), rewards, mdp.initial, mdp.discount)
 
 
 @given(rngs)
-def test_dense_and_sparse_input_make_the_same_mdp(rng):
+def test_dense_and_sparse_arguments_files_and_pickles_make_the_same_mdp(rng):
     mdp = random_mdp(rng)
-    transitions, rewards = dense(mdp)
-    given_rewards = rewards if mdp.transition_rewards is not None else mdp.rewards
-    sparse_rewards = sparse.csr_array(rewards.reshape(-1, mdp.n_states)) if given_rewards is rewards else given_rewards
-    other = FiniteMDP(
-        sparse.coo_array(transitions.reshape(-1, mdp.n_states)), sparse_rewards, mdp.initial, mdp.discount
-    )
-    assert_array_equal(other.transitions.toarray(), mdp.transitions.toarray())
-    assert_allclose(other.rewards, mdp.rewards, rtol=0, atol=1e-12)
+    policy = random_policy(rng, mdp)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mdp.npz"
+        mdp.save(path)
+        assert [p.name for p in Path(folder).iterdir()] == ["mdp.npz"]
+        loaded = FiniteMDP.load(path)
+    for other in (sparse_form(mdp), loaded, pickle.loads(pickle.dumps(mdp)), mdp.with_discount(mdp.discount)):
+        same_bits(mdp, other)
+        for call in (oee.policy_value, oee.state_values, oee.action_values, oee.occupancy):
+            assert_array_equal(call(mdp, policy), call(other, policy))
+        assert repr(mdp) == repr(other)
+        assert mdp._repr_html_() == other._repr_html_()
+
+
+def same_bits(a, b):
+    for name in ("rewards", "initial", "terminal_state", "reward_data", "discount"):
+        assert_array_equal(getattr(a, name), getattr(b, name))
+    assert_array_equal(a.absorbing(), b.absorbing())
+    for name in ("transitions", "transition_rewards"):
+        left, right = getattr(a, name), getattr(b, name)
+        assert (left is None) == (right is None)
+        for part in ("indptr", "indices", "data") if left is not None else ():
+            assert_array_equal(getattr(left, part), getattr(right, part))
+            assert getattr(left, part).dtype == getattr(right, part).dtype
+            assert not getattr(right, part).flags.writeable
+
+
+@given(rngs)
+def test_matrices_are_canonical_and_made_once(rng):
+    mdp = random_mdp(rng)
+    transitions, _ = dense(mdp)
+    assert mdp.transitions is mdp.transitions
+    assert mdp.transitions.has_canonical_format
+    assert (mdp.transitions.data > 0).all()
+    assert mdp.transitions.nnz == (transitions > 0).sum()
+    assert_array_equal(mdp.csr.to_matrix().toarray(), transitions.reshape(-1, mdp.n_states))
     if mdp.reward_data is not None:
-        assert_array_equal(other.reward_data, mdp.reward_data)
+        assert_array_equal(mdp.transition_rewards.toarray()[mdp.transitions.toarray() > 0], mdp.reward_data)
+
+
+BAD_ROWS = {
+    "negative": ([[[1.5, -0.5]], [[0, 1]]], "nonnegative"),
+    "nan": ([[[np.nan, 1]], [[0, 1]]], "finite"),
+    "infinite": ([[[np.inf, 0]], [[0, 1]]], "finite"),
+    "sum": ([[[0.5, 0.4]], [[0, 1]]], "must sum to 1 .*; it sums to 0.9"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_ROWS)
+@pytest.mark.parametrize("form", [np.array, lambda rows: sparse.csr_array(np.array(rows)[:, 0])])
+def test_bad_rows_are_refused_in_both_forms(name, form):
+    rows, rule = BAD_ROWS[name]
+    with pytest.raises(ValueError, match=f"^transitions.*{rule}"):
+        FiniteMDP(form(rows), [0, 0], [1, 0], 0.9)
+
+
+def broken_matrix():
+    """Native code that follows its pointers reads beyond its arrays."""
+    matrix = sparse.csr_array(np.eye(6))
+    matrix.indptr[5] = 10**6
+    return matrix
+
+
+GOOD, LOG = np.eye(6)[:, None], oee.Transitions([0, 1], [0, 0], [1, 5], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda bad: FiniteMDP(bad, np.zeros(6), 0, 0.9),
+        lambda bad: FiniteMDP(GOOD, bad, 0, 0.9),
+        lambda bad: FiniteMDP(GOOD, np.zeros(6), 0, 0.9).with_transitions(bad),
+        lambda bad: FiniteMDP(GOOD, np.zeros(6), 0, 0.9).with_rewards(bad),
+        lambda bad: FiniteMDP(GOOD, np.zeros(6), 0, 0.9).with_support_of(bad, 0.1),
+        lambda bad: FiniteMDP.from_log(LOG, discount=0.9, rewards=bad),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*never recorded")
+def test_a_malformed_csr_is_refused_before_it_is_read(call):
+    with pytest.raises(ValueError, match=r"indptr\[[56]\] must be at"):
+        call(broken_matrix())
 
 
 def test_the_three_forms_of_rewards():
@@ -62,33 +134,6 @@ def test_it_does_not_change_or_keep_what_it_was_given():
     transitions[:] = 0.0
     initial[:] = 0.0
     assert mdp.transitions.data[0] == mdp.initial[0] == 1.0
-
-
-@given(rngs)
-def test_save_and_load_give_the_same_bits(rng):
-    import tempfile
-    from pathlib import Path
-
-    mdp = random_mdp(rng)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "mdp.npz"
-        mdp.save(path)
-        assert [p.name for p in Path(folder).iterdir()] == ["mdp.npz"]
-        _same_bits(mdp, FiniteMDP.load(path))
-    _same_bits(mdp, pickle.loads(pickle.dumps(mdp)))
-
-
-def _same_bits(a, b):
-    for name in ("rewards", "initial", "terminal_state"):
-        assert_array_equal(getattr(a, name), getattr(b, name))
-    assert a.discount == b.discount
-    for name in ("transitions", "transition_rewards"):
-        left, right = getattr(a, name), getattr(b, name)
-        assert (left is None) == (right is None)
-        if left is not None:
-            assert_array_equal(left.indptr, right.indptr)
-            assert_array_equal(left.indices, right.indices)
-            assert_array_equal(left.data, right.data)
 
 
 @given(rngs)
@@ -167,13 +212,7 @@ def test_a_last_state_that_nothing_leads_to_survives_files_pickles_and_copies(fo
     copies = FiniteMDP.load(tmp_path / "mdp.npz"), pickle.loads(pickle.dumps(mdp)), mdp.with_discount(0.9)
     for other in (*copies, mdp.with_rewards(mdp.rewards if form == 2 else mdp.transition_rewards)):
         assert other.transitions.shape == (3, 3)
-        for name in ("rewards", "initial", "terminal_state"):
-            assert_array_equal(getattr(other, name), getattr(mdp, name))
-        assert other.discount == 0.9
-        assert (other.reward_data is None) == (form == 2)
-        if form == 3:
-            assert other.transition_rewards.shape == (3, 3)
-            assert_array_equal(other.reward_data, mdp.reward_data)
+        same_bits(mdp, other)
 
 
 def test_its_page_has_its_numbers():

@@ -13,13 +13,9 @@ from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, _files
-from oee_tabular.continuous.support import frequencies
-from oee_tabular.estimators import ModelBased, OffEnvironment, Problem
+from oee_tabular.estimators import ModelBased, Problem
 from oee_tabular.exact import reweight
-from oee_tabular.experiments.common import small_grids
-from oee_tabular.experiments.figure_1bcd import with_next_rewards_averaged
 from oee_tabular.mdp import displacements
-from oee_tabular.tasks import CartPole, GridInterpolation, defensive_mixture
 from oee_tabular.testing import case
 
 GRID = oee.tasks.gridworld(3, 0.3)
@@ -118,30 +114,13 @@ def test_what_is_made_of_the_same_states_keeps_it(form, tmp_path):
     assert_array_equal(mdp.with_layout(PLACES).rewards, mdp.rewards)
 
 
-@pytest.mark.parametrize(
-    "made",
-    [
-        lambda: ModelBased().model(Problem(GRID, LOG)),
-        lambda: ModelBased("simulator").model(Problem(GRID, LOG)),
-        lambda: Problem(GRID, LOG, rewards="log").model,
-        lambda: oee.transition_ratio(LOG, GRID).target_model(GRID),
-        lambda: (
-            OffEnvironment()
-            .fit(Problem(GRID, LOG), oee.uniform_policy(GRID), np.random.default_rng(0))
-            .target_model(GRID)
-        ),
-        lambda: GRID.with_rewards(GRID.rewards).with_transitions(frequencies(LOG.counts(9, 4), 4)),
-        lambda: with_next_rewards_averaged(GRID),
-    ],
-)
-def test_models_of_the_target_keep_it(made):
-    assert_array_equal(made().layout, GRID.layout)
-
-
-def test_mixtures_of_cells_keep_the_first_one_s():
-    plain, other = (GridInterpolation((4, 4), closure_episodes=0).build(CartPole(g)) for g in (10.0, 15.0))
-    lying = replace(plain, mdp=plain.mdp.with_layout(np.arange(17)))
-    assert_array_equal(defensive_mixture(lying, [other]).mdp.layout, np.arange(17)[:, None])
+def test_models_of_the_target_keep_it():
+    for model in (
+        ModelBased().model(Problem(GRID, LOG)),
+        Problem(GRID, LOG, rewards="log").model,
+        oee.transition_ratio(LOG, GRID).target_model(GRID),
+    ):
+        assert_array_equal(model.layout, GRID.layout)
 
 
 def test_other_numbers_of_the_states_take_it_along():
@@ -155,10 +134,6 @@ def test_other_numbers_of_the_states_take_it_along():
     renamed = lying.relabelled(states, np.arange(lying.simulator.n_actions))
     assert_array_equal(renamed.simulator.layout[states], lying.simulator.layout)
     assert renamed.target.layout is None
-
-
-def test_the_experiments_small_grids_have_it():
-    assert all(grid.layout.shape == (25, 2) for grid in small_grids())
 
 
 def test_files_without_it_load_and_broken_ones_name_it(tmp_path):
@@ -277,18 +252,6 @@ def test_no_minus_zero_and_no_two_of_one():
     assert not np.signbit(displacements(there_and_back)[0]).any()
     assert_array_equal(kind, np.zeros(4))
     assert len(displacements(three(layout=[0.3, 0.3 + 2e-9, 0.3]))[0]) == 3
-
-
-def test_action_displacement_is_its_indicators_by_action():
-    """Columns of ``action_displacement``: pairs (action, kind), but for each action's most frequent kind."""
-    kinds, kind = displacements(GRID)
-    rows = np.repeat(np.arange(36), np.diff(GRID.transitions.indptr))
-    pair = rows % 4 * len(kinds) + kind
-    mass = np.bincount(pair, GRID.transitions.data, 4 * len(kinds)).reshape(4, -1)
-    own = [
-        a * len(kinds) + k for a in range(4) for k in np.lexsort(kinds.T[::-1]) if mass[a, k] and k != mass[a].argmax()
-    ]
-    assert_array_equal(oee.ratio.action_displacement(GRID, GRID.layout), pair[:, None] == own)
 
 
 BAD = {
