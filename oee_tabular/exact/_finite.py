@@ -11,7 +11,7 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact._policy_rows import transposed
+from oee_tabular.exact._policy_rows import transpose_rows
 from oee_tabular.exact.system import Kernel
 
 CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
@@ -162,7 +162,7 @@ def cone_visits(cone):
     ends = cone.ends
     indptr, indices, data, gamma = cone.kernel
     size = ends[-1]
-    back = Kernel(*transposed(indptr, indices, data, size), 1.0)
+    back = Kernel(*transpose_rows(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
     here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
     here[: ends[0]] = cone.initial

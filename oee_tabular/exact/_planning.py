@@ -36,7 +36,7 @@ def improve(rows, rewards, discount, values, new, actions):
 
 
 @njit(cache=True)
-def follow(rows, rewards, discount, actions, values, new):
+def sweep_actions(rows, rewards, discount, actions, values, new):
     """new = r + gamma P values for these actions; the least and the largest change."""
     indptr, indices, data = rows
     low, high = np.inf, -np.inf
@@ -54,37 +54,38 @@ def follow(rows, rewards, discount, actions, values, new):
 
 
 @njit(cache=True)
-def modified(rows, rewards, discount, relative):
-    """(S,) actions, after at most 100 turns, and about their values: exact evaluation goes on from those at hand.
+def iterate_modified(rows, rewards, discount, relative, values, n_turns):
+    """(S,) actions, after at most so many turns from these values, about their values, and whether the actions stand.
 
     The values are swept to rounding while four sweeps halve what is missing, as they do where a graph mixes.
     """
     n = len(rewards)
-    values, new, actions = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.int64)
-    for _ in range(100):
+    values, new, actions, stands = values.copy(), np.empty(n), np.zeros(n, dtype=np.int64), False
+    for _ in range(n_turns):
         spread, largest = improve(rows, rewards, discount, values, new, actions)
         values, new = new, values
         if not spread > relative * largest:
+            stands = True
             break
         for _ in range(20):
-            low, high = follow(rows, rewards, discount, actions, values, new)
+            low, high = sweep_actions(rows, rewards, discount, actions, values, new)
             values, new = new, values
             if high - low <= 0.1 * spread:
                 break
-    over, allowed = discount / (1.0 - discount), np.inf
+    factor, allowed = discount / (1.0 - discount), np.inf
     for sweep in range(200):
-        low, high = follow(rows, rewards, discount, actions, values, new)
+        low, high = sweep_actions(rows, rewards, discount, actions, values, new)
         values, new = new, values
-        shift = over * 0.5 * (low + high)
+        shift = factor * 0.5 * (low + high)
         if not high - low > 2e-16 * max(largest, abs(shift)) or (sweep % 4 == 0 and high - low > allowed):
             break
         if sweep % 4 == 0:
             allowed = 0.5 * (high - low)
-    return actions, values + shift
+    return actions, values + shift, stands
 
 
 @njit(cache=True)
-def better(rows, rewards, discount, values, actions, relative):
+def find_better_actions(rows, rewards, discount, values, actions, relative):
     """For values of these actions: the first of a state's best actions up to rounding, and whether it is better by more."""
     indptr, indices, data = rows
     n_states, n_actions = rewards.shape

@@ -5,7 +5,7 @@ from numba import njit
 
 
 @njit(cache=True)
-def lone(weights):
+def single_action(weights):
     """The action that has weight 1 where all others have none; else -1."""
     found = -1
     for action in range(len(weights)):
@@ -17,7 +17,7 @@ def lone(weights):
 
 
 @njit(cache=True)
-def averaged(rows, policy, columns, values):
+def fill_average_rows(rows, policy, columns, values):
     """``average_rows`` into arrays with room for all entries."""
     indptr, indices, data = rows
     n_states, n_actions = policy.shape
@@ -26,7 +26,7 @@ def averaged(rows, policy, columns, values):
     sums, mark = np.zeros(n_states), np.zeros(n_states, dtype=np.uint32)
     kept = 0
     for state in range(n_states):
-        only = lone(policy[state])
+        only = single_action(policy[state])
         if only >= 0:
             for k in range(indptr[state * n_actions + only], indptr[state * n_actions + only + 1]):
                 if data[k] != 0.0:
@@ -60,7 +60,7 @@ def averaged(rows, policy, columns, values):
 def average_rows(rows, policy):
     """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them."""
     room = len(rows[2])  # only what is filled becomes memory
-    return averaged(rows, policy, np.empty(room, dtype=np.uint32), np.empty(room))
+    return fill_average_rows(rows, policy, np.empty(room, dtype=np.uint32), np.empty(room))
 
 
 @njit(cache=True)
@@ -107,7 +107,18 @@ def range_of_sums(kernel, n_roundings):
 
 
 @njit(cache=True)
-def times(kernel, transpose, x, out):
+def dense_matrix(kernel):
+    """(S, S): I - discount K."""
+    indptr, indices, data, discount = kernel
+    matrix = np.eye(len(indptr) - 1)
+    for i in range(len(matrix)):
+        for k in range(indptr[i], indptr[i + 1]):
+            matrix[i, indices[k]] -= discount * data[k]
+    return matrix
+
+
+@njit(cache=True)
+def multiply(kernel, transpose, x, out):
     """out = K x, or K^T x by scattering, which no row of uneven length holds up."""
     indptr, indices, data, _ = kernel
     if transpose:
@@ -187,7 +198,7 @@ def residual_transposed(kernel, b, x, n_roundings):
 
 
 @njit(cache=True)
-def transposed(indptr, indices, data, n_columns):
+def transpose_rows(indptr, indices, data, n_columns):
     """The CSR of the transposed matrix; within a row in the order of the rows that they came from."""
     n = len(indptr) - 1
     starts = np.zeros(n_columns + 1, dtype=np.uint32)

@@ -28,7 +28,7 @@ class LinearSolution:
     ----------
     x : (S,)
     error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding included
-    method : "dense LU", "LU by components", "value iteration", "BiCGSTAB" or "sparse LU"
+    method : "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse LU"
 
     Examples
     --------

@@ -6,11 +6,13 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact.system import rows_of
+from oee_tabular.exact.system import policy_system, rows_of
 from oee_tabular.exact.values import action_values, infinite_values, warn_if_not_finite
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.mdp.policies import deterministic_policy
+
+N_TURNS_BEFORE = 3  # of modified policy iteration, after which the graph of the greedy policy is looked at
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
@@ -42,6 +44,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     [[1, 0], [0, 0], [0, 0]]
     """
     from oee_tabular.exact import _planning
+    from oee_tabular.exact.solvers.envelope import EnvelopeLU
 
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.optional_horizon(horizon)
@@ -53,14 +56,19 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
         actions, values = action_values(mdp, uniform).argmax(axis=1), None
     else:
-        actions, values = _planning.modified(*model, 1e-9)
+        actions, values, stands = _planning.iterate_modified(*model, 1e-9, np.zeros(mdp.n_states), N_TURNS_BEFORE)
+        system = policy_system(mdp, deterministic_policy(actions, mdp.n_actions))
+        if not stands and not EnvelopeLU(is_narrow=True).suits(
+            system
+        ):  # else exact evaluation is as quick as some sweeps
+            actions, values, _ = _planning.iterate_modified(*model, 1e-9, values, 100)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
     met: set[bytes] = set()
     while True:
         met.add(actions.tobytes())
         policy = deterministic_policy(actions, mdp.n_actions)
         values = infinite_values(mdp, policy, near=values).values
-        first, better = _planning.better(*model, warn_if_not_finite(values), actions, rounding)
+        first, better = _planning.find_better_actions(*model, warn_if_not_finite(values), actions, rounding)
         if not better.any() or np.where(better, first, actions).tobytes() in met:
             # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
             return policy if mdp.discount == 1.0 else deterministic_policy(first, mdp.n_actions)

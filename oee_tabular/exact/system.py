@@ -21,6 +21,9 @@ LARGE = (
     1 << 20
 )  # entries from which numpy's large pages save time: P_pi of 2000 dense rows in .4 of it (benchmarks/regimes.py)
 
+# entries of a state in the envelope, on average, up to which LU in it is asked (solvers/envelope.py)
+WIDEST = 48.0
+
 # of the right side, and of how far its residual is to fall; None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
 
@@ -67,6 +70,9 @@ def as_readonly(array: object) -> Any:
     return view
 
 
+NO_ROWS = Csr(np.zeros(1, dtype=np.uint32), np.zeros(0, dtype=np.uint32), np.zeros(0))
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """M = I - gamma K, or its transpose.
@@ -92,20 +98,42 @@ class System:
         """Of a CSR matrix."""
         from oee_tabular.exact._policy_rows import range_of_sums
 
-        found = Kernel(*rows_of(kernel), discount)
-        smallest, largest, mass = range_of_sums(found, 0.0)
-        return cls(found, smallest, largest, mass, transpose)
+        rows = Kernel(*rows_of(kernel), discount)
+        smallest, largest, mass = range_of_sums(rows, 0.0)
+        return cls(rows, smallest, largest, mass, transpose)
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+        return len(self.kernel.indptr) - 1
 
     @cached_property
-    def components(self) -> tuple[Any, Any]:
-        """States by strongly connected component, those last that lead to all others; where components begin.
+    def back(self) -> Csr:
+        """K transposed."""
+        from oee_tabular.exact import _policy_rows
 
-        Both are empty where a component has more than 100 states, or more than a tenth of them all.
-        """
-        from oee_tabular.exact.solvers._elimination import components
+        return Csr(*map(as_readonly, _policy_rows.transpose_rows(*self.kernel[:3], self.n_states)))
 
-        found: tuple[object, object] = components(self.kernel, min(100, (len(self.kernel.indptr) - 1) // 10))
-        return found
+    @cached_property
+    def order(self) -> tuple[Any, Any]:
+        """The states in breadth-first order along the rows, and each one's place."""
+        from oee_tabular.exact.solvers._graph import breadth_first
+
+        return tuple(breadth_first(self.kernel, NO_ROWS, np.inf))  # type: ignore[return-value]
+
+    @cached_property
+    def envelope(self) -> tuple[Any, ...] | None:
+        """Places in a breadth-first order, and the envelope of M in the reverse of it, where that is narrow."""
+        from oee_tabular.exact.solvers import _envelope, _graph
+
+        for ways in range(2):
+            back = self.back if ways else NO_ROWS
+            _, place = _graph.breadth_first(self.kernel, back, WIDEST)
+            if len(place):
+                order, first, starts = _envelope.find_envelope(self.kernel, place)
+                if starts[-1] <= WIDEST * self.n_states:
+                    return place, order, first, starts
+        return None
 
     def forward(self) -> System:
         """The same without the transposition."""
@@ -133,7 +161,7 @@ def policy_system(model: Model, policy: Array) -> System:
         indptr, indices, data = _policy_rows.average_rows(rows, policy)
     else:
         room = np.empty(entries, dtype=np.uint32), np.empty(entries)
-        indptr, indices, data = _policy_rows.averaged(rows, policy, *room)
+        indptr, indices, data = _policy_rows.fill_average_rows(rows, policy, *room)
     for part in (indptr, indices, data):
         part.flags.writeable = False
     kernel = Kernel(indptr, indices, data, model.discount)

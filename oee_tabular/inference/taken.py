@@ -194,7 +194,7 @@ class Taken:
             values = self._dense(p, False)
             return Point(p, float(chain.initial @ values), values, visits, np.zeros(0), None)
         rows, paid = self._kernel(p)
-        found = solvers.corrected(_system(rows, False), paid, before, left)
+        found = solvers.correct(_system(rows, False), paid, before, left)
         value = float(chain.initial @ found.x + visits @ found.missed)
         return Point(p, value, found.x, visits, np.zeros(0), rows)
 
@@ -210,7 +210,7 @@ class Taken:
         if point.kernel is None:
             visits = self._dense(point.p, True)
         else:
-            visits = solvers.corrected(_system(point.kernel, True), chain.initial, point.visits, left).x
+            visits = solvers.correct(_system(point.kernel, True), chain.initial, point.visits, left).x
         ahead -= np.repeat(
             np.add.reduceat(chain.phat * ahead, starts), lengths
         )  # a constant in a row counts for nothing

@@ -120,36 +120,28 @@ def test_equal_actions_up_to_rounding_are_equal():
 
 @pytest.mark.parametrize("discount", [0.5, 0.99, 0.99999])
 def test_plans_of_random_mdps_cannot_be_improved(discount):
-    """And one exact evaluation certifies: modified policy iteration had found them."""
-    from oee_tabular.exact import _planning
-    from oee_tabular.exact.system import rows_of
-
     mdp = random_mdp(np.random.default_rng(0), n_states=60, n_actions=5, discount=discount)
     plan = oee.optimal_policy(mdp)
     q = oee.action_values(mdp, plan)
     assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
-    found, values = _planning.modified(rows_of(mdp.transitions), mdp.rewards, discount, 1e-9)
-    assert_array_equal(found, plan.argmax(axis=1))
-    assert_allclose(values, oee.state_values(mdp, plan), rtol=1e-15 / (1.0 - discount))
 
 
-def test_a_plan_begins_each_evaluation_where_it_is(monkeypatch):
-    """The sweeps' values are those of the plan to rounding: no solver is asked."""
-    from oee_tabular.exact import solvers
-
-    monkeypatch.setattr(solvers, "SOLVERS", ())
-    mdp = random_mdp(np.random.default_rng(0), n_states=60, n_actions=5, discount=0.99)
-    assert oee.optimal_policy(mdp).sum() == 60
-
-
-def test_a_plan_does_not_rest_on_the_sweeps(monkeypatch):
-    """From whatever actions they leave, exact evaluation goes on to the best."""
-    from oee_tabular.exact import _planning
-
-    mdp = oee.tasks.gridworld(6, 0.3)
-    plan = oee.optimal_policy(mdp)
-    monkeypatch.setattr(_planning, "modified", lambda *_: (np.zeros(36, dtype=np.int64), np.full(36, 1e9)))
-    assert_array_equal(oee.optimal_policy(mdp), plan)
+@pytest.mark.parametrize("discount", [0.9, 0.999, 0.99999])
+def test_plans_of_narrow_graphs_cannot_be_improved(discount):
+    """A queue with two rates of service and a ring with two drifts: policy iteration from a greedy start."""
+    rng, n = np.random.default_rng(1), 300
+    at = np.arange(n)
+    for is_ring in (False, True):
+        rows = np.zeros((n, 2, n))
+        for action, up in enumerate((0.45, 0.6)):
+            ahead, back = ((at + 1) % n, at - 1) if is_ring else (np.minimum(at + 1, n - 1), np.maximum(at - 1, 0))
+            np.add.at(rows[:, action], (at, ahead), up)
+            np.add.at(rows[:, action], (at, back), 1.0 - up)
+        rewards = rng.normal(size=(n, 2)) - (0.0 if is_ring else 0.01 * at[:, None])
+        mdp = FiniteMDP(rows, rewards, np.full(n, 1 / n), discount)
+        plan = oee.optimal_policy(mdp)
+        q = oee.action_values(mdp, plan)
+        assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
 
 
 def test_plans_of_rewards_near_the_largest_float_end():

@@ -10,7 +10,7 @@ from helpers import dense_values, rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
-from structures import STRUCTURES, binary_tree, cycle, grid, layered, levels, random_rows
+from structures import STRUCTURES, binary_tree, cycle, grid, layered, random_rows
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
@@ -19,18 +19,21 @@ from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.solvers import (
     SOLVERS,
     _bicgstab,
-    _elimination,
+    _envelope,
+    _graph,
     _reduction,
     _value_iteration,
     inverse_norm,
     refine,
 )
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.elimination import LAPACK
-from oee_tabular.exact.solvers.library import expands
+from oee_tabular.exact.solvers.envelope import EnvelopeLU
+from oee_tabular.exact.solvers.lapack import LAPACK
+from oee_tabular.exact.solvers.superlu import SuperLU
 from oee_tabular.exact.system import System, spectral_radius
 
-OTHERS = (LAPACK(up_to=700), BiCGStab(reduced=False), BiCGStab(plain=True))  # as the options have it
+LAST = SOLVERS[-3:]  # LAPACK, SuperLU, LAPACK of more states
+OTHERS = (LAPACK(700), BiCGStab(is_reduced=False), EnvelopeLU(), SuperLU(100.0))  # as the options have it
 
 
 @dataclass
@@ -39,7 +42,7 @@ class Stub:
 
     name: str
     solve: Any
-    direct: bool = False
+    is_direct: bool = False
 
     def suits(self, system):
         return True
@@ -70,24 +73,13 @@ def test_every_solver_gives_the_one_answer_within_its_bound(name, discount, tran
             continue
         answer = refine(system, b, solver.prepare(system), solver.name)
         if answer is None:  # value iteration where the graph does not mix
-            assert not solver.direct
+            assert not solver.is_direct
             continue
         missed = np.abs(answer.x - truth)
         missed = missed.sum() if transpose else missed.max()
         # an iteration may end above its rounding: its residual says so, and another solver is asked
         assert missed <= norm * answer.bound + size, solver
-        assert missed < size or not solver.direct, solver
-
-
-@pytest.mark.parametrize(
-    ("name", "method"),
-    [("one state", "dense LU"), ("grid", "BiCGSTAB"), ("layered", "LU by components"), ("expander", "value iteration"),
-     ("ring", "BiCGSTAB"), ("dense", "dense LU"), ("rows above 1", "BiCGSTAB"), ("empty", "dense LU")],
-)  # fmt: skip
-def test_the_choice(name, method):
-    kernel = STRUCTURES[name]
-    b = np.random.default_rng(0).random(kernel.shape[0])
-    assert solve_policy_system(kernel, b, 0.95).method == method
+        assert missed < size or not solver.is_direct, solver
 
 
 @pytest.mark.parametrize("transpose", [False, True])
@@ -95,14 +87,13 @@ def test_the_choice(name, method):
 def test_a_direct_solver_answers_a_singular_system_with_nan(n, transpose):
     """From which divergence is concluded; the name of the method is that of the solver that was asked first."""
     singular = System.from_csr(sparse.csr_array(sparse.eye_array(n)), 1.0, transpose)
-    asked = [solver for solver in (*SOLVERS, *OTHERS) if solver.direct and solver.suits(singular)]
+    asked = [solver for solver in (*SOLVERS, *OTHERS) if solver.is_direct and solver.suits(singular)]
     assert asked
     for solver in asked:
         assert np.isnan(solver.prepare(singular)(np.ones(n), 0.0)).all()
     found = solvers.answer(singular, np.ones(n))
     assert np.isnan(found.x).all()
     assert np.isnan(found.largest)
-    assert found.method == ("dense LU" if n <= 100 else "LU by components")
 
 
 def test_the_iteration_refines_to_rounding_and_leaves_zero_alone():
@@ -121,7 +112,7 @@ def test_the_iteration_refines_to_rounding_and_leaves_zero_alone():
 def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
     grid = oee.tasks.gridworld(25, 0.3)
     policy = oee.uniform_policy(grid)
-    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: np.zeros(len(b))), *SOLVERS[5:]))
+    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: np.zeros(len(b))), *LAST))
     found = exact.evaluate_policy(grid, policy)
     assert found.method == "sparse LU"
     assert_allclose(found.values, dense_values(grid, policy), rtol=1e-10, atol=1e-10)
@@ -129,7 +120,7 @@ def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
 
 def test_where_iteration_fails_on_an_expander(monkeypatch):
     """Up to 3000 states a dense solver answers; above, the bound says how far the iteration got."""
-    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: 0.9 * b), *SOLVERS[5:]))
+    monkeypatch.setattr(solvers, "SOLVERS", (Stub("BiCGSTAB", lambda b, relative: 0.9 * b), *LAST))
     for n, method in ((900, "dense LU"), (3300, "BiCGSTAB")):
         b = np.random.default_rng(0).normal(size=n)
         with warnings.catch_warnings(record=True) as said:
@@ -145,7 +136,7 @@ def test_where_iteration_fails_on_an_expander(monkeypatch):
 
 
 def test_no_direct_solver_is_asked_about_an_expander(monkeypatch):
-    monkeypatch.setattr(solvers, "SOLVERS", SOLVERS[:5])
+    monkeypatch.setattr(solvers, "SOLVERS", SOLVERS[: -len(LAST)])
     for entries in (2, 3, 6, 20):
         kernel = random_rows(3000, entries)
         for discount in (0.9, 0.9999):
@@ -176,7 +167,7 @@ def test_graphs_that_expand_are_solved_without_a_preconditioner(discount, transp
     )
     b = np.random.default_rng(0).normal(size=n)
     assert solve_policy_system(random_rows(n, 8), b, discount, transpose=transpose).method == "value iteration"
-    system, solver = System.from_csr(blocks, discount, transpose), BiCGStab(plain=True)
+    system, solver = System.from_csr(blocks, discount, transpose), BiCGStab(is_plain=True)
     assert _value_iteration.sweeps(system.kernel, system.largest, transpose, b, 0.0) is None
     assert solver.suits(system)
     found = refine(system, b, solver.prepare(system), solver.name)
@@ -194,7 +185,7 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
     n, rng = 2000, np.random.default_rng(3)
     weights, ahead = rng.dirichlet(np.ones(2), n).reshape(-1), rng.integers(n, size=2 * n)
     kernel = sparse.csr_array((weights, (np.repeat(np.arange(n), 2), ahead)), (n, n))
-    system, solver, b = System.from_csr(kernel, discount, True), BiCGStab(plain=True), np.full(n, (1 - discount) / n)
+    system, solver, b = System.from_csr(kernel, discount, True), BiCGStab(is_plain=True), np.full(n, (1 - discount) / n)
     assert _value_iteration.sweeps(system.kernel, system.largest, True, b, 0.0) is None
     found = refine(system, b, solver.prepare(system), solver.name)
     assert found is not None
@@ -220,66 +211,41 @@ def test_a_large_tree_near_discount_one():
 
 
 def test_which_graphs_expand():
-
+    """Lattices, rings and layers do not, random graphs and small worlds do."""
     n = 900
     restart = sparse.csr_array((np.ones(n), (np.arange(n), np.zeros(n, dtype=int))), shape=(n, n))
     for kernel in (grid(25), sparse.csr_array(0.9 * grid(30) + 0.1 * restart), cycle(500), layered(40, 20),
                    sparse.csr_array(sparse.block_diag([grid(10)] * 20))):  # fmt: skip
-        assert not expands(kernel)
+        assert not _graph.expands(System.from_csr(kernel, 0.9).kernel)
     for entries in (2, 3, 8):
-        assert expands(random_rows(900, entries))
-    assert expands(sparse.csr_array(np.full((450, 450), 1 / 450)))  # nothing but hubs
-    assert not expands(binary_tree(1023))
+        assert _graph.expands(System.from_csr(random_rows(900, entries), 0.9).kernel)
+    assert not EnvelopeLU().suits(System.from_csr(random_rows(900, 3), 0.9))
+    assert SuperLU(8.0).suits(System.from_csr(binary_tree(1023), 0.9))
+    for kernel in (random_rows(900, 3), grid(40)):
+        assert not SuperLU(8.0).suits(System.from_csr(kernel, 0.9))
 
 
 @given(rngs)
-def test_strongly_connected_components_are_found_and_ordered(rng):
-    """Those of scipy, each after those that it leads to; one that is too large ends the search."""
-    from oee_tabular.exact.solvers._elimination import components
-
-    n = int(rng.integers(1, 70))
-    dense, count = levels(rng, n, int(rng.integers(1, 9)))
-    kernel = sparse.csr_array(dense)
-    hidden = rng.random(kernel.nnz) < 0.2  # entries of 0 that are stored lead nowhere
-    dense = np.where(
-        sparse.csr_array((hidden, kernel.indices, kernel.indptr), shape=kernel.shape).toarray(), 0.0, dense
-    )
-    kernel.data[hidden] = 0.0
-    seen, label = sparse.csgraph.connected_components(dense, directed=True, connection="strong")
-    assert seen >= count
-    parts = System.from_csr(kernel, 0.5)
-    order, starts = components(parts.kernel, n)
-    assert_array_equal(np.sort(order), np.arange(n))
-    assert len(starts) == seen + 1
-    sets = [set(order[low:high].tolist()) for low, high in zip(starts[:-1], starts[1:], strict=True)]
-    assert {frozenset(s) for s in sets} == {frozenset(np.flatnonzero(label == c).tolist()) for c in range(seen)}
-    place = np.empty(n, dtype=int)
-    for number, states in enumerate(sets):
-        place[list(states)] = number
-    rows, columns = np.nonzero(dense)
-    assert (place[columns] <= place[rows]).all()
-    largest = max(len(states) for states in sets)
-    for most in range(1, n + 1):
-        found = components(parts.kernel, most)
-        assert (len(found[1]) > 0) == (most >= largest)
-        assert len(found[0]) == n * (most >= largest)
-
-
-@given(rngs)
-def test_layered_systems_are_solved_by_components(rng):
-    n = int(rng.integers(101, 150))
-    dense, _ = levels(rng, n, 7)
-    kernel, b = sparse.csr_array((dense > 0) | (rng.random((n, n)) < 0.05)).astype(float), rng.normal(size=n)
-    kernel.data = dense[
-        np.repeat(np.arange(n), np.diff(kernel.indptr)), kernel.indices
-    ]  # some of them 0, where order ends
-    discount = float(rng.choice([0.0, 0.9, 0.9999]))
-    for transpose in (False, True):
-        matrix = np.eye(n) - discount * (dense.T if transpose else dense)
-        found = solve_policy_system(kernel, b, discount, transpose=transpose)
-        assert found.method == "LU by components"
-        truth = np.linalg.solve(matrix, b)
-        assert_allclose(found.x, truth, rtol=0, atol=1e-12 / (1 - discount) * np.abs(truth).sum())
+def test_count_of_fill_and_envelope(rng):
+    """The count is that of dense elimination of the pattern of M + M^T; the factors multiply to M in that order."""
+    n, gamma = int(rng.integers(2, 30)), 0.9
+    kernel = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.05, 0.2]))
+    kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-9)
+    system = System.from_csr(sparse.csr_array(kernel), gamma)
+    order = system.order[0].astype(int)[::-1]
+    pattern = ((kernel + kernel.T + np.eye(n)) > 0)[order][:, order]
+    for k in range(n):
+        pattern[k + 1 :, k + 1 :] |= np.outer(pattern[k + 1 :, k], pattern[k, k + 1 :])
+    assert _graph.count_fill(system.kernel, system.back, *system.order, 1e9) == np.tril(pattern, -1).sum()
+    states, first, starts = _envelope.find_envelope(system.kernel, system.order[1])
+    factors, is_regular = _envelope.factorise(system.kernel, system.order[1], states, first, starts)
+    assert is_regular
+    lower, upper = np.eye(n), np.diag(factors.diagonal)
+    for i in range(n):
+        lower[i, first[i] : i] = factors.lower[starts[i] : starts[i + 1]]
+        upper[first[i] : i, i] = factors.upper[starts[i] : starts[i + 1]]
+    matrix = (np.eye(n) - gamma * kernel)[order][:, order]
+    assert_allclose(lower @ upper, matrix, atol=1e-13)
 
 
 def test_a_layered_model_of_any_order_has_its_exact_values():
@@ -300,23 +266,20 @@ def test_a_layered_model_of_any_order_has_its_exact_values():
         mdp = FiniteMDP(clock[rows][:, back], rewards[back], np.eye(n * steps + 1)[place[0]], discount)
         found = exact.evaluate_policy(mdp, policy[back])
         known = oee.state_values(small.with_discount(discount), oee.uniform_policy(small), horizon=steps)
-        assert found.method == "LU by components"
         assert_allclose(found.values[place[:n]], known, rtol=1e-13)
 
 
 def test_a_layered_kernel_is_solved_in_one_step():
     """In breadth-first order it is upper triangular, whatever the order of its states, and the preconditioner exact."""
-    from oee_tabular.exact.solvers import _bicgstab as krylov
-
     kernel = STRUCTURES["layered"]
     shuffled = np.random.default_rng(3).permutation(480)
     for rows in (kernel, sparse.csr_array(kernel[shuffled][:, shuffled])):
         system = System.from_csr(rows, 0.999)
-        order, place = krylov.breadth_first(system.kernel)
+        order, place = system.order
         assert_array_equal(np.sort(order), np.arange(480))
         assert_array_equal(order[place], np.arange(480))
-        factors = krylov.factorised(system.kernel, False, 0.9, order, place)
-        _, steps = krylov.bicgstab(factors, np.ones(480) / factors.modified, 1e-12, 0.0, 50)
+        factors = _bicgstab.factorise(system.kernel, False, 0.9, order, place)
+        _, steps = _bicgstab.bicgstab(factors, np.ones(480) / factors.modified, 1e-12, 0.0, 50)
         assert steps <= 1 + 2 * (rows is not kernel)
 
 
@@ -328,15 +291,8 @@ def test_kernels_are_what_numpy_says(rng):
     kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-9)
     system = System.from_csr(sparse.csr_array(kernel), gamma)
     matrix, b = np.eye(n) - gamma * kernel, rng.normal(size=n)
-    factors = _elimination.dense(system.kernel)
-    assert_allclose(factors, matrix, atol=1e-15)
-    assert _elimination.factor(factors)
-    assert_allclose((np.tril(factors, -1) + np.eye(n)) @ np.triu(factors), matrix, atol=1e-14)
     for transpose, m in ((False, matrix), (True, matrix.T)):
-        x = b.copy()
-        _elimination.substitute(factors, x, transpose)
-        assert_allclose(m @ x, b, atol=1e-12)
-        order, _ = _bicgstab.breadth_first(system.kernel)
+        x, (order, _) = np.linalg.solve(m, b), system.order
         mark, inverse, room = _reduction.independent(system.kernel, order)
         inside = mark == 1
         assert not (kernel * (1 - np.eye(n)))[np.ix_(inside, inside)].any()
@@ -470,14 +426,14 @@ def test_a_correction_leaves_its_share(name, transpose, monkeypatch):
     exact_one = solvers.answer(system, b)
     near = exact_one.x * (1.0 + 0.01 * np.random.default_rng(2).normal(size=len(b)))
     missed = np.abs(b - (system.matrix() @ near)).max()
-    found = solvers.corrected(system, b, near, 1e-3)
+    found = solvers.correct(system, b, near, 1e-3)
     assert_allclose(found.missed, b - system.matrix() @ found.x, rtol=0, atol=1e-13 * np.abs(found.x).max())
     assert found.largest <= 1e-2 * missed
     for poor in (lambda b, relative: None, lambda b, relative: 0.5 * b):
         monkeypatch.setattr(solvers, "STEADY", [Stub("poor", poor)])
-        assert_array_equal(solvers.corrected(system, b, near, 1e-3).x, exact_one.x)
+        assert_array_equal(solvers.correct(system, b, near, 1e-3).x, exact_one.x)
     asked = []
     monkeypatch.setattr(solvers, "STEADY", [Stub("told", lambda b, relative: asked.append((b, relative)))])
-    solvers.corrected(system, b, near, 1e-3)
+    solvers.correct(system, b, near, 1e-3)
     assert_allclose(asked[0][0], b - system.matrix() @ near, rtol=0, atol=1e-13 * np.abs(near).max())
     assert asked[0][1] == 1e-3

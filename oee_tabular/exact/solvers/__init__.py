@@ -1,13 +1,15 @@
 """Solvers of M x = b, M = I - gamma K, one a file, and the choice among them: the first that suits and does not give up.
 
-========================  ==============================================================================================
-``LAPACK``                up to 100 states: dense
-``ComponentLU``           small communicating sets, one after the other: layered models, whatever the order of their states
-``ValueIteration``        rows of one sum that mix: the common change summed, while four sweeps halve the spread
-``BiCGStab(plain=True)``  graphs where a few steps lead everywhere: constants taken out, no preconditioner
-``BiCGStab``              all others: an independent set eliminated, a modified DILU in breadth-first order
-``LAPACK``, ``SuperLU``   with pivoting: where an iteration falls short, unless the graph would never let them finish
-========================  ==============================================================================================
+=========================  =============================================================================================
+``LAPACK(100)``            up to 100 states: dense
+``ValueIteration``         rows of one sum that mix: the common change summed, while four sweeps halve the spread
+``EnvelopeLU(..)``         narrow graphs, whatever the order of their states: rings, chains, queues, layers
+``SuperLU(8)``             other graphs in which elimination fills little: trees
+``BiCGStab(is_plain=..)``  graphs that expand: constants taken out, no preconditioner
+``BiCGStab``               all others: an independent set eliminated, a modified DILU in breadth-first order
+``EnvelopeLU``             where that takes more than 24 steps and the graph is not too wide
+``LAPACK``, ``SuperLU``    with pivoting: where an iteration falls short, unless the graph would never let them finish
+=========================  =============================================================================================
 
 A new solver is a file with such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
 laws. Answers are refined on the residual of the system as it was given, until that is as small as its own rounding.
@@ -29,8 +31,9 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.elimination import LAPACK, ComponentLU
-from oee_tabular.exact.solvers.library import SuperLU
+from oee_tabular.exact.solvers.envelope import EnvelopeLU
+from oee_tabular.exact.solvers.lapack import LAPACK, LAST_RESORT
+from oee_tabular.exact.solvers.superlu import SuperLU
 from oee_tabular.exact.solvers.value_iteration import ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
@@ -43,7 +46,7 @@ class Solver(Protocol):
         """What users read as the method."""
 
     @property
-    def direct(self) -> bool:
+    def is_direct(self) -> bool:
         """Whether its answer stands where the residual is not within rounding."""
 
     def suits(self, system: System) -> bool:
@@ -54,13 +57,16 @@ class Solver(Protocol):
 
 
 SOLVERS: tuple[Solver, ...] = (
-    LAPACK(up_to=100, expanders=0),
-    ComponentLU(),
+    LAPACK(100),
     ValueIteration(),
-    BiCGStab(plain=True),
+    EnvelopeLU(is_narrow=True),
+    SuperLU(8.0),
+    BiCGStab(is_plain=True),
     BiCGStab(),
-    LAPACK(),
+    EnvelopeLU(),
+    LAPACK(400),
     SuperLU(),
+    LAPACK(LAST_RESORT),
 )
 STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))  # sweeps stop by the size of x
 
@@ -81,7 +87,7 @@ def answer(system: System, b: Array, near: Array | None = None) -> Answer:
 
     ``near``: the solver corrects it, unless it is within rounding already, or no better than 0.
     """
-    best = None if near is None else _answered(system, b, near, "none")
+    best = None if near is None else _measure(system, b, near, "none")
     if best is not None:
         if best.largest <= best.rounding:
             return best
@@ -95,7 +101,7 @@ def answer(system: System, b: Array, near: Array | None = None) -> Answer:
             continue
         if best is None or not found.largest >= best.largest:
             best = found
-        if solver.direct or best.largest <= 64.0 * best.rounding:
+        if solver.is_direct or best.largest <= 64.0 * best.rounding:
             return best
     assert best is not None
     if not best.largest <= 1e-9 * np.abs(b).max():
@@ -108,25 +114,25 @@ def answer(system: System, b: Array, near: Array | None = None) -> Answer:
     return best
 
 
-def corrected(system: System, b: Array, near: Array, share: float) -> Answer:
+def correct(system: System, b: Array, near: Array, share: float) -> Answer:
     """``near`` and one step that leaves about ``share`` of what it misses, by the first of ``STEADY`` that has one.
 
     Where none leaves a tenth or less, ``answer``. For systems that change a little from one to the next: on grids of 100 x
     100 a share of .001 takes .3 of an exact solution's time.
     """
-    before = _answered(system, b, near, "none")
+    before = _measure(system, b, near, "none")
     if before.largest <= before.rounding:
         return before
     for solver in STEADY:
         step = solver.prepare(system)(before.missed, share) if solver.suits(system) else None
         if step is not None:
-            found = _answered(system, b, near + step, solver.name)
+            found = _measure(system, b, near + step, solver.name)
             if found.largest <= max(0.1 * before.largest, 64.0 * found.rounding):
                 return found
     return answer(system, b)
 
 
-def _answered(system: System, b: Array, x: Array, method: str) -> Answer:
+def _measure(system: System, b: Array, x: Array, method: str) -> Answer:
     residual = _policy_rows.residual_transposed if system.transpose else _policy_rows.residual
     missed, largest, bound, rounding = residual(system.kernel, b, x, float(system.n_roundings))
     return Answer(x, missed, largest, bound, rounding, method)

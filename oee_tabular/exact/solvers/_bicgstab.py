@@ -16,47 +16,14 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact._policy_rows import transposed
+from oee_tabular.exact._policy_rows import transpose_rows
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500
+PROBE_STEPS = 8  # within which a twentieth has to be left, where fewer than STEPS are allowed
 
 # row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it
 Factors = namedtuple("Factors", "lower upper columns values diagonal modified order place")
-
-
-@njit(cache=True)
-def breadth_first(kernel):
-    """States in breadth-first order along the rows, later trees before earlier ones, and each state's place."""
-    indptr, indices, _, _ = kernel
-    n = len(indptr) - 1
-    place = np.empty(n, dtype=np.uint32)
-    queue = np.empty(n, dtype=np.uint32)
-    seen = np.zeros(n, dtype=np.uint8)
-    free = n
-    root = 0
-    while free > 0:
-        while seen[root]:
-            root += 1
-        queue[0] = root
-        seen[root] = 1
-        head, tail = 0, 1
-        while head < tail:
-            state = queue[head]
-            head += 1
-            for k in range(indptr[state], indptr[state + np.uint32(1)]):
-                j = indices[k]
-                if not seen[j]:
-                    seen[j] = 1
-                    queue[tail] = j
-                    tail += 1
-        free -= tail
-        for i in range(tail):
-            place[queue[i]] = free + i
-    order = queue
-    for state in range(n):
-        order[place[state]] = state
-    return order, place
 
 
 @njit(cache=True)
@@ -163,7 +130,9 @@ def bicgstab(factors, b, relative, floor, steps):
             for k in range(upper[i + 1], upper[i]):
                 total += values[k] * t[columns[k]]
             t[i] = total
-        if not largest > max(goal, floor * largest_y) or taken == steps:
+        is_slow = steps < STEPS and taken == PROBE_STEPS and largest > 0.05 * size
+        if not largest > max(goal, floor * largest_y) or taken == steps or is_slow:
+            taken = steps if is_slow else taken
             break
         taken += 1
         along = 0.0
@@ -218,17 +187,19 @@ def bicgstab(factors, b, relative, floor, steps):
 
 
 @njit(cache=True)
-def factorised(kernel, transpose, weight, order, place):
+def factorise(kernel, transpose, weight, order, place):
     """The preconditioned system, or that of the transposed one, with the states in the given order."""
     indptr, indices, data, discount = kernel
     modified = modified_diagonal(kernel, weight, order, place)
     if transpose:
-        indptr, indices, data = transposed(indptr, indices, data, len(order))
+        indptr, indices, data = transpose_rows(indptr, indices, data, len(order))
     return split(indptr, indices, data, discount, order, place, modified)
 
 
 @njit(cache=True)
-def solve(factors, b, relative):
-    """x, its residual below ``relative`` times b's if all goes well."""
-    x, _ = bicgstab(factors, b[factors.order] / factors.modified, relative, FLOOR, STEPS)
+def solve(factors, steps, b, relative):
+    """x, its residual below ``relative`` times b's; None where fewer than ``STEPS`` steps are allowed and do not do."""
+    x, n_taken = bicgstab(factors, b[factors.order] / factors.modified, relative, FLOOR, steps)
+    if n_taken == steps < STEPS:
+        return None
     return x[factors.place]

@@ -159,7 +159,7 @@ def extend(kernel, reduction, transpose, b, y):
 
 
 @njit(cache=True)
-def solve(kernel, reduction, factors, transpose, b, relative):
+def solve(kernel, reduction, factors, transpose, steps, b, relative):
     """x, by BiCGSTAB on what is left."""
-    y = bicgstab.solve(factors, reduce_right(kernel, reduction, transpose, b), relative)
-    return extend(kernel, reduction, transpose, b, y)
+    y = bicgstab.solve(factors, steps, reduce_right(kernel, reduction, transpose, b), relative)
+    return None if y is None else extend(kernel, reduction, transpose, b, y)

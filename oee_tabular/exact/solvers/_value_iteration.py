@@ -10,7 +10,7 @@ Reference: [1] Puterman, Markov Decision Processes, 1994.
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact._policy_rows import times
+from oee_tabular.exact._policy_rows import multiply
 
 
 @njit(cache=True)
@@ -26,7 +26,7 @@ def sweeps(kernel, mass, transpose, b, relative):
     x, new = b + (over * mean if transpose else 0.0), np.empty(n)
     allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))  # rounding grows with a row
     for sweep in range(200):
-        times(kernel, transpose, x, new)
+        multiply(kernel, transpose, x, new)
         low, high, largest = np.inf, -np.inf, 0.0
         for i in range(n):
             value = b[i] + kernel.discount * new[i]

@@ -18,7 +18,7 @@ class ValueIteration:
     """
 
     name: str = "value iteration"
-    direct: bool = False
+    is_direct: bool = False
 
     def suits(self, system: System) -> bool:
         """Rows of one sum, so that a constant stays constant; gamma times it below 1."""

@@ -13,44 +13,16 @@ Reference: [1] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact._policy_rows import times
+from oee_tabular.exact._policy_rows import multiply
 
 FLOOR = 4e-16  # of the residual relative to x
-WINDOW = 40  # steps in which the residual is to fall to a tenth
-
-
-@njit(cache=True)
-def expands(kernel):
-    """Whether half of the states are met by searches along the rows of at most log2(S) + 2 steps, each from a state not met."""
-    indptr, indices, _, _ = kernel
-    n = len(indptr) - 1
-    queue, seen = np.empty(n, dtype=np.uint32), np.zeros(n, dtype=np.bool_)
-    head = tail = root = 0
-    while 2 * tail < n:
-        while seen[root]:
-            root += 1
-        queue[tail], seen[root] = root, True
-        tail += 1
-        for _ in range(int(np.log2(n)) + 2):
-            level = tail
-            while head < level:
-                state = queue[head]
-                head += 1
-                for k in range(indptr[state], indptr[state + np.uint32(1)]):
-                    j = indices[k]
-                    if not seen[j]:
-                        seen[j] = True
-                        queue[tail] = j
-                        tail += 1
-        if head < tail:  # there is more, further away
-            break
-    return 2 * tail >= n
+WINDOW = 150  # steps in which the residual is to fall to a tenth: small worlds near discount 1 take 100
 
 
 @njit(cache=True)
 def product(kernel, transpose, constant, p, first, out):
     """out = M p + constant, or M^T p + constant; first . out, p . out, out . out."""
-    times(kernel, transpose, p, out)
+    multiply(kernel, transpose, p, out)
     with_first, with_p, with_out = 0.0, 0.0, 0.0
     for i in range(len(p)):
         value = p[i] + (constant - kernel.discount * out[i])
@@ -63,7 +35,7 @@ def product(kernel, transpose, constant, p, first, out):
 
 @njit(cache=True)
 def bicgstab(kernel, transpose, shared, b, relative):
-    """y, its residual below ``relative`` times b's or the floor; None where it does not fall to a tenth in 40 steps."""
+    """y, its residual below ``relative`` times b's or the floor; None where it does not fall to a tenth in 150 steps."""
     n, part = len(b), shared / len(b)
     x, first, v, w = np.zeros(n), b.copy(), np.empty(n), np.empty(n)
     if transpose:
