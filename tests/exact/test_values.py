@@ -380,7 +380,7 @@ def test_rows_in_numpy_s_memory_are_the_same(policy, monkeypatch):
 
 
 def test_the_way_of_a_value_is_short():
-    """Functions of the package that one call passes, checks apart: 15 in 6 files, so that a reader can follow."""
+    """Functions of the package that one call passes, checks apart: 20 in 9 files, so that a reader can follow."""
     mdp = oee.tasks.gridworld(40, 0.3)
     policy = oee.uniform_policy(mdp)
     value, passed = oee.policy_value(mdp, policy), set()
@@ -397,8 +397,8 @@ def test_the_way_of_a_value_is_short():
     finally:
         sys.setprofile(None)
     assert again == value
-    assert 5 < len(passed) <= 15
-    assert len({path for path, _ in passed}) <= 6
+    assert 5 < len(passed) <= 20
+    assert len({path for path, _ in passed}) <= 9
 
 
 def edited(matrix, entry, value):
