@@ -36,7 +36,7 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
         omit_w = is_trajectory and not by_transition and t == horizon - 1
         for s in range(n_states):
             mean_l, mean_x, var_l, cov, var_x = 0.0, 0.0, 0.0, 0.0, 0.0
-            own_l, own_cov, own_x = 0.0, 0.0, 0.0
+            own_l, own_cov, own_x, length = 0.0, 0.0, 0.0, 0.0
             for is_spread in range(2):  # means and what is carried, then the spread around these means
                 for row in range(s * n_actions, (s + 1) * n_actions):
                     share, factor = act[t_act, row], u[t_act, row]
@@ -48,26 +48,25 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
                         f = factor if omit_w else factor * w[k]
                         if by_transition:
                             reward = rewards[t_reward, k]
-                        e = (f if by_transition or is_trajectory else factor) * reward
-                        x = f * (gamma * ahead[1, j] - offset[j])
                         if is_trajectory:
                             length = f * ahead[0, j]
-                            x += e * ahead[0, j]
-                            if is_spread:
-                                own_l += chance * (length - mean_l) ** 2
-                                own_cov += chance * (length - mean_l) * (x - mean_x)
-                            else:
-                                mean_l += chance * length
-                                var_l += chance * f * f * ahead[2, j]
-                                cov += chance * f * (e * ahead[2, j] + f * gamma * ahead[3, j])
-                                var_x += chance * e * (e * ahead[2, j] + 2.0 * f * gamma * ahead[3, j])
+                            x = f * (reward * ahead[0, j] + gamma * ahead[1, j])
                         else:
-                            x += e
+                            x = (f if by_transition else factor) * reward + f * (gamma * ahead[1, j] - offset[j])
                         if is_spread:
-                            own_x += chance * (x - mean_x) ** 2
-                        else:
-                            mean_x += chance * x
-                            var_x += chance * (f * gamma) ** 2 * ahead[4, j]
+                            own_x += chance * (x - mean_x) * (x - mean_x)
+                            if is_trajectory:
+                                own_l += chance * (length - mean_l) * (length - mean_l)
+                                own_cov += chance * (length - mean_l) * (x - mean_x)
+                            continue
+                        mean_x += chance * x
+                        square = chance * f * f
+                        var_x += square * gamma * gamma * ahead[4, j]
+                        if is_trajectory:
+                            mean_l += chance * length
+                            var_l += square * ahead[2, j]
+                            cov += square * (reward * ahead[2, j] + gamma * ahead[3, j])
+                            var_x += square * reward * (reward * ahead[2, j] + 2.0 * gamma * ahead[3, j])
             here[1, s], here[4, s] = mean_x, var_x + own_x
             if is_trajectory:
                 here[0, s], here[2, s], here[3, s] = mean_l, var_l + own_l, cov + own_cov

@@ -223,20 +223,21 @@ def trajectory_efficiency_bound(
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy")
     pi = check_policy(policy, mdp)
     require_action_support(mdp, behavior, pi, length)
-    matrix, weighted = mdp.transitions, walk_of(mdp, behavior, policy=pi)
+    matrix = mdp.transitions
+    if model == "stationary":
+        visits = walk_of(mdp, behavior).weights_by_state(length, power=1)[:-1, 0].sum(axis=0)[:, None] * behavior
+        gradient = transition_gradient(mdp, pi, horizon=length)
+        return _divide_and_sum(row_variances(matrix, matrix.data, gradient), visits.reshape(-1))
     if model == "tree":  # E[rho_0..t^2 1{x_t = x}]
+        weighted = walk_of(mdp, behavior, policy=pi)
         squares = weighted.weights_by_state(length, power=2)[:-1, 0]
         weights = np.repeat(squares, mdp.n_actions, axis=1) * (weighted.act * weighted.u**2)
     else:
-        under_behavior, under_policy = (
+        beta, alpha = (
             np.repeat(walk.weights_by_state(length, power=1)[:-1, 0], mdp.n_actions, axis=1) * walk.act
-            for walk in (weighted._replace(u=np.ones_like(weighted.u)), walk_of(mdp, pi))
+            for walk in (walk_of(mdp, behavior), walk_of(mdp, pi))
         )
-        if model == "stationary":
-            gradient = transition_gradient(mdp, pi, horizon=length)
-            return _divide_and_sum(row_variances(matrix, matrix.data, gradient), under_behavior.sum(axis=0))
-        weights = np.zeros_like(under_behavior)
-        np.divide(under_policy**2, under_behavior, out=weights, where=under_behavior > 0)
+        weights = np.divide(alpha**2, beta, out=np.zeros_like(beta), where=beta > 0)
     values = values_to_go(mdp, pi, length)
     total = dot(mdp.initial, (values[0] - dot(mdp.initial, values[0])) ** 2)
     rewards = 0.0 if mdp.reward_data is None else mdp.reward_data

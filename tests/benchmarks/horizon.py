@@ -16,7 +16,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import exact
 from oee_tabular.exact import _finite, _moments, finite, recursions
-from oee_tabular.exact.system import policy_kernel, policy_system
+from oee_tabular.exact.system import as_readonly, policy_kernel, policy_system
 from oee_tabular.exact.values import policy_rewards
 from oee_tabular.exact.walks import walk_of
 
@@ -146,7 +146,7 @@ def values(size):
     yield from rows_of("V, T = 200", f"grid {size}", timed, lambda v: np.abs(v - truth).max() / scale)
     calls = {
         "ours": lambda: oee.policy_value(grid, policy, horizon=STEPS),
-        "ours, without the check": lambda: finite.value_to_horizon(grid, policy, STEPS),
+        "ours, without the check": lambda: finite.values_by_horizon(grid, policy, STEPS, is_each=False)[-1],
         "ours, all J_t": lambda: exact.policy_values_by_horizon(grid, policy, horizon=STEPS)[-1],
         "ours, occupancy": lambda: (
             (exact.occupancy(grid, policy, horizon=STEPS) * grid.rewards).sum() * (1 - 0.99**STEPS) / (1 - 0.99)
@@ -195,13 +195,13 @@ def moments(size):
     grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
     policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
     walk = walk_of(grid, policy, ratio=zeta)
-    extras = recursions.extras_of(walk, STEPS)
+    discounts, nothing = np.full(STEPS, grid.discount), as_readonly(np.zeros((1, grid.n_states)))
     made_before = scipy_moments(grid, zeta, policy)
-    variance = _moments.per_decision(walk, STEPS, extras, False)[1]
+    variance = _moments.backward(walk, discounts, nothing, False, False)[0][4]
     calls = {
         "ours": lambda: oee.weighted_return_moments(grid, zeta, policy, horizon=STEPS).variance,
-        "ours, zeta checked before": lambda: recursions.merged(walk, STEPS, extras, False)[1][0],
-        "ours, the centred form": lambda: _moments.per_decision(walk, STEPS, extras, False)[1][0],
+        "ours, zeta checked before": lambda: recursions.per_decision_moments(walk, discounts, sources=False).variance,
+        "ours, the centred form": lambda: _moments.backward(walk, discounts, nothing, False, False)[0][4, 0],
         "scipy": lambda: scipy_recursion(*made_before)[1][0],
         "scipy, with its matrices": lambda: scipy_recursion(*scipy_moments(grid, zeta, policy))[1][0],
     }
