@@ -343,22 +343,21 @@ def one_of(value: object, name: str, allowed: tuple[str, ...], hint: str = "") -
 
 def generator(seed: Seed) -> np.random.Generator:
     """``numpy.random.default_rng(seed)``, with an error that names the argument."""
-    try:
-        if is_sparse(seed):
-            raise TypeError("a sparse matrix")
-        return np.random.default_rng(seed)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"seed must be what numpy.random.default_rng takes; got {show(seed)} ({error})") from None
+    return _call_numpy(np.random.default_rng, seed)
 
 
 def seed_sequence(seed: Any, key: tuple[int, ...]) -> np.random.SeedSequence:
     """The stream ``key`` of ``seed``, with an error that names the argument."""
+    return _call_numpy(np.random.SeedSequence, seed, spawn_key=key)
+
+
+def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
     try:
         if is_sparse(seed):
             raise TypeError("a sparse matrix")
-        return np.random.SeedSequence(seed, spawn_key=key)
+        return make(seed, **options)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"seed must be what numpy.random.SeedSequence takes; got {show(seed)} ({error})") from None
+        raise ValueError(f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)} ({error})") from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

@@ -236,8 +236,8 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
     name = local(path)
     if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
         return None
-    with contextlib.suppress(Exception), np.load(name, allow_pickle=False) as arrays:
-        return str(arrays[KIND])
+    with contextlib.suppress(Exception), open(name, "rb") as handle:
+        return str(np.load(handle, allow_pickle=False)[KIND])
     return None  # what is wrong with it is said by who reads all of it
 
 

@@ -1,5 +1,6 @@
 """What came through the doors in November 2026 (wrong data, a foreign file, orphans, dead processes), each as a test."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -51,17 +52,35 @@ def test_a_simulator_with_another_member_is_refused(tmp_path):
         FiniteMDP.load(tmp_path / "grid.npz")
 
 
-def test_no_flipped_byte_loads_other_data(tmp_path):
-    path, rng = tmp_path / "log.npz", np.random.default_rng(0)
+@pytest.mark.parametrize("ending", ["npz", "parquet"])
+def test_no_flipped_byte_loads_other_data(tmp_path, ending):
+    path, rng = tmp_path / f"log.{ending}", np.random.default_rng(0)
     LOG.save(path)
     data, columns = path.read_bytes(), _files.digest({k: np.asarray(v) for k, v in LOG.columns().items()})
-    for k in rng.integers(len(data), size=300):
+    counts = oee.Transitions.open(path).count.tolist()
+    for k in rng.integers(len(data), size=150):
         path.write_bytes(data[:k] + bytes([data[k] ^ (1 << rng.integers(8))]) + data[k + 1 :])
-        try:
+        with contextlib.suppress(ValueError):
             found = oee.Transitions.load(path)
-        except ValueError:
-            continue
-        assert _files.digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
+            assert _files.digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
+        with contextlib.suppress(ValueError):
+            assert oee.Transitions.open(path).count.tolist() == counts
+
+
+@pytest.mark.parametrize(
+    "text", ["state,action,next_state\n0,0x1,1\n1,1,2\n", "state,action,next_state,state\n0,0,1,2\n"]
+)
+def test_all_readers_refuse_the_same(tmp_path, text):
+    (tmp_path / "log.csv").write_text(text)
+    for read in (oee.Transitions.load, oee.Transitions.open):
+        with pytest.raises(ValueError, match=r"log\.csv'.*(action|state)"):
+            read(tmp_path / "log.csv")
+
+
+def test_all_readers_take_other_encodings_alike(tmp_path):
+    (tmp_path / "log.csv").write_text("state,action,next_state\n0,1,2\n", encoding="utf-16")
+    assert oee.Transitions.load(tmp_path / "log.csv").action.tolist() == [1]
+    assert oee.Transitions.open(tmp_path / "log.csv").action.tolist() == [1]
 
 
 def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
@@ -222,7 +241,7 @@ def test_a_header_cannot_speak_to_the_terminal(tmp_path):
         done = subprocess.run(
             [sys.executable, "-m", "oee_tabular", *command], cwd=tmp_path, capture_output=True, text=True, check=False
         )
-        assert "\033" not in done.stdout + done.stderr
+        assert r"\x1b[31mX" in done.stdout + done.stderr
 
 
 # ---- small
