@@ -272,7 +272,7 @@ TABLE = {
         lambda: Transitions([[0]], [0], [1]),
         r"state must have 1 dimension; it has shape \(1, 1\)",
     ),
-    "nan reward": (lambda: Transitions([0], [0], [1], [np.nan]), r"reward\[0\] must be finite; it is nan"),
+    "reward of a log": (lambda: Transitions([0], [0], [1], [np.inf]), r"reward\[0\] must be finite; it is inf"),
     "probability above 1": (
         lambda: Transitions([0], [0], [1], behavior_probability=[1.2]),
         r"behavior_probability\[0\] must be in \[0, 1\]; it is 1.2",
@@ -308,9 +308,12 @@ TABLE = {
     "drawing too many": (lambda: LOG.draw(10**6, seed=0), r"n must be at most the \d+ rows of the log; it is 1000000"),
     "unknown file type": (
         lambda: LOG.save("log.xlsx"),
-        r"path must end in .npz, .csv, .parquet, or be a Minari folder or id",
+        r"path must end in .npz, .csv, .csv.gz, .parquet, or be a Minari folder or id",
     ),
-    "unknown file type to load": (lambda: Transitions.load("log.xlsx"), r"path must end in .npz, .csv, .parquet"),
+    "unknown file type to load": (
+        lambda: Transitions.load("log.xlsx"),
+        r"path must end in .npz, .csv, .csv.gz, .parquet",
+    ),
     "an MDP to another suffix": (lambda: GRID.save("mdp.csv"), r"path must end in .npz; it is 'mdp.csv'"),
     # problems
     "state outside the simulator": (
@@ -696,7 +699,7 @@ def test_files_that_hold_something_else(tmp_path):
         (FiniteMDP.load, "broken.npz", r"must be an npz or npy file of plain arrays"),
         (Transitions.load, "broken.parquet", r"must be a parquet table"),
         (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),
-        (Transitions.load, "gap.csv", r"column 'action' of .* must have a value in every row; row 1 has none"),
+        (Transitions.load, "gap.csv", r"action\[1\] must have a value; it has none"),
         (Transitions.load, "words.csv", r"words.csv': state must hold integers"),
         (Transitions.load, "surplus.csv", r"must be a CSV table with a header; Length of header"),
         (
@@ -718,7 +721,6 @@ def test_an_extra_that_is_not_installed_is_named(tmp_path, monkeypatch):
     import importlib.util
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    for path, extra in ((tmp_path / "log.parquet", "parquet"), (tmp_path / "folder", "minari")):
-        with pytest.raises(ImportError, match=rf"is not installed; in a clone: pip install '.\[{extra}\]'"):
-            LOG.save(path)
+    with pytest.raises(ImportError, match=r"is not installed; in a clone: pip install '.\[minari\]'"):
+        LOG.save(tmp_path / "folder")
     assert list(tmp_path.iterdir()) == []

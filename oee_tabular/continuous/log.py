@@ -74,11 +74,8 @@ class VectorFormat(Format):
 
     def require_labels(self, labels: Sequence[str], name: str) -> None:
         """The vectors of a move are there, before their numbers are looked at."""
-        whole = [
-            label if label in COLUMNS else match[1]
-            for label in labels
-            if (match := NUMBERED.fullmatch(label)) or label in COLUMNS
-        ]
+        whole = [label for label in labels if label in COLUMNS]
+        whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
         self._require_move(whole, labels, name)
 
     def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:

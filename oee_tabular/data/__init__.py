@@ -1,4 +1,34 @@
-"""Logged transitions: checked, counted, loaded and saved."""
+"""Logged transitions of the target: loaded, checked, counted, saved.
+
+A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column each, (n,)::
+
+    state, action, next_state     integers from 0, or names, which are matched to a simulator's
+    reward                        r_i, finite; nan where it is missing, and no column where all are
+    terminated                    the transition ended the task: nothing is paid afterwards
+    truncated                     it ended the recording alone: the task would have gone on
+    episode, timestep             rows of an episode stand together, t = 0, 1, ...; s'_i = s_(i+1) inside of it
+    behavior_probability          mu(a_i | s_i), in [0, 1]
+
+Without episodes a log is a bag of transitions. Its starts need not be those of an MDP's initial distribution. All that is
+estimated from a bag are its counts, (S*A, S), row s*A + a::
+
+    n(s, a, s') = #{i: s_i = s, a_i = a, s'_i = s'}            ``log.counts(n_states, n_actions)``
+    n_gamma(s, a, s') = sum_i gamma^t_i [s_i = s, ...]         with ``discount``: the paper's discounted d, times n
+    rbar(s, a, s') = sum_i r_i / #{i with a reward}            over the transitions that have one
+
+Counts are sufficient for values, ratios, tests and intervals. ``Transitions.open`` makes them of files of any size, in the
+memory of the counts, with a sample of whole episodes for importance sampling.
+
+- ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has; ``moves.py``: sums over transitions
+- ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names
+- ``files.py``: npz, Minari, and which files a path, a pattern or a folder names; ``labels.py``: labels of columns
+- ``reader.py``, ``values.py``: CSV and parquet by DuckDB, whole or to be summed; ``digests.py``: parquet of our own
+- ``counts.py``: the class ``TransitionCounts``; ``counting.py``: one file as counts; ``opening.py``: several
+
+Guaranteed: a file is read by one thread in the order of its rows, and files are added in the order of their names, so that
+one process, several and a cluster give the same bits. An npz or a parquet file that was saved here carries a digest, and is
+refused where it does not fit. An error names the file, the column, the row, the rule and the value. Nothing is fetched.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +36,8 @@ import importlib
 import os
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.data.counting import open_log
 from oee_tabular.data.counts import TransitionCounts, holds_counts
+from oee_tabular.data.opening import open_log
 from oee_tabular.data.transitions import Transitions, as_log
 
 if TYPE_CHECKING:

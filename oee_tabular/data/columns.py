@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
+from oee_tabular.data.labels import COLUMNS
+from oee_tabular.data.reader import LogFile
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -119,7 +121,7 @@ class Log:
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats."""
-        return {name: getattr(self, name) for name in files.COLUMNS if getattr(self, name) is not None}
+        return {name: getattr(self, name) for name in COLUMNS if getattr(self, name) is not None}
 
     def select(self, rows: object) -> Self:
         """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
@@ -200,7 +202,7 @@ class Log:
         return logs[0] if len(logs) == 1 else cls.concatenate(logs)
 
     @classmethod
-    def _load_file(cls, file: files.LogFile) -> Self:
+    def _load_file(cls, file: LogFile) -> Self:
         columns = files.load(cls.FILES, file)
         try:
             return cls(**columns)

@@ -1,29 +1,25 @@
-"""Files of any size as counts, in the memory of the counts: n(s, a, s', ended) and sums of the rewards, by DuckDB.
+"""One file of a log as counts, in the memory of the counts: n(s, a, s', ended) and sums of the rewards, by DuckDB.
 
-Each file is summed alone, and the files' sums are added in the order of their names, whether one process reads them or
-several: the bits are the same. An episode stands in one file. Of whole episodes a sample is kept, for importance sampling:
-those first in the order of a hash of the file's name and the episode's number.
+Of whole episodes a sample is kept, for importance sampling: those first in the order of a hash of the file's name and the
+episode's number.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular import _checks, _workers
+from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
-from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
-from oee_tabular.data.files import Paths, find_log_files, plain_name
-from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
-from oee_tabular.data.reader import NAMES_HINT, LogFile, Table, show_value, use_table
+from oee_tabular.data.counts import Recording
+from oee_tabular.data.labels import COLUMNS, MOVE, require_columns
+from oee_tabular.data.reader import LogFile, Table, use_table
 from oee_tabular.data.transitions import Transitions
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.data.values import NAMES_HINT, show_value
 from oee_tabular.mdp.naming import Name, numbers_of, suggest_name
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
@@ -71,97 +67,6 @@ class FileCounts(NamedTuple):
     unknown: tuple[str, ...]
 
 
-def open_log(
-    path: Paths,
-    *,
-    simulator: FiniteMDP | None = None,
-    n_states: int | None = None,
-    n_actions: int | None = None,
-    bad_rows: str = "refuse",
-    kept_moves: int = 200_000,
-    output: str | os.PathLike[str] | None = None,
-    jobs: int = 1,
-    dask: str | None = None,
-    progress: bool = False,
-) -> TransitionCounts:
-    """Count a log of any size, in memory of the size of its counts: what ``Problem`` takes where no log fits.
-
-    Parameters
-    ----------
-    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, or a
-        list of these
-    simulator : FiniteMDP, optional: whose states and actions there are, others are bad; where it has names, so may the log
-    n_states, n_actions : int, optional, in its place: states and actions from there on are bad
-    bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
-        a row that is left out breaks its episode, whose other transitions are still counted
-    kept_moves : int, 200 000: whole episodes of so many transitions are kept for importance sampling, drawn by a hash
-    output : .npz to write the counts to, whole or not at all
-    jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files
-    progress : whether to show a bar
-
-    Raises
-    ------
-    ValueError
-        Names the file, the row or the column, the rule and the value: files that are no tables, have other columns than the
-        first, or rows that are none of a log, where they are refused. Rewards alone may be missing.
-    OSError
-        A file that is not there; no scheduler at the address.
-
-    Notes
-    -----
-    Cost: O(rows) time, memory of the different transitions of a file and of the episodes' names. Serial, processes and
-    cluster give the same bits.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> folder = pathlib.Path(tempfile.mkdtemp())
-    >>> for k in range(2):
-    ...     Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]).save(folder / f"part-{k}.csv")
-    >>> Transitions.open(folder)
-    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps: 0 terminated, 2 truncated;
-                     states 0..2, actions 0..0; 2 whole episodes kept)
-    """
-    if isinstance(path, str | os.PathLike) and holds_counts(path):
-        return TransitionCounts.load(path)
-    _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
-    limits = _limits(simulator, n_states, n_actions)
-    limits = limits._replace(drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves"))
-    if jobs != -1:
-        _checks.positive_integer(jobs, "jobs")
-    files = find_log_files(path, tables_only=True)
-    total = _Total(limits.kept)
-    calls = ((file, plain_name(file, files), limits, total.limit) for file in files)
-    results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
-    for file, counts in zip(files, _with_bar(results, len(files), progress), strict=True):
-        total.add(file, counts)
-    result = total.result()
-    if output is not None:
-        result.save(output)
-    return result
-
-
-def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None) -> Limits:
-    if simulator is not None:
-        _checks.instance(simulator, FiniteMDP, "simulator")
-        if n_states is not None or n_actions is not None:
-            raise ValueError("n_states and n_actions must be left out where simulator is given, which has its own")
-        names = (simulator.state_names, simulator.action_names)
-        return Limits((simulator.n_states, simulator.n_actions), names)
-    given = ((n_states, "n_states"), (n_actions, "n_actions"))
-    states, actions = (LARGEST if size is None else _checks.positive_integer(size, name) for size, name in given)
-    return Limits((states, actions))
-
-
-def _with_bar(results: Iterator[Any], total: int, progress: bool) -> Iterator[Any]:
-    from tqdm import tqdm
-
-    return iter(tqdm(results, total=total, desc="counting", unit="file", disable=not progress))
-
-
-# ---- one file
-
-
 def count_file(file: LogFile, name: str, limits: Limits, limit: int = 2**64 - 1) -> FileCounts:
     """Count one file. ``name`` is hashed for the sample, of which places from ``limit`` on are no longer asked for.
 
@@ -198,6 +103,8 @@ class _FileCount:
     limits: Limits
 
     def __post_init__(self) -> None:
+        self.groups: dict[str, Any] = {}
+        self.key = np.zeros((0, 4), dtype=np.int64)
         self.reasons: dict[str, str] = {}
         self.dropped = len(self.table.lost)
         self.bad_values: dict[str, Any] = {}
@@ -266,7 +173,7 @@ class _FileCount:
         faults += [(label, np.asarray(other == label)) for label in COLUMNS if not (is_quick and label == "reward")]
         if is_quick and self.has("reward"):
             extremes = [np.ma.filled(groups[name].astype(np.float64), 0.0) for name in ("least", "most")]
-            faults.append(("reward", ~np.isfinite(extremes).all(axis=0)))
+            faults.append(("reward", np.asarray(~np.isfinite(extremes).all(axis=0))))
         return [(label, wrong) for label, wrong in faults if wrong.any()]
 
     def _fault(self, *, is_quick: bool = False) -> str:
@@ -338,7 +245,7 @@ class _FileCount:
         self.broken = set(broken.tolist()) & set(own.tolist())
         if not self.has("truncated"):
             self.truncated = max(len(own) - int(self.sums[self.key[:, 3] == 1, 0].sum()), 0)
-        place = _hash(np.arange(len(starts)), name)
+        place = hash_places(np.arange(len(starts)), name)
         whole = np.isin(np.arange(len(starts)), own)
         whole[list(self.broken)] = False
         return self._sample(place, starts, lengths, whole, limit)
@@ -388,7 +295,7 @@ class _FileCount:
         self, place: NDArray[np.uint64], starts: IntArray, lengths: IntArray, whole: BoolArray, limit: int
     ) -> Sample | None:
         """The rows of the whole episodes first in the draw, at most ``kept`` together."""
-        chosen, limit = _choose(place, lengths, whole, limit, self.limits.kept)
+        chosen, limit = choose(place, lengths, whole, limit, self.limits.kept)
         if not len(chosen):
             return Sample(place[:0], lengths[:0], {}, limit)
         labels = [label for label in SAMPLED if self.has(label)]
@@ -412,7 +319,7 @@ class _FileCount:
             by_episodes=self.has("episode"), truncated=self.truncated, broken=len(self.broken), files=1,
             dropped=self.dropped, reasons=tuple(self.reasons.values()), **self.facts,
         )  # fmt: skip
-        key, sums = _add(self.key, self.sums)  # a name may be written in two ways
+        key, sums = add(self.key, self.sums)  # a name may be written in two ways
         known = frozenset(self.table.columns)
         unknown = tuple(label for label in self.table.labels if label not in COLUMNS)
         return FileCounts(key, sums, recording, sample, known, unknown)
@@ -422,7 +329,7 @@ def _absent(values: Any) -> BoolArray:
     return np.asarray(np.ma.getmaskarray(values), dtype=np.bool_)
 
 
-def _choose(
+def choose(
     place: NDArray[np.uint64], lengths: IntArray, whole: BoolArray, limit: int, kept: int
 ) -> tuple[IntArray, int]:
     """The episodes first in the draw that fit, in their order, and the place of the first that does not."""
@@ -434,7 +341,7 @@ def _choose(
     return np.sort(order[place[order] < np.uint64(limit)]), limit
 
 
-def _hash(number: IntArray, name: str) -> NDArray[np.uint64]:
+def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:
     """splitmix64 of number + a hash of the name: a place in the draw for each."""
     salt = np.uint64(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little"))
     with np.errstate(over="ignore"):
@@ -444,10 +351,7 @@ def _hash(number: IntArray, name: str) -> NDArray[np.uint64]:
         return np.asarray(x ^ (x >> np.uint64(31)))
 
 
-# ---- several files
-
-
-def _add(key: IntArray, sums: Array) -> tuple[IntArray, Array]:
+def add(key: IntArray, sums: Array) -> tuple[IntArray, Array]:
     """Rows of one key added in their order, sorted by s, a, s', ended."""
     order = np.lexsort(key.T[::-1])
     key, sums = key[order], sums[order]
@@ -457,91 +361,3 @@ def _add(key: IntArray, sums: Array) -> tuple[IntArray, Array]:
         sums = np.column_stack([*added, np.fmin.reduceat(sums[:, 3], starts), np.fmax.reduceat(sums[:, 4], starts)])
         key = key[starts]
     return key, sums
-
-
-class _Total:
-    """The sums of the files so far."""
-
-    def __init__(self, kept: int) -> None:
-        self.kept, self.limit = kept, 2**64 - 1
-        self.key, self.sums = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 5))
-        self.recording = Recording(by_episodes=False)
-        self.samples: Sample | None = None
-        self.first: tuple[LogFile, FileCounts] | None = None
-        self.rewarded = False
-
-    def add(self, file: LogFile, counts: FileCounts) -> None:
-        """One more file."""
-        self._check_columns(file, counts)
-        self.key, self.sums = _add(np.concatenate([self.key, counts.key]), np.concatenate([self.sums, counts.sums]))
-        self.rewarded |= "reward" in counts.known
-        one, two = self.recording, counts.recording
-        shortest = [length for length in (one.shortest, two.shortest) if length]
-        self.recording = Recording(
-            two.by_episodes, one.episodes + two.episodes, min(shortest, default=0), max(one.longest, two.longest),
-            one.truncated + two.truncated, one.broken + two.broken, one.files + 1, one.dropped + two.dropped,
-            (*one.reasons, *two.reasons)[:N_REASONS],
-        )  # fmt: skip
-        if counts.sample is not None:
-            self._add_sample(counts.sample)
-
-    def _check_columns(self, file: LogFile, counts: FileCounts) -> None:
-        """All files have the same of a log's columns; rewards alone may be missing in some."""
-        if self.first is None:
-            self.first = file, counts
-            warn_left_out(file.path, counts.unknown, COLUMNS, level=5)
-            return
-        other, before = self.first
-        differ = sorted((before.known ^ counts.known) - {"reward"})
-        if differ:
-            has, lacks = (other, file) if differ[0] in before.known else (file, other)
-            raise ValueError(
-                f"all files must have the same columns; {has.path!r} has {differ[0]!r}, and {lacks.path!r} does not"
-            )
-
-    def _add_sample(self, more: Sample) -> None:
-        """Those first in the draw of all."""
-        if self.samples is None:
-            rows, place, length = more.rows, more.place, more.length
-        else:
-            place = np.concatenate([self.samples.place, more.place])
-            length = np.concatenate([self.samples.length, more.length])
-            rows = _join_rows(self.samples, more)
-        limit = min(self.limit, more.limit)
-        chosen, self.limit = _choose(place, length, np.ones(len(place), dtype=np.bool_), limit, self.kept)
-        if len(chosen) < len(place):
-            is_chosen = np.zeros(len(place), dtype=np.bool_)
-            is_chosen[chosen] = True
-            rows = {label: column[np.repeat(is_chosen, length)] for label, column in rows.items()}
-        self.samples = Sample(place[chosen], length[chosen], rows)
-
-    def result(self) -> TransitionCounts:
-        """The counts of all files."""
-        if not len(self.key):
-            raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has")
-        rewards: dict[str, Array] = {}
-        if self.rewarded and self.sums[:, 1].any():
-            rewards = {"reward_sum": self.sums[:, 2], "reward_min": self.sums[:, 3], "reward_max": self.sums[:, 4],
-                       "reward_count": self.sums[:, 1]}  # fmt: skip
-        sample = None
-        if self.samples is not None and len(self.samples.place):
-            episode = np.repeat(np.arange(len(self.samples.place)), self.samples.length)
-            sample = Transitions(**self.samples.rows, episode=episode)
-        key = [column.copy() for column in self.key.T]
-        return TransitionCounts(
-            *key[:3], self.sums[:, 0].copy(), key[3] == 1, **rewards, recording=self.recording, sample=sample
-        )
-
-
-def _join_rows(one: Sample, two: Sample) -> dict[str, Column]:
-    """The rows of two samples; a reward that only one has is nan in the other."""
-    if not one.rows or not two.rows:
-        return one.rows or two.rows
-    n_one, n_two = (int(sample.length.sum()) for sample in (one, two))
-    labels = dict.fromkeys([*one.rows, *two.rows])
-    return {
-        label: np.concatenate(
-            [one.rows.get(label, np.full(n_one, np.nan)), two.rows.get(label, np.full(n_two, np.nan))]
-        )
-        for label in labels
-    }

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
+from oee_tabular.data.digests import write_parquet
 from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
-from oee_tabular.data.reader import LogFile, csv_labels, read_columns, write_parquet
+from oee_tabular.data.reader import LogFile, csv_labels, read_columns
 from oee_tabular.mdp.naming import Name, from_text, to_text
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several

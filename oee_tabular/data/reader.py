@@ -24,21 +24,23 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
+from oee_tabular.data.digests import check_digest, quote_text
 from oee_tabular.data.labels import MOVE
+from oee_tabular.data.values import (
+    HELD,
+    INTEGER_TYPES,
+    KINDS,
+    NAMES_HINT,
+    RULES,
+    has_kind,
+    is_number,
+    show_value,
+    sql_value,
+)
 
 Result = TypeVar("Result")
 
 MOST_COLUMNS = 10_000  # of a CSV table, which DuckDB reads in 1 s; of 10^5 it would be 8 s
-KINDS = {
-    "state": "integer", "action": "integer", "next_state": "integer", "reward": "number", "terminated": "flag",
-    "truncated": "flag", "episode": "integer", "timestep": "integer", "behavior_probability": "number",
-}  # fmt: skip
-FLAGS = (("true", "1"), ("false", "0"))
-RULES = {"integer": "must be an integer", "number": "must be finite", "flag": "must be a boolean (or 0 or 1)"}
-HELD = {"integer": "integers", "number": "numbers", "flag": "booleans"}
-NAMES_HINT = " (names take a simulator that has them: simulator=, --simulator)"
-INTEGER = r"\s*[+-]?[0-9]+(\.0*)?\s*"  # DuckDB alone would also take 0x1, 1_0 and 1.5
-INTEGER_TYPES = "U?(TINYINT|SMALLINT|INTEGER|BIGINT)"
 
 
 class LogFile(NamedTuple):
@@ -78,7 +80,7 @@ class Table:
     @property
     def rows(self) -> str:
         """The SQL of the checked values, in the order of the file, with ``row``, their number."""
-        values = [f"{_value(*column)} AS {_quoted(label)}" for label, column in self.columns.items()]
+        values = [f"{sql_value(*column)} AS {_quoted(label)}" for label, column in self.columns.items()]
         return f"(SELECT {self.row} AS row, {', '.join(values)} FROM {self.source})"
 
     def fetch(self, query: str, **parameters: Any) -> dict[str, Any]:
@@ -105,7 +107,7 @@ class Table:
         place = f"{label}[{self.file_row(row)}]"
         if raw is None or (isinstance(raw, float) and math.isnan(raw)):
             return f"{place} must have a value; it has none"
-        if not rule or not _has_kind(raw, kind):
+        if not rule or not has_kind(raw, kind):
             rule = RULES.get(kind, "must be a value")
             if kind == "number" and isinstance(raw, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", raw):
                 hint = " (write a decimal point, not a comma)"
@@ -167,7 +169,7 @@ def open_table(
         "autoload_known_extensions": False, "temp_directory": "",
     }  # fmt: skip
     with duckdb.connect(":memory:", config=settings) as connection:
-        connection.execute(f"SET allowed_paths = [{_literal(path)}, {_literal(pattern)}]")
+        connection.execute(f"SET allowed_paths = [{quote_text(path)}, {quote_text(pattern)}]")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET lock_configuration = true")
         fixed = {f"fixed_{k}": value for k, (_, value) in enumerate(file.fixed)}
@@ -251,7 +253,7 @@ def _has_plain_numbers(path: str) -> bool:
         return False
     with open(path, "rb") as handle:
         handle.readline()
-        return not any(b"_" in block for block in iter(lambda: handle.read(TAIL), b""))
+        return not any(b"_" in block for block in iter(lambda: handle.read(2**20), b""))
 
 
 def _csv_source(types: Sequence[str], *, is_strict: bool) -> str:
@@ -347,7 +349,7 @@ def _kind(table: Table, label: str, held: str, raw: str, may_be_text: bool) -> s
     kind = KINDS.get(label, "number")
     if held == "VARCHAR" and may_be_text:
         first = table._run(f"SELECT {raw} FROM {table.source} WHERE {raw} IS NOT NULL LIMIT 1", {}).fetchone()
-        if first is not None and not _is_number(first[0]):
+        if first is not None and not is_number(first[0]):
             return "text"
     is_numeric = re.fullmatch(f"{INTEGER_TYPES}|FLOAT|DOUBLE|U?HUGEINT|DECIMAL.*", held)
     is_text = held == "VARCHAR" and (table.file.suffix == ".csv" or table.source == "log_in_memory")
@@ -360,60 +362,8 @@ def _kind(table: Table, label: str, held: str, raw: str, may_be_text: bool) -> s
     return kind
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def show_value(raw: Any) -> str:
-    """A file's value as errors print it: texts that are no numbers in quotes."""
-    return raw.strip() if isinstance(raw, str) and _is_number(raw) and len(raw) < 80 else _checks.show(raw)
-
-
-def _has_kind(raw: Any, kind: str) -> bool:
-    """Whether a value is one of a column's kind, which then breaks another rule."""
-    if kind == "integer":
-        return isinstance(raw, int) or bool(re.fullmatch(INTEGER, str(raw)))
-    return kind != "number" or not isinstance(raw, str) or (_is_number(raw) and "_" not in raw)
-
-
-def _value(held: str, raw: str, kind: str) -> str:
-    """The SQL of a column's value of a kind; NULL for what is none (of a number: infinity; nan stays)."""
-    is_text = held == "VARCHAR"
-    if kind == "text":
-        return raw
-    if kind == "flag":
-        if held == "BOOLEAN":
-            return raw
-        if not is_text:
-            return f"CASE {raw} WHEN 1 THEN true WHEN 0 THEN false END"
-        cases = [("true", raw, "'True', '1', '1.0'"), ("false", raw, "'False', '0', '0.0'")]
-        cases += [(word, f"lower(trim({raw}))", f"'{word}', '{digit}', '{digit}.0'") for word, digit in FLAGS]
-        return "CASE " + " ".join(f"WHEN {given} IN ({words}) THEN {word}" for word, given, words in cases) + " END"
-    if kind == "integer":
-        if is_text:
-            number = f"TRY_CAST({raw} AS BIGINT)"  # numbers as Python writes them are not matched: half of the time
-            plain = f"CAST({number} AS VARCHAR) = {raw}"
-            return f"CASE WHEN {plain} THEN {number} WHEN regexp_full_match({raw}, '{INTEGER}') THEN {number} END"
-        if re.fullmatch(INTEGER_TYPES, held):
-            return raw if held == "BIGINT" else f"TRY_CAST({raw} AS BIGINT)"
-        whole = f"{raw} = floor({raw}) AND abs({raw}) <= 9007199254740992"
-        return f"CASE WHEN {whole} THEN TRY_CAST({raw} AS BIGINT) END"
-    if is_text:
-        is_none = f"{raw} IS NOT NULL AND (TRY_CAST({raw} AS DOUBLE) IS NULL OR contains({raw}, '_'))"
-        return f"CASE WHEN {is_none} THEN 'inf'::DOUBLE ELSE TRY_CAST({raw} AS DOUBLE) END"
-    return f"CAST({raw} AS DOUBLE)"
-
-
 def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
-
-
-def _literal(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
 
 
 def read_columns(
@@ -450,67 +400,3 @@ def _whole_column(table: Table, label: str, column: Any) -> Column:
         more = f" ({rows.size} such rows in all)" if rows.size > 1 else ""
         raise ValueError(f"{table.file.path!r}: {table.describe(label, int(rows[0]))}{more}")
     return np.asarray(values)
-
-
-# ---- parquet files of this package: a digest of all their bytes
-
-DIGEST_KEY, DIGEST_MARK = b"oee_tabular_digest", b"oee_tabular_sha256:"
-TAIL = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
-
-
-def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
-    """Write a table, with a digest of all its other bytes in its metadata."""
-    import duckdb
-    import pandas as pd
-
-    empty = (DIGEST_MARK + b"0" * 64).decode()
-    with duckdb.connect(":memory:", config={"threads": 1, "autoload_known_extensions": False}) as connection:
-        connection.register("log_in_memory", pd.DataFrame(dict(columns)))
-        connection.execute(
-            f"COPY log_in_memory TO {_literal(os.path.abspath(path))} (FORMAT parquet, USE_TMP_FILE false, "
-            f"KV_METADATA {{{DIGEST_KEY.decode()}: '{empty}'}})"
-        )
-    digest, place = _digest_of(path)
-    with open(path, "r+b") as handle:
-        handle.seek(place)
-        handle.write(digest)
-
-
-def check_digest(path: str) -> None:
-    """ValueError where a parquet file of this package has other bytes than it was written with."""
-    with open(path, "rb") as handle:
-        size = os.fstat(handle.fileno()).st_size
-        handle.seek(max(size - TAIL, 0))
-        tail = handle.read()
-    if DIGEST_KEY not in tail and DIGEST_MARK not in tail:
-        return  # another program's
-    digest, place = _digest_of(path)
-    start = place - max(size - TAIL, 0)
-    if place < 0 or tail[start : start + 64] != digest:
-        raise ValueError(
-            f"{path!r} must be as it was saved: its digest is not that of its bytes. It is damaged, or another program "
-            "wrote it anew (then make a log of its frame and save that: Transitions.from_frame(frame).save(path))"
-        )
-
-
-def _digest_of(path: str) -> tuple[bytes, int]:
-    """The SHA-256 of a file's bytes, 64 hexadecimal digits, with zeros where they stand in it; -1: they have no place."""
-    import hashlib
-
-    with open(path, "rb") as handle:
-        size = os.fstat(handle.fileno()).st_size
-        handle.seek(max(size - TAIL, 0))
-        mark = handle.read().rfind(DIGEST_MARK)
-        if mark < 0:
-            return b"", -1
-        place = max(size - TAIL, 0) + mark + len(DIGEST_MARK)
-        handle.seek(0)
-        digest, left = hashlib.sha256(), place
-        while left and (block := handle.read(min(left, TAIL))):
-            digest.update(block)
-            left -= len(block)
-        digest.update(b"0" * 64)
-        handle.seek(place + 64)
-        while block := handle.read(TAIL):
-            digest.update(block)
-    return digest.hexdigest().encode(), place

@@ -99,7 +99,7 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
     folder = written(tmp_path / "a", ending, number=2, episodes=30)
     places = {}
     for k, log in enumerate(logs(2, 30)):
-        for e, place in enumerate(counting._hash(np.arange(30), f"part-{k}{ending}")):
+        for e, place in enumerate(counting.hash_places(np.arange(30), f"part-{k}{ending}")):
             places[int(place)] = (k, e, log.select(log.episode == e))
     order = sorted(places)
     for size in (5, 40, 100, 200):
@@ -110,7 +110,7 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
         sample = Transitions.open(folder, kept_moves=size).sample
         expected = [state for *_, states in chosen for state in states]
         assert (sample is None) if not expected else (sample.state.tolist() == expected)
-    draw = counting._hash(np.arange(100_000), "log").astype(np.float64) / 2.0**64
+    draw = counting.hash_places(np.arange(100_000), "log").astype(np.float64) / 2.0**64
     assert abs(draw.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 1e5)
     assert abs(np.corrcoef(draw[:-1], draw[1:])[0, 1]) < 5 / np.sqrt(1e5)
 
