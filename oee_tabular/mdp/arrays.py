@@ -41,7 +41,9 @@ class CsrArrays(NamedTuple):
 
     def to_matrix(self) -> sparse.csr_array:
         """scipy's matrix of these arrays."""
-        return csr_on_pattern(self, self.data, own=True)
+        matrix = csr_on_pattern(self, self.data, own=True)
+        matrix.indptr, matrix.indices, matrix.data = self.indptr, self.indices, self.data  # scipy took views of them
+        return matrix
 
 
 def name_transition(matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS) -> str:
