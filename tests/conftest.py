@@ -3,15 +3,12 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
 
 import pytest
-from hypothesis import Phase, settings
+from hypothesis import settings
 
 collect_ignore = ["benchmarks"]  # run by hand, from their own folder; they import each other and peers
 
 settings.register_profile("dev", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=100, derandomize=True, print_blob=True)
-settings.register_profile(  # no shrinking: a mutant is dead with its first failure
-    "mutation", deadline=None, max_examples=15, derandomize=True, database=None, phases=[Phase.explicit, Phase.generate]
-)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
