@@ -1,12 +1,12 @@
 """Exact dynamic programming: values, occupancies, moments, efficiency bounds, gradients and optimal policies of finite MDPs.
 
-Objects. P[s, a, s'] is a csr matrix (S*A, S) with row s*A + a, r[s, a] has shape (S, A), mu_0 (S,), a policy pi[s, a] (S, A);
-P_pi = sum_a pi[s, a] P[s, a, .] is (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the discount, T the horizon.
+Objects (eq. 3.4). P[s, a, s'] is a csr matrix (S*A, S) with row s*A + a, r[s, a] has shape (S, A), mu_0 (S,), a policy
+pi[s, a] (S, A); P_pi = sum_a pi[s, a] P[s, a, .] is (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the discount, T the horizon.
 
     J(pi) = E[sum_t gamma^t r_t] = mu_0 . V                                     (eq. 3.1)   values
     d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a)                    (eq. 3.2)   occupancy
     d(s, a, s') = d(s, a) P(s' | s, a)                                          (eq. 3.3)   occupancy
-    J(pi) = sum_{s, a} d(s, a) r(s, a) / (1 - gamma)                            (eq. 3.4)   occupancy
+    J(pi) = sum_{s, a} d(s, a) r(s, a) / (1 - gamma)                                        occupancy
     V = r_pi + gamma P_pi V,    Q(s, a) = r(s, a) + gamma sum_{s'} P V(s')      (eq. 4.1)   values
     V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0                                 horizon T   finite
     V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]                            planning

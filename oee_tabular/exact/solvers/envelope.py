@@ -18,8 +18,8 @@ class EnvelopeLU:
     Both the order along the rows and the one along the rows and back are tried: the first suits graphs in which all states
     lead back to one, the second layers. A search ends as soon as it is wider than ``WIDEST`` entries a state; up to there this
     is .8 to 6 times as fast as SuperLU (benchmarks/graphs.py). ``is_narrow``: only up to 10 entries a state, or twice those
-    of K, where it is 2 to 6 times as fast; between that and ``WIDEST``
-    lie grids of up to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
+    of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids of up
+    to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
     """
 
     is_narrow: bool = False
