@@ -1,7 +1,8 @@
 """Exact dynamic programming: values, occupancies, moments, efficiency bounds, gradients and optimal policies of finite MDPs.
 
 Objects (eq. 3.4). P[s, a, s'] is a csr matrix (S*A, S) with row s*A + a, r[s, a] has shape (S, A), mu_0 (S,), a policy
-pi[s, a] (S, A); P_pi = sum_a pi[s, a] P[s, a, .] is (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the discount, T the horizon.
+pi[s, a] (S, A); P_pi = sum_a pi[s, a] P[s, a, .] is (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the
+discount, T the horizon.
 
     J(pi) = E[sum_t gamma^t r_t] = mu_0 . V                                     (eq. 3.1)   values
     d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a)                    (eq. 3.2)   occupancy

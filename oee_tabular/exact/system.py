@@ -119,7 +119,7 @@ class System:
         """The states in breadth-first order along the rows, and each one's place."""
         from oee_tabular.exact.solvers._graph import breadth_first
 
-        return tuple(breadth_first(self.kernel, NO_ROWS, np.inf))  # type: ignore[return-value]
+        return tuple(breadth_first(self.kernel, NO_ROWS, np.inf))
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:

@@ -31,11 +31,9 @@ class SuperLU:
         """By the count; graphs that expand fill up in any order."""
         if self.most is None:
             return not _graph.expands(system.kernel)
-        order = system.order
-        return all(
-            _graph.count_fill(system.kernel, back(), *order, self.most) >= 0
-            for back in (lambda: NO_ROWS, lambda: system.back)
-        )
+        if _graph.count_fill(system.kernel, NO_ROWS, *system.order, self.most) < 0:
+            return False
+        return bool(_graph.count_fill(system.kernel, system.back, *system.order, self.most) >= 0)
 
     def prepare(self, system: System) -> Solve:
         """Nan for a singular system, as far as SuperLU sees it."""
