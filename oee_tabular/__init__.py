@@ -10,7 +10,7 @@ there, and how sure are we? For finite MDPs this package answers with exact line
 >>> problem = oee.Problem(simulator, log, horizon=50)
 >>> expert = oee.tasks.gridworld_expert(4)
 >>> round(oee.estimators.OffEnvironment()(problem, expert).value, 1)
--3.4
+-3.6
 """
 
 from __future__ import annotations

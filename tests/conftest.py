@@ -16,3 +16,11 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 def _hurried(monkeypatch):
     """A loaded machine is not told what takes it long: tests compare what is said."""
     monkeypatch.setattr("oee_tabular._progress.SECONDS", 600.0)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Large problems are left out where kernels are not compiled: they would take hours."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        large = [item for item in items if item.get_closest_marker("large")]
+        config.hook.pytest_deselected(items=large)
+        items[:] = [item for item in items if not item.get_closest_marker("large")]

@@ -99,7 +99,7 @@ class Estimate:
     >>> pair = oee.testing.case("ragged")
     >>> estimate = oee.estimators.ModelBased()(pair.problem(1000, seed=0), pair.policy)
     >>> estimate, estimate.status, estimate.diagnostics["standard_error_of"]
-    (Estimate(10.0016 ± 0.17 (standard error)), 'ok', 'log')
+    (Estimate(10.2027 ± 0.17 (standard error)), 'ok', 'log')
     """
 
     value: float

@@ -60,7 +60,8 @@ def product_estimate(
     ratio.on(model)  # or an error
     steps = rollout_horizon(model.discount, horizon)
     rollouts = sampler(model, policy, n_rollouts, steps, seed=seed, zeta=ratio, name="n_rollouts")
-    drawn, per_decision = rollouts.sums(), weighting == "per_decision"
+    per_decision = weighting == "per_decision"
+    drawn = rollouts.draw(record=self_normalized and per_decision)
     if self_normalized and per_decision:
         value, error = _by_step(_weighted(rollouts, drawn), keep_last=True)
     elif self_normalized:
@@ -105,7 +106,7 @@ def _weighted(rollouts: Sampler, drawn: Drawn) -> Weighted:
     from oee_tabular.estimators import _episodes as episodes
 
     mdp = rollouts.mdp
-    starts, path = rollouts.moves(drawn.lengths)
+    starts, path = drawn.starts, drawn.path
     weight, reward = np.empty((2, len(path)))
     by_move = mdp.reward_data is not None
     episodes.carried(starts, path, rollouts.ratio, entry_rewards(mdp), rollouts.powers, by_move, weight, reward)

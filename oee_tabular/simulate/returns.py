@@ -1,4 +1,4 @@
-"""Returns and weights of sampled episodes that are not written down: alias tables, many episodes at a time."""
+"""Returns and weights of sampled episodes that are not written down (4.2)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
-from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.simulate.logs import episode_log
 from oee_tabular.simulate.sampler import sampler
 
@@ -88,7 +88,6 @@ def sample_returns(
     seed: Seed,
     zeta: object = None,
     kind: Literal["per_decision", "trajectory"] = "per_decision",
-    n_lanes: int = 64,
     record: bool = False,
 ) -> SampledReturns:
     """Returns of sampled episodes and, with ``zeta``, their products of ratios, without writing the episodes down.
@@ -104,7 +103,6 @@ def sample_returns(
     seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
     zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``; None: no weights
     kind : "per_decision" | "trajectory"
-    n_lanes : how many episodes take turns; it changes the time, not the result
     record : whether the episodes are also given as a log
 
     Returns
@@ -118,12 +116,9 @@ def sample_returns(
 
     Notes
     -----
-    A step is one alias draw over its state's (a, s'): some 3 ns, 4 with weights, 6 to write the record (in a second pass),
-    30 to 45 where tables are far larger than the caches. The tables cost O(nnz) before the first step (some 40 to 150 ns an
-    entry); the powers of the discount need 8 bytes a step of the horizon.
-    A step takes 32 random bits, and 32 more where those do not decide, so that its probabilities are those of the model to the
-    last bit of a float. A seed draws other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``,
-    ``record``, number of lanes and of threads.
+    A step is one alias draw over its state's (a, s'), from one word of 62 bits: its probabilities are those of the model to
+    2^-52. The tables cost O(nnz) before the first step. Runs of more than a million steps are shared by threads. A seed draws
+    other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``, ``record`` and number of threads.
 
     Examples
     --------
@@ -131,7 +126,7 @@ def sample_returns(
     >>> mdp = oee.tasks.gridworld(10, slip=0.3)
     >>> policy = oee.uniform_policy(mdp)
     >>> sample_returns(mdp, policy, 20_000, horizon=200, seed=6)
-    SampledReturns(20000 episodes, 3685663 transitions: mean -197.965, standard error 0.28)
+    SampledReturns(20000 episodes, 3684503 transitions: mean -197.777, standard error 0.28)
     >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
     -197.914
     """
@@ -139,14 +134,8 @@ def sample_returns(
     _checks.one_of(kind, "kind", KINDS)
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
-    lanes = _checks.positive_integer(n_lanes, "n_lanes")
     pi = check_policy(policy, mdp)
-    episodes = sampler(mdp, pi, n, horizon, seed=seed, zeta=zeta, lanes=lanes)
-    drawn = episodes.sums()
-    log = None
-    if record:
-        starts, entries = episodes.moves(drawn.lengths)
-        log = episode_log(mdp, row_of_entry(mdp.transitions)[entries], entries, starts, pi)
+    drawn = sampler(mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta).draw(record=record)
     values = drawn.returns if zeta is None else drawn.weighted if kind == "per_decision" else drawn.whole
-    final = episodes.states(drawn.last)
-    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, final, log, kind)
+    log = episode_log(mdp, drawn, pi) if record else None
+    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, drawn.final_state, log, kind)

@@ -119,7 +119,7 @@ def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Tra
     >>> log = case("ragged").log(2, seed=0)
     >>> new = relabelled_log(log, np.array([1, 0, 2, 3]), np.array([0, 1]))
     >>> log.state[:4].tolist(), new.state[:4].tolist()
-    ([0, 0, 0, 1], [1, 1, 1, 0])
+    ([0, 0, 1, 1], [1, 1, 0, 0])
     """
     states, actions = np.asarray(states), np.asarray(actions)  # a Series is looked up by its labels
     names = {"state": states[log.state], "action": actions[log.action], "next_state": states[log.next_state]}
@@ -139,7 +139,7 @@ def padded_log(log: Transitions, actions: tuple[int, ...], probability: float) -
     --------
     >>> log = case("ragged").log(2, seed=0)
     >>> len(log), int(log.terminated.sum()), len(padded_log(log, (0, 1), 0.5))
-    (8, 2, 12)
+    (4, 2, 8)
     """
     starts, rows = log.episode_starts, len(actions)
     assert starts is not None
