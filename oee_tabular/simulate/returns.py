@@ -117,8 +117,9 @@ def sample_returns(
     Notes
     -----
     A step is one alias draw over its state's (a, s'), from one word of 62 bits: its probabilities are those of the model to
-    2^-52. The tables cost O(nnz) before the first step. Runs of more than a million steps are shared by threads. A seed draws
-    other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``, ``record`` and number of threads.
+    2^-50, a few roundings of doubles. The tables cost O(nnz) before the first step. Runs of more than a million steps are
+    shared by threads. A seed draws other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``,
+    ``record`` and number of threads.
 
     Examples
     --------

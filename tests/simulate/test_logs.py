@@ -99,7 +99,8 @@ def test_episodes_end_where_they_are_terminal():
 
 @pytest.mark.large
 def test_a_long_horizon_is_followed_where_episodes_end():
-    log = oee.sample_episodes(survival_chain(1.0), np.ones((2, 1)), 30, 10**9, seed=0)
+    with pytest.warns(UserWarning, match="multiply-adds"):
+        log = oee.sample_episodes(survival_chain(1.0), np.ones((2, 1)), 30, 10**9, seed=0)
     assert log.terminated.sum() == 30
     one = oee.sample_episodes(oee.FiniteMDP([[[1.0]]], [1.0], [1.0], 0.9), [[1.0]], 2, 500_000, seed=0)
     assert np.diff(one.episode_starts).tolist() == [500_000] * 2
