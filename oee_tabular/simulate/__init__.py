@@ -26,7 +26,7 @@ so that X estimates J of the target in which zeta P is the dynamics (per decisio
 
 How, and what is guaranteed
 ---------------------------
-(a, s') is one draw from an alias table of its state (``_alias``), whose probabilities are P pi to 2^-50 (roundings of doubles): whole numbers of units
+(a, s') is one draw from an alias table of its state (``_alias``), whose probabilities are P pi to 2^-50: whole numbers of units
 2^-62, compared with 62 random bits. Each step of each episode has random bits of its own (``_rollout``): Philox4x32-10, keyed
 by the seed, with a counter of (step, stream, episode). So
 
