@@ -37,6 +37,7 @@ from oee_tabular.exact import (
 from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import Sampler, sampler
@@ -154,7 +155,8 @@ class DoublyRobust(ExactLimit):
         model = problem.model
         zeta.on(model)  # or an error
         steps = rollout_horizon(model.discount, problem.horizon)
-        rollouts = sampler(model, policy, self.n_rollouts, steps, seed=generator, zeta=zeta, name="n_rollouts")
+        n_steps = horizon_length(steps, model)
+        rollouts = sampler(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, name="n_rollouts")
         values = _rollout_values(rollouts, _to_go(model, policy, problem.horizon, steps))
         value, error = mean_and_error(values)
         return Estimate(

@@ -16,6 +16,7 @@ from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.simulate.sampler import Drawn, Sampler, entry_rewards, sampler
 
@@ -59,7 +60,9 @@ def product_estimate(
     """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error
     steps = rollout_horizon(model.discount, horizon)
-    rollouts = sampler(model, policy, n_rollouts, steps, seed=seed, zeta=ratio, name="n_rollouts")
+    rollouts = sampler(
+        model, policy, n_rollouts, horizon_length(steps, model), seed=seed, zeta=ratio, name="n_rollouts"
+    )
     per_decision = weighting == "per_decision"
     drawn = rollouts.draw(record=self_normalized and per_decision)
     if self_normalized and per_decision:
