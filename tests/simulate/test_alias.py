@@ -51,7 +51,7 @@ def table_shares(mdp, policy):
 
 
 def check_table(mdp, policy):
-    """Each (a, s') has the chance policy(a | s) P(s' | s, a) to a few roundings, and 0 where that is 0; so has the first state."""
+    """Each (a, s') has the chance policy(a | s) P(s' | s, a) to some roundings, 0 where that is 0; the first state likewise."""
     indptr, data = mdp.transitions.indptr, mdp.transitions.data
     *states, start = table_shares(mdp, policy)
     for state, shares in enumerate(states):
