@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -13,14 +13,11 @@ from oee_tabular._sparse import csr_from_parts
 from oee_tabular.mdp.naming import from_text, to_text
 from oee_tabular.mdp.samples import Sampling
 
-if TYPE_CHECKING:
-    from oee_tabular.mdp.finite_mdp import FiniteMDP
-
 _PARTS = ("data", "indices", "indptr")
 _NAMES = ("state_names", "action_names")
 
 
-def file_arrays(mdp: FiniteMDP, layout: object) -> dict[str, Any]:
+def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
     """Return what a file holds; ``layout``: the one that was given, without the coordinates of names."""
     arrays: dict[str, Any] = {
         "shape": np.array(mdp.rewards.shape),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -12,16 +12,13 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp.arrays import csr_from_entries
 
-if TYPE_CHECKING:
-    from oee_tabular.mdp.finite_mdp import FiniteMDP
-
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
 _LOG_FIELDS = (
     "state", "action", "next_state", "terminated", "reward", "episode_starts", "state_names", "action_names", "numbered"
 )  # fmt: skip
 
 
-def add_action_noise(mdp: FiniteMDP, epsilon: object) -> dict[str, Any]:
+def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
     """Return the arguments of P_eps and r_eps (``FiniteMDP.with_action_noise``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
     n_states, n_actions = mdp.rewards.shape
@@ -37,7 +34,7 @@ def add_action_noise(mdp: FiniteMDP, epsilon: object) -> dict[str, Any]:
     return {"transitions": matrix, "rewards": rewards, "sampling": mdp.sampling and mdp.sampling.mix_actions(n_actions)}
 
 
-def add_support(mdp: FiniteMDP, log: object, epsilon: object) -> dict[str, Any]:
+def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     """Return the arguments that change where an MDP is to allow the log's transitions (``FiniteMDP.with_support_of``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _observed_transitions(mdp, log)
@@ -73,7 +70,7 @@ def add_support(mdp: FiniteMDP, log: object, epsilon: object) -> dict[str, Any]:
     return {"transitions": new, "rewards": rewards}
 
 
-def _observed_transitions(mdp: FiniteMDP, log: Any) -> tuple[IntArray, IntArray, Array | None]:
+def _observed_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
     """Rows, next states and rewards of a log's transitions, terminated ones led to where that leads; or of counts."""
     shape = mdp.csr.shape
     if sparse.issparse(log):
