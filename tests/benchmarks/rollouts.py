@@ -21,13 +21,12 @@ if __name__ == "__main__":  # speed.py sets them for a run of its own
 import numpy as np
 import products
 from common import interleaved, row, rows_of
+from numba import njit
 from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import policy_rewards
-from oee_tabular.simulate._rollout import running_sums
-from oee_tabular.simulate.logs import stream_key
 
 TASK, HORIZON = "rollouts", 200
 
@@ -50,62 +49,50 @@ def padded(mdp, policy):
     rank = rank - chain.indptr[:-1][state]
     sums = np.ones((mdp.n_states, lengths.max()))
     successors = np.repeat(chain.indices[chain.indptr[1:] - 1][:, None], lengths.max(), axis=1)
-    sums[state, rank] = running_sums(chain.data, chain.indptr)
+    sums[state, rank] = np.concatenate(
+        [np.cumsum(chain.data[a:b]) for a, b in zip(chain.indptr, chain.indptr[1:], strict=False)]
+    )
     successors[state, rank] = chain.indices
     sums[np.arange(mdp.n_states), lengths - 1] = 1.0
     return chain, sums, successors
 
 
+@njit
+def plain_loop(sums, successors, paid, discount, terminal, n, horizon, rng):
+    """The loop that anybody writes: a linear scan of running sums, numpy's Generator."""
+    returns, steps = np.zeros(n), 0
+    for i in range(n):
+        state, scale = 0, 1.0
+        for _ in range(horizon):
+            u, k = rng.random(), 0
+            while sums[state, k] <= u:
+                k += 1
+            returns[i] += scale * paid[state]
+            scale *= discount
+            state = successors[state, k]
+            steps += 1
+            if terminal[state]:
+                break
+    return steps, returns
+
+
 def ours(mdp, policy, n):
-    """Name -> a function that gives (transitions, returns or None); tables made before, as the peers' are, but in one row."""
-    from oee_tabular.simulate import _lanes as lanes
-    from oee_tabular.simulate import _rollout as rollout
-    from oee_tabular.simulate.sampler import alias_table
+    """Name -> a function that gives (transitions, returns or None)."""
+    few = n // 4
 
-    indptr, indices = (x.astype(np.int64) for x in (mdp.transitions.indptr, mdp.transitions.indices))
-    table = (
-        np.cumsum(mdp.initial),
-        np.cumsum(policy, axis=1),
-        indptr,
-        indices,
-        running_sums(mdp.transitions.data, indptr),
-    )
-    powers, by_move = mdp.discount ** np.arange(float(HORIZON)), mdp.reward_data is not None
-    places = np.arange(n, dtype=np.uint64) * np.uint64(HORIZON)
+    def returns():
+        drawn = oee.sample_returns(mdp, policy, n, HORIZON, seed=0)
+        return int(drawn.lengths.sum()), drawn.returns
 
-    def program(*, weighted=False, record=False, records=None):
-        ratio = np.ones(mdp.transitions.nnz if weighted else 0)  # which ratio it is does not matter to the clock
-        made = alias_table(mdp, policy, ratio, mdp.absorbing(), records=records)
-        sums, outcomes = np.empty((4, n)), np.empty((2, n), np.uint64)
-        path = np.zeros(n * HORIZON if record else 0, np.int64)
+    def episodes():
+        return len(oee.sample_episodes(mdp, policy, few, HORIZON, seed=0)), None
 
-        def run():
-            lanes.returns(
-                n, max(1024, n // 64), lanes.Plan(stream_key(0), np.uint64(HORIZON), 64, made.most, made.code[-1], made.over,
-                powers, weighted, by_move), made.slots, lanes.Outcome(sums, *outcomes, places, path),
-            )  # fmt: skip
-            return int(outcomes[0].sum()), sums[0]
-
-        return run
-
-    def whole():
-        found = oee.sample_returns(mdp, policy, n, HORIZON, seed=0)
-        return int(found.lengths.sum()), found.returns
-
-    def inversion():
-        lengths = rollout.episode_lengths(stream_key(0), n, HORIZON, *table, mdp.absorbing())
-        starts = np.concatenate([[0], np.cumsum(lengths)])
-        rollout.episodes(stream_key(0), starts, *table)
-        return int(lengths.sum()), None
-
+    _, sums, successors = padded(mdp, policy)
+    numbers = sums, successors, policy_rewards(mdp, policy), mdp.discount, mdp.absorbing()
     return {
-        "ours": program(),
-        "ours, four arrays": program(records=False),
-        "ours, records of 32 bytes": program(records=True),
-        "ours, weighted": program(weighted=True),
-        "ours, recording": program(record=True),
-        "ours, tables included (sample_returns)": whole,
-        "ours, inversion (kernels of sample_episodes)": inversion,
+        "ours, sample_returns": returns,
+        "ours, sample_episodes": episodes,
+        "plain numba loop, s' alone": lambda: plain_loop(*numbers, n, HORIZON, np.random.default_rng(0)),
     }
 
 
@@ -144,37 +131,11 @@ def numpy_loops(mdp, sums, successors, paid, n):
 
 
 def jax_scans(mdp, policy, sums, successors, paid, n):
-    """lax.scan over the steps of all trajectories.
-
-    Our work, alias tables of the (a, s'), with words of 64 bits, or of 32 and thresholds cut to them; and less, s' alone by
-    running sums of the chain, with the state's expected reward.
-    """
+    """lax.scan over the steps of all trajectories: s' by running sums of the chain, with the state's expected reward."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
-
-    from oee_tabular.simulate.sampler import alias_table
-
-    def alias(dtype):
-        made = alias_table(mdp, policy, np.zeros(0), mdp.absorbing())
-        code, entry = made.code[:-1].astype(np.int64), np.minimum(made.entry, mdp.transitions.nnz - 1)
-        order = np.argsort(code)
-        k = np.repeat(code[order] & 255, np.diff(code[order] >> 8, append=len(made.word))).astype(np.uint64)
-        words = made.word
-        if dtype == jnp.uint32:  # the first bits of thresholds only
-            words = made.word >> k + np.uint64(32) << k | made.word & (np.uint64(1) << k) - np.uint64(1)
-        first, size, word = jnp.asarray(code >> 8, jnp.int32), jnp.asarray(code & 255, dtype), jnp.asarray(words, dtype)
-        following, reward = jnp.asarray(mdp.transitions.indices[entry]), jnp.asarray(made.reward)
-
-        def follow(key, state):
-            x, k, base = jax.random.bits(key, (n,), dtype), size[state], first[state]
-            low = (jnp.asarray(1, dtype) << k) - 1
-            own = word[base + (x & low).astype(jnp.int32)]
-            slot = base + jnp.where(x >> k < own >> k, x & low, own & low).astype(jnp.int32)
-            return following[slot], reward[slot]
-
-        return follow
 
     def chain(dtype):
         cumulative, table = jnp.asarray(sums[:, :-1], dtype), jnp.asarray(successors, jnp.int32)
@@ -200,8 +161,6 @@ def jax_scans(mdp, policy, sums, successors, paid, n):
         return lambda: (n * HORIZON, np.asarray(run(jax.random.key(0))))
 
     return {
-        "jax scan": program(alias(jnp.uint64)),
-        "jax scan, 32-bit words": program(alias(jnp.uint32)),
         "jax scan, s' alone": program(chain(jnp.float64)),
         "jax scan, s' alone, 32-bit words": program(chain(jnp.float32)),
     }
@@ -311,7 +270,7 @@ def case(name, mdp, quick, *, loops=True):
 def rows(*, quick):
     """All cases; ``quick``: fewer episodes, and no large MDP."""
     yield from products.rows(quick=quick)
-    for size in (10, 100):
+    for size in (10, 30, 100):
         name = f"a million transitions, grid {size} x {size}"
         yield from case(name, oee.tasks.gridworld(size, 0.3), quick, loops=size == 10)
     if not quick:
