@@ -149,7 +149,7 @@ def counts(
     overwrite: Overwrite = False,
     json: Annotated[bool, json_option("counts")] = False,
 ) -> None:
-    """Count the moves of a log of any size. A count that was stopped goes on where it was."""
+    """Count the transitions of a log of any size. The file appears when all are counted."""
     import sys
 
     from oee_tabular import _files
