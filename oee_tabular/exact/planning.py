@@ -56,12 +56,12 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
         actions, values = action_values(mdp, uniform).argmax(axis=1), None
     else:
-        actions, values, stands = _planning.iterate_modified(*model, 1e-9, np.zeros(mdp.n_states), N_TURNS_BEFORE)
-        system = policy_system(mdp, deterministic_policy(actions, mdp.n_actions))
-        if not stands and not EnvelopeLU(is_narrow=True).suits(
-            system
-        ):  # else exact evaluation is as quick as some sweeps
-            actions, values, _ = _planning.iterate_modified(*model, 1e-9, values, 100)
+        n_turns = N_TURNS_BEFORE if mdp.n_states > 100 else 100
+        actions, values, stands = _planning.iterate_modified(*model, 1e-9, np.zeros(mdp.n_states), n_turns)
+        if not stands and n_turns < 100:
+            system = policy_system(mdp, deterministic_policy(actions, mdp.n_actions))
+            if not EnvelopeLU(is_narrow=True).suits(system):  # else exact evaluation is as quick as some sweeps
+                actions, values, _ = _planning.iterate_modified(*model, 1e-9, values, 100)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
     met: set[bytes] = set()
     while True:
