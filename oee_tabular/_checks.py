@@ -302,10 +302,10 @@ def warn(text: str) -> None:
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
     """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of what it must be one."""
     try:
-        if isinstance(value, str | bytes):
+        if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
         return tuple(value)
-    except TypeError:
+    except (TypeError, ValueError):
         raise ValueError(f"{name} must be {rule}; got {type(value).__name__}") from None
 
 
@@ -356,8 +356,9 @@ def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
         if is_sparse(seed):
             raise TypeError("a sparse matrix")
         return make(seed, **options)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)} ({error})") from None
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        reason = escape_controls(str(error))[:200]
+        raise ValueError(f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)} ({reason})") from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

@@ -159,9 +159,9 @@ class Log:
         >>> Transitions.concatenate([a, b]).episode
         array([0, 0, 1])
         """
-        parts = list(logs)
+        parts = _checks.collection(logs, "logs", f"one or more {cls.__name__}")
         if not parts or not all(isinstance(log, cls) for log in parts):
-            raise ValueError(f"logs must be one or more {cls.__name__}; got {parts!r:.80}")
+            raise ValueError(f"logs must be one or more {cls.__name__}; got {_checks.show(logs)}")
         columns = [log.columns() for log in parts]
         if cls.ALLOWS_MISSING_REWARDS and any("reward" in part for part in columns):
             columns = [

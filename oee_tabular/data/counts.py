@@ -121,10 +121,11 @@ class TransitionCounts:
     @classmethod
     def of(cls, matrix: object, n_actions: int) -> Self:
         """Counts that are given as a matrix, sparse of shape (S*A, S), row s*A + a."""
-        csr = canonical(check_csr(matrix, "counts"), drop_zeros=True)
+        actions = _checks.positive_integer(n_actions, "n_actions")
+        csr = canonical(check_csr(matrix, "matrix"), drop_zeros=True)
         if csr.nnz == 0:
-            raise ValueError("counts must have at least one move; all are 0")
-        state, action = np.divmod(row_of_entry(csr), n_actions)
+            raise ValueError("matrix must have at least one transition; all counts are 0")
+        state, action = np.divmod(row_of_entry(csr), actions)
         return cls(state, action, csr.indices.astype(np.int64), csr.data)
 
     def __len__(self) -> int:

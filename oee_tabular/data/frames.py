@@ -85,13 +85,15 @@ def _labels(field: str, given: object, labels: list[str]) -> list[str]:
     """The frame's labels of one field: one, or several of which a name is made."""
     group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
     for label in group:
-        if label not in labels:
-            close = difflib.get_close_matches(str(label)[:80], labels, n=1)
+        if not isinstance(label, str) or label not in labels:
+            close = difflib.get_close_matches(_checks.show(label).strip("'")[:80], labels, n=1)
             hint = f" (did you mean {close[0]!r}?)" if close else ""
             shown = f"{', '.join(labels):.300}"
-            raise ValueError(f"{field} must be the name of a column of the frame, {shown}; it is {label!r:.80}{hint}")
+            raise ValueError(
+                f"{field} must be the name of a column of the frame, {shown}; it is {_checks.show(label)}{hint}"
+            )
     if not group or (len(group) > 1 and field not in MOVE):
-        raise ValueError(f"{field} must be the name of one column; it is {given!r:.80}")
+        raise ValueError(f"{field} must be the name of one column; it is {_checks.show(given)}")
     return group
 
 

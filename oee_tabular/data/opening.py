@@ -73,6 +73,9 @@ def open_log(
     TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps: 0 terminated, 2 truncated;
                      states 0..2, actions 0..0; 2 whole episodes kept)
     """
+    _checks.boolean(progress, "progress")
+    if _checks.is_sparse(path):
+        raise ValueError(f"path must be a path, or several; got {_checks.show(path)}")
     if isinstance(path, str | os.PathLike) and holds_counts(path):
         return TransitionCounts.load(path)
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))

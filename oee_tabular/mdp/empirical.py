@@ -50,7 +50,7 @@ def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: obj
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
     if not hasattr(env, "step") or not hasattr(env, "reset"):
-        hint = f" (gymnasium.make({env!r}))" if isinstance(env, str) else ""
+        hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
         raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}{hint}")
     space, actions = getattr(env, "observation_space", None), getattr(env, "action_space", None)
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:

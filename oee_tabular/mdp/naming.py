@@ -52,6 +52,8 @@ class Names:
 
 NAMELESS = Names()
 
+DEEPEST_NAME = 20  # tuples in tuples
+
 
 def names_of(mdp: object) -> Names:
     """Return the names that an MDP, or what stands for one, has."""
@@ -88,28 +90,29 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     names = tuple(to_plain(item) for item in given)
     first: dict[str, int] = {}
     for k, item in enumerate(names):
-        text, place = str(item), f"{name}[{k}]"
+        place = f"{name}[{k}]"
         if not is_name(item):
-            raise ValueError(f"{place} must be a text, or a tuple of texts and numbers; it is {item!r:.80}")
+            raise ValueError(f"{place} must be a text, or a tuple of texts and numbers; it is {_checks.show(item)}")
+        text = str(item)
         if text.strip() != text or not text:
-            raise ValueError(f"{place} must not be empty, nor begin or end with a blank; it is {text!r:.80}")
+            raise ValueError(f"{place} must not be empty, nor begin or end with a blank; it is {_checks.show(text)}")
         if is_number_text(text):
             raise ValueError(
                 f"{place} must not read as a number, which a file does not tell from the number of a state or an action; "
                 f"it is {text!r} (write {'s' + text!r})"
             )
         if text in first:
-            raise ValueError(f"{name} must differ; {place} is {item!r:.80}, as {name}[{first[text]}] is")
+            raise ValueError(f"{name} must differ; {place} is {_checks.show(item)}, as {name}[{first[text]}] is")
         first[text] = k
     return names
 
 
-def to_plain(item: object) -> Any:
-    """Return a name without numpy's types; lists and arrays in it become tuples."""
+def to_plain(item: object, depth: int = 0) -> Any:
+    """Return a name without numpy's types; lists and arrays in it become tuples, but for those that are too deep."""
     if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and item.ndim == 0):
         return item.item()
-    if isinstance(item, tuple | list | np.ndarray):
-        return tuple(to_plain(part) for part in item)
+    if isinstance(item, tuple | list | np.ndarray) and depth < DEEPEST_NAME:
+        return tuple(to_plain(part, depth + 1) for part in item)
     return item
 
 
@@ -187,15 +190,17 @@ def number_of(
             raise ValueError(f"{name} must be in 0..{size - 1}; it is {given}")
         return int(given)
     if not is_name(given):
-        raise ValueError(f"{name} must be a name or a number; it is {given!r:.80}")
+        raise ValueError(f"{name} must be a name or a number; it is {_checks.show(given)}")
     if names is None:
         raise ValueError(
             f"{name} must be a number in 0..{size - 1}, since {owner.removesuffix(chr(39) + 's')} has no names here; it is "
-            f"{given!r:.80} (give it names: with_names(state_names=..., action_names=...))"
+            f"{_checks.show(given)} (give it names: with_names(state_names=..., action_names=...))"
         )
     number = numbers_of(names).get(given)
     if number is None:
-        raise ValueError(f"{name} must be one of {owner} names; it is {given!r:.80}{suggest_name(given, names)}")
+        raise ValueError(
+            f"{name} must be one of {owner} names; it is {_checks.show(given)}{suggest_name(given, names)}"
+        )
     return number
 
 

@@ -205,11 +205,12 @@ def is_time_dependent(policy: PolicyLike | None) -> bool:
 def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
-        hint = f"the same in every state: lambda state: {policy!r:.40}; a file: numpy.load"
+        hint = f"the same in every state: lambda state: {_checks.show(policy):.40}; a file: numpy.load"
         if policy in ("uniform", "optimal"):
             hint = f"oee.{policy}_policy(simulator)"
         raise ValueError(
-            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; it is {policy!r:.80} ({hint})"
+            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; "
+            f"it is {_checks.show(policy)} ({hint})"
         )
     if isinstance(policy, Mapping) or (callable(policy) and not hasattr(policy, "__array__")):
         return _choice_table(policy, mdp, name)
@@ -232,15 +233,15 @@ def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
         if not np.isnan(table[s, 0]):
             raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
         if isinstance(policy, Mapping):
-            table[s] = _choice_row(policy[state], mdp, f"{name}[{state!r}]")
+            table[s] = _choice_row(policy[state], mdp, f"{name}[{_checks.show(state)}]")
             continue
         try:
             choice = policy(state)
         except Exception as error:
-            told = f"it raises {type(error).__name__}: {error}"
-            raise ValueError(f"{name}({state!r}) must be an action or a distribution; {told}") from error
+            told = f"it raises {type(error).__name__}: {_checks.escape_controls(str(error)):.300}"
+            raise ValueError(f"{name}({_checks.show(state)}) must be an action or a distribution; {told}") from error
         if choice is not None or not is_free[s]:
-            table[s] = _choice_row(choice, mdp, f"{name}({state!r})")
+            table[s] = _choice_row(choice, mdp, f"{name}({_checks.show(state)})")
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
         more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
@@ -256,7 +257,7 @@ def _choice_row(choice: Any, mdp: Sized, name: str) -> Array:
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
             a = number_of(action, names, mdp.n_actions, f"{name}'s action", "the MDP's")
-            row[a] += _checks.number_in(probability, f"{name}[{action!r}]", 0.0, 1.0)
+            row[a] += _checks.number_in(probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0)
     elif (
         _checks.is_integer(given) or isinstance(choice, str) or (isinstance(choice, tuple) and _is_known(given, names))
     ):
@@ -264,7 +265,7 @@ def _choice_row(choice: Any, mdp: Sized, name: str) -> Array:
     else:
         if _ndim(choice) == 0 or np.shape(choice) != row.shape:
             raise ValueError(
-                f"{name} must be an action, or a distribution over the {mdp.n_actions} actions; it is {choice!r:.80}"
+                f"{name} must be an action, or a distribution over the {mdp.n_actions} actions; it is {_checks.show(choice)}"
             )
         row = _checks.float_array(choice, name, ndim=1)
         _checks.require_nonnegative(row, name)
