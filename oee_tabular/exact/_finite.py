@@ -1,4 +1,4 @@
-"""Finite horizons: backward sweeps over all states, or over the light cone of the first ones; visits and gradients, forward.
+"""Finite horizons: backward sweeps over all states, or over the light cone of the first ones; visits, gradients, forward.
 
     V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
 
@@ -178,52 +178,36 @@ def cone_visits(cone):
 
 
 @njit(cache=True)
-def frontier(rows, rewards, policy, initial, gamma, here, there, reached, pairs, keep):
-    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), step by step over the states that are reached at t exactly.
+def step_forward(rows, rewards, policy, initial, gamma, pairs):
+    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), which is read as a whole before, so that S a step costs nothing.
 
-    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t d_t . r. ``here``, ``there`` (S,) and
-    ``reached`` (S, uint32) must be zeros. If ``keep``, sum_t gamma^t Pr(s_t = s, a_t = a) is added to ``pairs`` (S, A).
+    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t d_t . r. Where ``pairs`` (S, A) has
+    room, sum_t gamma^t Pr(s_t = s, a_t = a) is added to it.
     """
     indptr, indices, data = rows
     horizon, n_states, n_actions = policy.shape
-    out = np.zeros(horizon + 1)
-    active, following = np.zeros(n_states, np.uint32), np.zeros(n_states, np.uint32)
-    count = 0
-    for s in range(n_states):
-        if initial[s] != 0.0:
-            here[s] = initial[s]
-            active[count] = s
-            count += 1
+    out, keep = np.zeros(horizon + 1), len(pairs) > 0
+    here, there, mean = initial.copy(), np.zeros(n_states), np.zeros(n_states)
     weight = 1.0
     for t in range(horizon):
-        total, part, n_following = 0.0, 0.0, 0
-        for i in range(count):
-            s = active[i]
-            mass = here[s]
-            here[s] = 0.0
+        for s in range(n_states):
+            mass, mean[s] = here[s], 0.0
+            if mass == 0.0:
+                continue
             for a in range(n_actions):
                 share = mass * policy[t, s, a]
-                part += share * rewards[s, a]
+                mean[s] += policy[t, s, a] * rewards[s, a]
                 if keep:
                     pairs[s, a] += weight * share
                 if share == 0.0 or t + 1 == horizon:
                     continue
-                row = np.int64(s) * n_actions + a
+                row = s * n_actions + a
                 for k in range(indptr[row], indptr[row + 1]):
-                    j = indices[k]
-                    if reached[j] != t + 1:
-                        reached[j] = t + 1
-                        following[n_following] = j
-                        n_following += 1
-                    there[j] += share * data[k]
-            if i % CHUNK == CHUNK - 1:
-                total += part
-                part = 0.0
-        out[t + 1] = out[t] + weight * (total + part)
+                    there[indices[k]] += share * data[k]
+        out[t + 1] = out[t] + weight * dot(here, mean, n_states)
         weight *= gamma
+        here[:] = 0.0
         here, there = there, here
-        active, following = following, active
-        count = n_following
     return out
 
 

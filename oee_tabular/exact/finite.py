@@ -58,7 +58,7 @@ def values_by_horizon(model: Model, policy: Array, horizon: int, *, is_each: boo
     from oee_tabular.exact import _finite
 
     if policy.ndim == 3:
-        return _frontier(model, policy, None)
+        return _step_forward(model, policy, np.zeros((0, 0)))
     return np.asarray(_finite.cone_values(light_cone(model, policy, horizon), is_each))
 
 
@@ -78,17 +78,15 @@ def visits(model: Model, policy: Array, horizon: int) -> Array:
         cone = light_cone(model, policy, horizon)
         pairs[cone.states] = _finite.cone_visits(cone)[:, None] * policy[cone.states]
     else:
-        _frontier(model, policy, pairs)
+        _step_forward(model, policy, pairs)
     return pairs
 
 
-def _frontier(model: Model, policy: Array, pairs: Array | None) -> Array:
+def _step_forward(model: Model, policy: Array, pairs: Array) -> Array:
     from oee_tabular.exact import _finite
 
     read = as_readonly(model.rewards), as_readonly(policy), as_readonly(model.initial)
-    rooms = np.zeros(model.n_states), np.zeros(model.n_states), np.zeros(model.n_states, np.uint32)
-    visited, keep = (np.zeros((0, 0)), False) if pairs is None else (pairs, True)
-    return np.asarray(_finite.frontier(rows_of(model.csr), *read, model.discount, *rooms, visited, keep))
+    return np.asarray(_finite.step_forward(rows_of(model.csr), *read, model.discount, pairs))
 
 
 def values_to_go(model: Model, policy: Array, horizon: int) -> Array:

@@ -1,4 +1,4 @@
-"""Finite horizons: light cone, frontier and plain sweeps give one answer, that of the definition."""
+"""Finite horizons: light cone, forward sums and plain sweeps give one answer, that of the definition."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
 
 @given(rngs, horizons)
 def test_a_policy_that_does_not_change_is_the_stationary_one(rng, steps):
-    """The frontier's forward sums are those of the cone's backward sweep."""
+    """Forward sums are those of the cone's backward sweep."""
     model = some_model(rng)
     policy = random_policy(rng, model)
     both = [exact.policy_values_by_horizon(model, p, horizon=steps) for p in (policy, np.stack([policy] * steps))]
