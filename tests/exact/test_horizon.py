@@ -152,27 +152,6 @@ def test_a_policy_in_another_form_has_the_same_value():
         assert_allclose(oee.policy_value(mdp, other, horizon=3), oee.policy_value(mdp, GOOD, horizon=3), atol=1e-6)
 
 
-BAD = {
-    "values of what": (lambda mdp: exact.policy_values_by_horizon(3, GOOD, horizon=2), "mdp must be a FiniteMDP"),
-    "no horizon": (
-        lambda mdp: exact.policy_values_by_horizon(mdp, GOOD, horizon=None),
-        "horizon must be a positive integer; got None",
-    ),
-    "horizon 0": (lambda mdp: oee.policy_value(mdp, GOOD, horizon=0), "horizon must be a positive integer; it is 0"),
-    "policies of another length": (
-        lambda mdp: exact.policy_values_by_horizon(mdp, np.stack([GOOD] * 3), horizon=2),
-        r"policy must have shape \(2, 2\) or \(2, 2, 2\) .*it has shape \(3, 2, 2\)",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    call, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        call(random_mdp(np.random.default_rng(0), n_states=2, n_actions=2))
-
-
 @given(rngs, st.integers(1, 5))
 def test_the_gradient_with_a_horizon_is_the_sum_of_its_definition(rng, steps):
     model, valued = (random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2))

@@ -231,16 +231,6 @@ def test_the_error_bound_covers_rounding_near_discount_one():
     assert error <= found.error_bound
 
 
-def test_what_is_no_mdp_is_said():
-    for call in (
-        lambda: oee.policy_value(None, [[1.0]], normalized=True),
-        lambda: exact.action_values(None, [[1.0]], horizon=2),
-        lambda: oee.state_values(None, [[1.0]]),
-    ):
-        with pytest.raises(ValueError, match="mdp must be a FiniteMDP; got NoneType"):
-            call()
-
-
 @pytest.mark.filterwarnings("ignore:a value is beyond the largest float")
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
     """In a state that is never reached they do not matter to J, by any of the ways to it."""
@@ -399,41 +389,3 @@ def test_the_way_of_a_value_is_short():
     assert again == value
     assert 5 < len(passed) <= 20
     assert len({path for path, _ in passed}) <= 9
-
-
-def edited(matrix, entry, value):
-    data = matrix.data.copy()
-    data[entry] = value
-    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-SIMULATOR, _ = environments(2)
-BAD = {
-    "occupancy: of": (
-        lambda: oee.occupancy(SIMULATOR, POLICY, of="pairs"),
-        "^of must be one of 'state', 'state_action', 'transition'; got 'pairs'$",
-    ),
-    "reweighting by no matrix": (
-        lambda: exact.reweight(SIMULATOR, np.ones((6, 3))),
-        r"^ratio must be sparse of shape \(6, 3\), row s\*A \+ a; got \(6, 3\)$",
-    ),
-    "reweighting by a number": (
-        lambda: exact.reweight(SIMULATOR, 3.0),
-        r"^ratio must be sparse of shape \(6, 3\), row s\*A \+ a; got float$",
-    ),
-    "reweighting by a negative ratio": (
-        lambda: exact.reweight(SIMULATOR, edited(SIMULATOR.transitions, 5, -1.0)),
-        r"^ratio must be finite and nonnegative; at s=0, a=1 -> s'=2 it is -1\.0$",
-    ),
-    "reweighting by nan": (
-        lambda: exact.reweight(SIMULATOR, edited(SIMULATOR.transitions, 6, np.nan)),
-        r"^ratio must be finite and nonnegative; at s=1, a=0 -> s'=0 it is nan$",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    call, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        call()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import POLICY, environments, histories
+from helpers import histories
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
@@ -85,36 +85,3 @@ def test_without_any_weight_nothing_is_left_to_divide_by(kind):
     assert np.isnan([found.mean, found.variance, found.bias]).all()
     plain = oee.weighted_return_moments(chain, nothing, np.ones((2, 1)), kind=kind, horizon=2)
     assert (plain.mean, plain.variance, plain.bias) == ((1.0 if kind == "per_decision" else 0.0), 0.0, 0.0)
-
-
-SIMULATOR, TARGET = environments(2)
-ZETA = oee.true_ratio(TARGET, SIMULATOR)
-BAD = {
-    "weight moments: simulator": (
-        lambda: weight_moments(3, ZETA, POLICY, horizon=2),
-        "^simulator must be a FiniteMDP; got int$",
-    ),
-    "weight moments: horizon": (
-        lambda: weight_moments(SIMULATOR, ZETA, POLICY, horizon=0),
-        "^horizon must be a positive integer; it is 0$",
-    ),
-    "weight growth: simulator": (
-        lambda: weight_growth(3, ZETA, POLICY),
-        "^simulator must be a FiniteMDP; got int$",
-    ),
-    "weighting by no matrix": (
-        lambda: weight_growth(SIMULATOR, np.ones((6, 3)), POLICY),
-        r"^zeta must be sparse of shape \(6, 3\), row s\*A \+ a; got \(6, 3\)$",
-    ),
-    "weighting by nan": (
-        lambda: weight_growth(SIMULATOR, SIMULATOR.transitions * np.nan, POLICY),
-        "^zeta must be finite and nonnegative; entry 0 is nan$",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    call, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        call()
