@@ -31,6 +31,17 @@ KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
 
 
+def _check_arguments(
+    model: FiniteMDP, name: str, horizon: int | None, *, kind: object = "per_decision", **flags: bool
+) -> tuple[int | None, dict[str, bool]]:
+    """The horizon, and the options of ``compute_moments``."""
+    _checks.instance(model, FiniteMDP, name)
+    _checks.one_of(kind, "kind", KINDS)
+    for flag, value in flags.items():
+        _checks.boolean(value, flag)
+    return _checks.optional_horizon(horizon), {"is_trajectory": kind == "trajectory", **flags}
+
+
 def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = None, sources: bool = False) -> Moments:
     """Mean and variance of the return G = sum_t gamma^t r_t of one episode.
 
@@ -50,11 +61,8 @@ def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = 
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
-    _checks.instance(mdp, FiniteMDP, "mdp")
-    _checks.boolean(sources, "sources")
-    length = _checks.optional_horizon(horizon)
-    walk = walk_of(mdp, check_policy(policy, mdp, horizon=length))
-    return compute_moments(walk, length, is_trajectory=False, self_normalized=False, sources=sources)
+    length, options = _check_arguments(mdp, "mdp", horizon, self_normalized=False, sources=sources)
+    return compute_moments(walk_of(mdp, check_policy(policy, mdp, horizon=length)), length, **options)
 
 
 def weighted_return_moments(
@@ -99,8 +107,8 @@ def weighted_return_moments(
     >>> round(moments.mean, 6), round(moments.variance, 4)  # unbiased: J in the target is 1.1
     (1.1, 0.4251)
     """
-    _checks.instance(simulator, FiniteMDP, "simulator")
-    options, length = _check_options(kind, self_normalized, sources), _checks.optional_horizon(horizon)
+    flags = {"self_normalized": self_normalized, "sources": sources}
+    length, options = _check_arguments(simulator, "simulator", horizon, kind=kind, **flags)
     walk = walk_of(simulator, check_policy(policy, simulator, horizon=length), ratio=zeta)
     return compute_moments(walk, length, **options)
 
@@ -117,8 +125,8 @@ def policy_is_moments(
 ) -> Moments:
     """Of policy importance sampling (eq. 3.5) on an episode of ``behavior_policy``, rho_t = prod_{k <= t} policy / behavior.
 
-    per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. In absorbing states that pay nothing, where an
-    episode is over, rho_t stands still whatever the two policies do there.
+    per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. rho_t stands still where W_t of
+    ``weighted_return_moments`` does.
 
     Parameters
     ----------
@@ -136,21 +144,13 @@ def policy_is_moments(
     >>> policy_is_moments(bandit, [[0.5, 0.5]], [[0.0, 1.0]], horizon=1)  # 0 or 2, evenly
     Moments(mean=1.0, variance=1.0, bias=0.0)
     """
-    _checks.instance(mdp, FiniteMDP, "mdp")
-    options, length = _check_options(kind, self_normalized, sources), _checks.optional_horizon(horizon)
+    flags = {"self_normalized": self_normalized, "sources": sources}
+    length, options = _check_arguments(mdp, "mdp", horizon, kind=kind, **flags)
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=length)
     pi = check_policy(policy, mdp, horizon=length)
     if behavior.ndim != pi.ndim:
         behavior, pi = np.broadcast_arrays(behavior, pi)
     return compute_moments(walk_of(mdp, behavior, policy=pi), length, **options)
-
-
-def _check_options(kind: object, self_normalized: bool, sources: bool) -> dict[str, bool]:
-    """The options of ``compute_moments``."""
-    _checks.one_of(kind, "kind", KINDS)
-    _checks.boolean(self_normalized, "self_normalized")
-    _checks.boolean(sources, "sources")
-    return {"is_trajectory": kind == "trajectory", "self_normalized": self_normalized, "sources": sources}
 
 
 def doubly_robust_moments(
@@ -191,9 +191,7 @@ def doubly_robust_moments(
     >>> round(robust.mean, 6), round(product.mean, 6), round(robust.variance, 4), round(product.variance, 4)
     (0.95, 0.95, 0.25, 0.3823)
     """
-    _checks.instance(simulator, FiniteMDP, "simulator")
-    _checks.boolean(action_baseline, "action_baseline")
-    _checks.boolean(sources, "sources")
+    _check_arguments(simulator, "simulator", None, action_baseline=action_baseline, sources=sources)
     length = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)

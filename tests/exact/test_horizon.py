@@ -65,6 +65,8 @@ def test_all_ways_give_the_sum_of_the_definition(rng, steps, stationary):
     assert_allclose((visits * model.rewards).sum(), value, rtol=0, atol=scale * steps)
     mass = sum(model.discount**t for t in range(steps))
     assert_allclose(exact.occupancy(model, policy, horizon=steps), visits / mass, rtol=1e-12, atol=1e-13)
+    states = exact.occupancy(model, policy, horizon=steps, of="state")
+    assert_allclose(states, visits.sum(axis=1) / mass, rtol=1e-12, atol=1e-13)
 
 
 @given(rngs, horizons, st.booleans())
@@ -152,17 +154,19 @@ def test_a_policy_in_another_form_has_the_same_value():
         assert_allclose(oee.policy_value(mdp, other, horizon=3), oee.policy_value(mdp, GOOD, horizon=3), atol=1e-6)
 
 
-@given(rngs, st.integers(1, 5))
-def test_the_gradient_with_a_horizon_is_the_sum_of_its_definition(rng, steps):
+@given(rngs, st.one_of(st.none(), st.integers(1, 5)))
+def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
+    """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""
     model, valued = (random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2))
     policy = random_policy(rng, model)
     rows = np.repeat(np.arange(10), np.diff(valued.transitions.indptr))
     columns = valued.transitions.indices
     pay = 0.0 if valued.reward_data is None else valued.reward_data
     states, expected = model.initial, np.zeros(len(rows))
-    for t in range(steps):
+    endless = exact.state_values(valued, policy)
+    for t in range(steps or 400):
         share = (states[:, None] * policy).reshape(-1)
-        left = backward(valued, policy, steps - t)[1]
+        left = backward(valued, policy, steps - t)[1] if steps else endless
         expected += model.discount**t * share[rows] * (pay + model.discount * left[columns])
         states = model.transitions.T @ share
     found = exact.transition_gradient(model, policy, horizon=steps, values_of=valued)

@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import (
-    BEHAVIOR,
-    POLICY,
     dense,
     dense_occupancy,
     dense_values,
@@ -17,7 +15,7 @@ from helpers import (
     rngs,
     survival_chain,
 )
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
@@ -282,30 +280,6 @@ def test_discount_one_names_the_states_that_pay_for_ever():
     assert_allclose(oee.state_values(free, np.ones((5, 1))), [7, 0, 0, 0, 0])
 
 
-def test_action_values_with_a_policy_in_time():
-    """Q_0 looks ahead with the policies of the later steps."""
-    mdp, _ = environments(3)
-    moving = np.stack([POLICY, BEHAVIOR, POLICY])
-    transitions, rewards = dense(mdp)
-    value = np.zeros(3)
-    for policy in moving[::-1]:
-        q = (transitions * (rewards + mdp.discount * value)).sum(axis=2)
-        value = (policy * q).sum(axis=1)
-    assert_allclose(oee.action_values(mdp, moving, horizon=3), q, rtol=1e-13)
-    assert_allclose(oee.state_values(mdp, moving, horizon=3), value, rtol=1e-13)
-    assert_allclose(oee.action_values(mdp, POLICY, horizon=1), mdp.rewards, rtol=1e-13)
-
-
-def test_occupancies_of_few_steps():
-    mdp, _ = environments(2)
-    pairs = oee.occupancy(mdp, POLICY, horizon=2)
-    ahead = np.einsum("s,sa,sat->t", mdp.initial, POLICY, dense(mdp)[0])
-    expected = (mdp.initial + 0.7 * ahead)[:, None] * POLICY / 1.7
-    assert_allclose(pairs, expected, rtol=1e-13)
-    assert_allclose(oee.occupancy(mdp, np.stack([POLICY, POLICY]), horizon=2), expected, rtol=1e-13)
-    assert_allclose(oee.occupancy(mdp, POLICY, horizon=2, of="state"), expected.sum(axis=1), rtol=1e-13)
-
-
 def test_reweighting_takes_a_ratio_or_its_matrix():
     simulator, target = environments(3)
     zeta = oee.true_ratio(target, simulator)
@@ -318,28 +292,6 @@ def test_reweighting_takes_a_ratio_or_its_matrix():
         assert_array_equal(model.reward_data, simulator.reward_data)
         assert_array_equal(model.terminal_state, simulator.terminal_state)
     assert exact.reweight(*(environments(2)[0], zeta.values)).reward_data is None
-
-
-@given(rngs, st.sampled_from([None, 3]))
-@settings(max_examples=30)
-def test_the_gradient_with_the_values_of_another_model(rng, horizon):
-    """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""
-    one = random_mdp(rng, n_states=3, n_actions=2, discount=0.9, zeros=0.0)
-    other = random_mdp(rng, n_states=3, n_actions=2, discount=0.9)
-    policy = random_policy(rng, one)
-    found = exact.transition_gradient(one, policy, horizon=horizon, values_of=other)
-    reached, kernel = one.initial, np.einsum("sa,sat->st", policy, dense(one)[0])
-    paid = dense(other)[1] if other.transition_rewards is not None else np.zeros((3, 2, 3))
-    expected = np.zeros((3, 2, 3))
-    for t in range(horizon or 400):
-        ahead = (
-            np.zeros(3) if horizon == t + 1 else oee.state_values(other, policy, horizon=horizon and horizon - t - 1)
-        )
-        expected += 0.9**t * reached[:, None, None] * policy[:, :, None] * (paid + 0.9 * ahead)
-        reached = kernel.T @ reached
-    stored = other.transitions.tocoo()
-    scale = max(1.0, np.abs(expected).max())
-    assert_allclose(found, expected.reshape(6, 3)[stored.coords], rtol=0, atol=1e-9 * scale)
 
 
 @pytest.mark.parametrize("which", ["kernel", "rewards"])
