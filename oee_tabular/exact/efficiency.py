@@ -54,7 +54,8 @@ def efficiency_bound(
     >>> round(efficiency_bound(coin, [[1.0]] * 2, [[0.5], [0.5]]), 6)  # no standard error below sqrt(0.25 / n)
     0.25
     """
-    gradient, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", horizon)
+    share = _check_share(target, data_distribution, horizon)
+    gradient = transition_gradient(target, policy, horizon=horizon)
     return _divide_and_sum(row_variances(target.transitions, target.transitions.data, gradient), share)
 
 
@@ -80,7 +81,7 @@ def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Array
     >>> round(leading_bias(target, [[1.0]] * 2, [[0.5], [0.5]]), 2)  # n = 1000: 0.0017 too low on average
     -1.67
     """
-    _, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", None)
+    share = _check_share(target, data_distribution, None)
     pi = check_policy(policy, target)
     gamma, matrix = target.discount, target.transitions
     kernel = policy_kernel(target, pi).toarray()
@@ -141,9 +142,10 @@ def ratio_of_ratios_variance(
     """
     _checks.boolean(independent_samples, "independent_samples")
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
-    gradient, share = _gradient_and_share(target, policy, data_distribution, "data_distribution", horizon)
-    _, other = _gradient_and_share(target, policy, simulator_distribution, "simulator_distribution", horizon)
     _checks.instance(simulator, FiniteMDP, "simulator")
+    share = _check_share(target, data_distribution, horizon)
+    other = _check_share(target, simulator_distribution, horizon, "simulator_distribution")
+    gradient = transition_gradient(target, policy, horizon=horizon)
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
@@ -260,15 +262,14 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
         )
 
 
-def _gradient_and_share(
-    target: FiniteMDP, policy: PolicyLike, distribution: ArrayLike, name: str, horizon: int | None
-) -> tuple[Array, Array]:
-    """The gradient on the target's entries, and the distribution as (S*A,)."""
+def _check_share(
+    target: FiniteMDP, distribution: ArrayLike, horizon: int | None, name: str = "data_distribution"
+) -> Array:
+    """The distribution of rows as (S*A,); what every function of data from the target needs is checked."""
     _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
-    share = _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
-    return transition_gradient(target, policy, horizon=horizon), share
+    return _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
 
 
 def _divide_and_sum(values: Array, share: Array) -> float:
