@@ -105,7 +105,7 @@ def test_error_bound_of_ill_conditioned_systems(name, n, discount, transpose):
 @settings(max_examples=60)
 def test_error_bound_of_random_mdps(rng):
     """V to within the bound, J to rounding, in exact arithmetic."""
-    mdp = random_mdp(rng, n_states=int(rng.integers(1, 6)), discount=float(rng.choice([0.0, 0.3, 0.9, 0.99, 0.9999])))
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 6)), discount=float(rng.choice([0.0, 0.9, 0.9999, 1 - 1e-8])))
     policy = random_policy(rng, mdp)
     result, truth = exact.evaluate_policy(mdp, policy), rational_values(mdp, policy)
     misses = [abs(Fraction(v) - t) for v, t in zip(result.values.tolist(), truth, strict=True)]
@@ -229,24 +229,6 @@ def test_without_a_discount_a_closed_class_diverges(name):
             solve_policy_system(kernel, np.ones(kernel.shape[0]), 1.0, transpose=transpose)
     with pytest.raises(DivergentKernelError, match=r"spectral radius of 1\."):
         solve_policy_system(kernel * 1.5, np.ones(kernel.shape[0]), 0.9)
-
-
-@pytest.mark.parametrize("n", [30, 500])
-@pytest.mark.parametrize("transpose", [False, True])
-def test_systems_and_their_transposes_at_both_sizes(n, transpose):
-    """The answer, its method, and an error bound that holds and is no more than rounding (for the transpose, of sums)."""
-    rng = np.random.default_rng(n)
-    kernel = sparse.csr_array(sparse.random_array((n, n), density=6 / n, rng=rng) + sparse.eye_array(n) * 0.1)
-    kernel = sparse.csr_array(sparse.diags_array(1 / kernel.sum(axis=1)) @ kernel)
-    b = rng.normal(size=n)
-    found = solve_policy_system(kernel, b, 0.9, transpose=transpose)
-    matrix = np.eye(n) - 0.9 * kernel.toarray()
-    truth = np.linalg.solve(matrix.T if transpose else matrix, b)
-    assert_allclose(found.x, truth, rtol=0, atol=1e-11 * np.abs(truth).max())
-    missed = np.abs(found.x - truth)
-    assert (missed.sum() if transpose else missed.max()) <= found.error_bound + 1e-13 * np.abs(truth).sum()
-    assert 0 < found.error_bound < 1e-9 * np.abs(truth).sum()
-    assert found.method == ("dense LU" if n == 30 else "BiCGSTAB")
 
 
 @pytest.mark.parametrize("transpose", [False, True])

@@ -350,29 +350,28 @@ def test_residuals_and_what_bounds_them(rng):
         assert bound >= (whole.sum() if transpose else whole.max()) * (1 - 1e-15)
 
 
-def test_the_spectral_radius_of_simple_kernels():
-    assert spectral_radius(sparse.csr_array(np.array([[0.0, 1.0], [0.0, 0.0]]))) == 0.0
-    assert_allclose(spectral_radius(sparse.csr_array(np.eye(3))), 1.0)
-    assert_allclose(spectral_radius(sparse.csr_array(np.eye(3)), 0.25), 0.25)
-    assert_allclose(spectral_radius(sparse.csr_array(np.array([[0.0, 2.0], [0.5, 0.0]]))), 1.0, rtol=1e-12)
-    assert_allclose(spectral_radius(sparse.csr_array(np.array([[0.0, 9.0], [1.0, 0.0]])), 0.5), 1.5, rtol=1e-12)
+@pytest.mark.parametrize(
+    ("kernel", "discount", "radius"),
+    [
+        ([[0, 1], [0, 0]], 1.0, 0.0),
+        ([[1, 0], [0, 1]], 1.0, 1.0),
+        ([[1, 0], [0, 1]], 0.25, 0.25),
+        ([[0, 2], [0.5, 0]], 1.0, 1.0),
+        ([[0, 9], [1, 0]], 0.5, 1.5),
+    ],
+)
+def test_the_spectral_radius_of_simple_kernels(kernel, discount, radius):
+    assert_allclose(spectral_radius(sparse.csr_array(kernel, dtype=float), discount), radius, rtol=1e-12)
 
 
-def test_the_norm_of_the_inverse_of_kernels_below_one():
-    """1 / (1 - gamma * largest row sum), exactly."""
-    assert_allclose(
-        inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0, rtol=1e-12
-    )
-    assert_allclose(
-        inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.3], [0.2, 0.3]])), 0.5)), 1 / 0.6, rtol=1e-12
-    )
-    assert_allclose(inverse_norm(System.from_csr(sparse.csr_array((2, 2)), 0.9)), 1.0, rtol=1e-12)
-
-
-def test_rows_below_one_need_no_certificate(monkeypatch):
-    """The bound is known from the row sums: no second system is solved for it."""
+@pytest.mark.parametrize(
+    ("kernel", "discount"), [([[0.5, 0.5], [0.2, 0.3]], 0.9), ([[0.5, 0.3], [0.2, 0.3]], 0.5), ([[0, 0], [0, 0]], 0.9)]
+)
+def test_rows_below_one_need_no_certificate(kernel, discount, monkeypatch):
+    """|M^-1| = 1 / (1 - gamma * largest row sum) is known from them: no second system is solved for it."""
     monkeypatch.setattr(solvers, "answer", None)
-    assert_allclose(inverse_norm(System.from_csr(sparse.csr_array(np.array([[0.5, 0.5], [0.2, 0.3]])), 0.9)), 10.0)
+    norm = inverse_norm(System.from_csr(sparse.csr_array(kernel, dtype=float), discount))
+    assert_allclose(norm, 1 / (1 - discount * max(map(sum, kernel))), rtol=1e-12)
 
 
 def test_the_certificate_counts_its_own_residual(monkeypatch):

@@ -117,13 +117,7 @@ def test_discount_one_without_absorption_says_so():
 
 
 def test_the_error_bound_is_one():
-    """|V - V*| <= bound against exact rational arithmetic, also at discount 0.9999 and for the iterative solver."""
-    from fractions import Fraction
-
-    mdp = survival_chain(0.9999)
-    found = exact.evaluate_policy(mdp, np.ones((2, 1)))
-    truth = 1 / (1 - Fraction(0.7) * Fraction(0.9999))
-    assert abs(Fraction(float(found.values[0])) - truth) <= Fraction(found.error_bound) + Fraction(1, 10**15)
+    """|V - V*| <= bound, also of the iterative solver; of small models ``test_linear`` has it in exact arithmetic."""
     rng = np.random.default_rng(0)
     for n, discount in ((600, 0.99), (900, 0.9999)):
         grid = oee.tasks.gridworld(int(n**0.5) + 1, 0.3, discount=discount)
@@ -212,21 +206,6 @@ def test_the_radius_of_a_periodic_kernel():
     cycle = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [1.0, 1.0], [1, 0], 0.9)
     with pytest.raises(ValueError, match=r"spectral radius of 1\.00[12]"):
         oee.policy_value(exact.reweight(cycle, sparse.csr_array(np.array([[0, 2.0], [0.62, 0]]))), np.ones((2, 1)))
-
-
-def test_the_error_bound_covers_rounding_near_discount_one():
-    """Rows (.3, .7), (.6, .4) at 1 - 1e-8, against exact rationals of the stored numbers."""
-    from fractions import Fraction
-
-    gamma = 1 - 1e-8
-    mdp = FiniteMDP(np.array([[[0.3, 0.7]], [[0.6, 0.4]]]), [1 / 3, 0.1], [1, 0], gamma)
-    found = exact.evaluate_policy(mdp, np.ones((2, 1)))
-    g, (a, b, c, d) = Fraction(gamma), map(Fraction, mdp.transitions.toarray().reshape(-1).tolist())
-    r = [Fraction(x) for x in mdp.rewards[:, 0].tolist()]
-    determinant = (1 - g * a) * (1 - g * d) - g * b * g * c
-    truth = [((1 - g * d) * r[0] + g * b * r[1]) / determinant, (g * c * r[0] + (1 - g * a) * r[1]) / determinant]
-    error = max(abs(Fraction(v) - t) for v, t in zip(found.values.tolist(), truth, strict=True))
-    assert error <= found.error_bound
 
 
 @pytest.mark.filterwarnings("ignore:a value is beyond the largest float")
