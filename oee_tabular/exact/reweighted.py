@@ -91,12 +91,17 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     [[0.4, 0.6], [0.4, 0.6]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    zeta = ratio_on(mdp.transitions, ratio, "ratio")
-    bad = np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))
-    if bad.size:
-        where = name_transition(mdp.transitions, int(bad[0]), mdp.n_actions, mdp.names)
-        raise ValueError(f"ratio must be finite and nonnegative; at {where} it is {zeta[bad[0]]}")
-    return with_rows(mdp, zeta * mdp.transitions.data, own=True)
+    return with_rows(mdp, entries_of_ratio(mdp, ratio, "ratio") * mdp.transitions.data, own=True)
+
+
+def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
+    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the support of P; finite and nonnegative."""
+    zeta = ratio_on(mdp.csr, ratio, name)
+    if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
+        bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])
+        where = name_transition(mdp.transitions, bad, mdp.n_actions, mdp.names)
+        raise ValueError(f"{name} must be finite and nonnegative; at {where} it is {zeta[bad]}")
+    return zeta
 
 
 def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedModel:

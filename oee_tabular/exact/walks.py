@@ -9,8 +9,8 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
-from oee_tabular._sparse import ratio_on
 from oee_tabular._threads import one_thread
+from oee_tabular.exact.reweighted import entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon
@@ -109,14 +109,10 @@ def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Ar
     return Walk(*rows_of(matrix), *drawn, by_transition, as_readonly(rewards[None]), mdp.initial, mdp.discount)
 
 
-def transition_factors(mdp: FiniteMDP, ratio: Any, absorbing: BoolArray) -> Array:
-    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the transitions; 1 in absorbing states."""
-    matrix = mdp.csr
-    w = ratio_on(matrix, ratio, "zeta")
-    if not 0.0 <= w.min() <= w.max() < np.inf:
-        bad = np.flatnonzero(~(np.isfinite(w) & (w >= 0)))
-        raise ValueError(f"zeta must be finite and nonnegative; entry {bad[0]} is {w[bad[0]]}")
-    return np.where(np.repeat(absorbing, np.diff(matrix.indptr[:: mdp.n_actions])), 1.0, w)
+def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> Array:
+    """(entries,) zeta on the transitions; 1 in absorbing states."""
+    entries = np.diff(mdp.csr.indptr[:: mdp.n_actions])
+    return np.where(np.repeat(absorbing, entries), 1.0, entries_of_ratio(mdp, ratio, "zeta"))
 
 
 def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
