@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 
 from oee_tabular._checks import Column
@@ -20,10 +22,15 @@ def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
     empty = (DIGEST_MARK + b"0" * 64).decode()
     with duckdb.connect(":memory:", config={"threads": 1, "autoload_known_extensions": False}) as connection:
         connection.register("log_in_memory", pd.DataFrame(dict(columns)))
-        connection.execute(
-            f"COPY log_in_memory TO {quote_text(os.path.abspath(path))} (FORMAT parquet, USE_TMP_FILE false, "
-            f"KV_METADATA {{{DIGEST_KEY.decode()}: '{empty}'}})"
-        )
+        try:
+            connection.execute(
+                f"COPY log_in_memory TO {quote_text(os.path.abspath(path))} (FORMAT parquet, USE_TMP_FILE false, "
+                f"KV_METADATA {{{DIGEST_KEY.decode()}: '{empty}'}})"
+            )
+        except duckdb.IOException as error:  # a full disk, as the system's own error
+            code = re.search(r'errno"?:"?(\d+)', str(error))
+            number = int(code[1]) if code else errno.EIO
+            raise OSError(number, os.strerror(number)) from None
     digest, place = digest_of(path)
     with open(path, "r+b") as handle:
         handle.seek(place)

@@ -41,15 +41,7 @@ def test_own_files_import_nothing_that_they_do_not_need(tmp_path):
     np.save(tmp_path / "p.npy", oee.uniform_policy(grid))
     words = ["evaluate", "--simulator", "s.npz", "--log", "log.csv", "--policy", "p.npy"]
     script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
-    slow = {
-        "cvxpy",
-        "pandas",
-        "pyarrow",
-        "gymnasium",
-        "matplotlib",
-        "oee_tabular.testing",
-        "duckdb",
-    }
+    slow = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing"}
     script += f"print(sorted({slow | {'oee_tabular.continuous.names'}} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert "likelihood interval" in done.stdout
@@ -157,7 +149,7 @@ def test_info(capsys, tmp_path):
         (["sample", "nowhere-v1", "--episodes", "1", "--output", "l.npz"], "'nowhere-v1' is neither"),
         (
             ["sample", "gridworld:3,slip=0.1", "--episodes", "1", "--output", "l.txt"],
-            "path must end in .npz, .csv, .parquet",
+            "path must end in .npz, .csv, .csv.gz, .parquet",
         ),
         (["info", "nowhere.npz"], "no such file: nowhere.npz"),
     ],

@@ -236,18 +236,10 @@ BAD = {
 def test_bad_calls(capsys, tmp_path, case):
     log, options, text = BAD[case]
     log.save(tmp_path / "log.npz")
-    words = [
-        "evaluate",
-        "--simulator",
-        "cartpole",
-        "--log",
-        tmp_path / "log.npz",
-        "--grid",
-        "16x16",
-        "--simulations",
-        50,
-    ]
-    said = run(capsys, *words, "--estimators", "oee", *options, code=2).splitlines()
+    words = ["evaluate", "--simulator", "cartpole", "--log", tmp_path / "log.npz", "--estimators", "oee", *options]
+    for option, value in (("--grid", "16x16"), ("--simulations", 50)):
+        words += [] if option in options else [option, value]
+    said = run(capsys, *words, code=2).splitlines()
     assert text in said[-1]
     assert said[-1].startswith("oee: ")
 
@@ -257,7 +249,7 @@ def test_states_that_are_no_numbers(capsys, tmp_path):
     LOG.save(path)
     spoiled(path)
     said = run(capsys, "evaluate", "--simulator", "cartpole", "--log", path, code=2)
-    assert "state[2, 1] must be finite; it is nan" in said
+    assert "state_1[2] must have a value" in said
 
 
 @pytest.mark.parametrize(

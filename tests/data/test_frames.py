@@ -129,7 +129,7 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
             [line for line in capsys.readouterr().out.splitlines() if "log.csv" not in line and "n.csv" not in line]
         )
     assert told[0] == told[1]
-    assert "What would help most: moves of action go in state" in "\n".join(told[0])
+    assert "What would help most: moves of action " in "\n".join(told[0])
 
 
 def oee_main(words):
