@@ -1,7 +1,6 @@
 """One matrix on the pattern of another."""
 
 import numpy as np
-import pytest
 from helpers import rngs
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +8,6 @@ from numpy.testing import assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import _sparse
 from oee_tabular._sparse import align, canonical, find
 
 
@@ -19,14 +17,12 @@ def some_matrix(rng, shape):
     )
 
 
-@given(rngs, st.integers(1, 9), st.integers(1, 9), st.integers(1, 30))
-def test_values_on_another_pattern(rng, n_rows, n_columns, block):
-    """As dense arrays say, however many entries are looked up at a time."""
+@given(rngs, st.integers(1, 9), st.integers(1, 9))
+def test_values_on_another_pattern(rng, n_rows, n_columns):
+    """As dense arrays say."""
     source, pattern = (some_matrix(rng, (n_rows, n_columns)) for _ in range(2))
     there = pattern.toarray() != 0
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_sparse, "_BLOCK", block)
-        values, stored = align(source, pattern)
+    values, stored = align(source, pattern)
     assert_array_equal(values, source.toarray()[there])
     assert_array_equal(stored, source.toarray()[there] != 0)
 
