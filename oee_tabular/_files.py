@@ -10,7 +10,7 @@ import re
 import uuid
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -73,13 +73,26 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     """
     if suffixes and Path(local(path)).suffix.lower() not in suffixes:
         raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}")
-    target = _place(path)
+    target = Path(os.path.realpath(local(path)))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", os.fspath(path))
+    if target.is_symlink() or (target.exists() and not target.is_file()):
+        raise OSError(errno.EINVAL, "must be a file; it is something else (a loop of links, a device)", os.fspath(path))
     if not target.parent.is_dir():
-        raise FileNotFoundError(2, "no such folder", str(target.parent))
-    with _temporary_path(target, path) as temporary, open(temporary, "xb") as handle:
-        yield handle
-        handle.flush()
-        os.fsync(handle.fileno())
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
+    temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
+    try:
+        with open(temporary, "xb") as handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.replace(temporary, target)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+            raise
+        raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
@@ -89,39 +102,13 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
     try:
         with ExitStack() as stack:
             for name, data in contents.items():
-                temporary = stack.enter_context(_temporary_path(_place(folder / name), folder / name))
-                temporary.write_bytes(data)
+                handle = stack.enter_context(whole_file(folder / name))
+                handle.write(data)
+                handle.flush()
     except BaseException:
         if made:
             folder.rmdir()
         raise
-
-
-@contextmanager
-def _temporary_path(target: Path, path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``target``, moved over it at the end; an error of the disk names ``path``."""
-    temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
-    try:
-        yield temporary
-        os.replace(temporary, target)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        if error.errno is None or error.filename not in (None, str(temporary), temporary):
-            raise
-        raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def _place(path: str | os.PathLike[str]) -> Path:
-    """Where a file is to be written: what a link leads to; an OSError for what is there and is no file."""
-    target = Path(os.path.realpath(local(path)))
-    if target.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", os.fspath(path))
-    if target.is_symlink() or (target.exists() and not target.is_file()):
-        raise OSError(errno.EINVAL, "must be a file; it is something else (a loop of links, a device)", os.fspath(path))
-    return target
 
 
 def csv_bytes(frame: Any, **options: Any) -> bytes:
@@ -129,10 +116,7 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
 
     [1] OWASP, CSV Injection.
     """
-    defused = frame.copy()
-    for k, kind in enumerate(frame.dtypes):
-        if kind.kind not in "biufc":
-            defused.isetitem(k, [_defuse(value) for value in frame.iloc[:, k]])
+    defused = frame.map(_defuse)
     defused.columns = [_defuse(label) for label in frame.columns]
     text: str = defused.to_csv(index=False, **options)
     return text.encode()
@@ -146,11 +130,10 @@ def _defuse(value: object) -> Any:
 
 
 def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """A digest over the names, types, shapes and bytes of columns, whatever their order; text may be in arrays of objects."""
+    """A digest over the names, types, shapes and bytes of arrays, whatever their order."""
     whole = hashlib.blake2b(digest_size=16)
-    for name in sorted(arrays):
-        array = arrays[name]
-        values: Any = repr(array.tolist()).encode() if array.dtype.hasobject else np.ascontiguousarray(array)
+    for name, array in sorted(arrays.items()):
+        values: Any = np.ascontiguousarray(array)
         content = hashlib.blake2b(values, digest_size=16).hexdigest()
         whole.update(repr((name, array.dtype.str, array.shape, content)).encode())
     return whole.hexdigest()
@@ -239,12 +222,3 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
     with contextlib.suppress(Exception), open(name, "rb") as handle:
         return str(np.load(handle, allow_pickle=False)[KIND])
     return None  # what is wrong with it is said by who reads all of it
-
-
-def render(write: Callable[[IO[bytes]], object]) -> bytes:
-    """What ``write`` puts into a binary file, as bytes."""
-    import io
-
-    buffer = io.BytesIO()
-    write(buffer)
-    return buffer.getvalue()

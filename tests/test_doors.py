@@ -100,24 +100,24 @@ def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
 def test_a_lock_is_never_taken_through_a_link(tmp_path, kind):
-    from oee_tabular._lock import hold_folder
+    from oee_tabular.experiments.store import alone
 
     precious, lock = tmp_path / "precious", tmp_path / "r" / ".lock"
     lock.parent.mkdir()
     precious.write_text("mine")
     lock.mkdir() if kind == "folder" else lock.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
-    with pytest.raises(ValueError, match=r"\.lock' must be a plain file"), hold_folder(lock.parent):
+    with pytest.raises(ValueError, match=r"\.lock' must be a plain file"), alone(lock.parent):
         pass
     assert precious.read_text() == "mine"
     assert not (tmp_path / "nowhere").exists()
 
 
-WORK = """
+WORK = r"""
 import os, sys, time, joblib
 from oee_tabular import _workers
 
 def work(k):
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\n".encode())  # whole, whoever else writes
     time.sleep(60)
 
 list(_workers.each(work, [(k,) for k in range(4)], 4, jobs=2, dask=None))
@@ -172,7 +172,7 @@ DOORS = {
     "transitions": lambda c: FiniteMDP(c, np.zeros((9, 4)), 0, 0.9),
     "rewards": lambda c: FiniteMDP(GRID.transitions, c, 0, 0.9),
     "rewards of a log": lambda c: FiniteMDP.from_log(LOG, discount=0.9, rewards=c),
-    "counts": lambda c: oee.TransitionCounts.of(c, 4),
+    "matrix of counts": lambda c: oee.TransitionCounts.of(c, 4),
     "matrix": lambda c: check_csr(c, "matrix"),
     "kernel": lambda c: oee.exact.solve_policy_system(c, np.zeros(9), 0.9),
     "ratio": lambda c: oee.exact.reweight(GRID, c),

@@ -13,8 +13,9 @@ import pandas as pd
 import pytest
 
 import oee_tabular as oee
-from oee_tabular import _files, _lock
+from oee_tabular import _files
 from oee_tabular.cli import main
+from oee_tabular.experiments.store import LOCK, Store, alone
 
 GRID = "gridworld:3,slip=.3"
 SAMPLE = ("sample", GRID, "--episodes", 2, "--output")
@@ -174,11 +175,11 @@ def test_a_full_disk_names_the_file(tmp_path):
 def test_write_all_names_the_file_and_keeps_all(tmp_path, monkeypatch):
     (tmp_path / "a").write_text("old")
 
-    def full(path, data):
+    def full(descriptor):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(_files.Path, "write_bytes", full)
-    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/a'"):
+    monkeypatch.setattr(_files.os, "fsync", full)
+    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/b'"):
         _files.write_all(tmp_path, {"a": b"new", "b": b"new"})
     with pytest.raises(OSError, match=r"/new/a'"):
         _files.write_all(tmp_path / "new", {"a": b"new"})
@@ -219,8 +220,8 @@ def test_numbers_and_their_signs_stay():
 HOLD = """
 import sys, time
 from pathlib import Path
-from oee_tabular import _lock
-with _lock.hold_folder(Path(sys.argv[1])):
+from oee_tabular.experiments.store import alone
+with alone(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -260,30 +261,29 @@ def test_a_dead_process_holds_nothing(tmp_path, holder):
     holder.kill()
     holder.wait()
     folder = tmp_path / "estimands"
-    assert (folder / _lock.NAME).exists()  # it could not tidy up
-    with _lock.hold_folder(folder), pytest.raises(ValueError, match="one command at a time"), _lock.hold_folder(folder):
+    assert (folder / LOCK).exists()  # it could not tidy up
+    with alone(folder), pytest.raises(ValueError, match="one command at a time"), alone(folder):
         pass
     assert list(folder.iterdir()) == []
 
 
 def test_a_lock_leaves_nothing_and_takes_no_file_away(tmp_path):
-    with _lock.hold_folder(tmp_path / "a" / "b"):
+    with alone(tmp_path / "a" / "b"):
         pass
     assert list(tmp_path.iterdir()) == []
-    with _lock.hold_folder(tmp_path / "c"):
+    with alone(tmp_path / "c"):
         (tmp_path / "c" / "kept").write_text("x")
     assert [path.name for path in (tmp_path / "c").iterdir()] == ["kept"]
 
 
 def test_fresh_keeps_the_lock_that_it_holds(tmp_path):
     from oee_tabular.experiments.catalogue import EXPERIMENTS
-    from oee_tabular.experiments.store import Store, alone
 
     settings = EXPERIMENTS["estimands"].settings(smoke=True)
     Store(tmp_path, settings).open()
     with alone(tmp_path):
         Store(tmp_path, settings, fresh=True)
-        assert [path.name for path in tmp_path.iterdir()] == [_lock.NAME]
+        assert [path.name for path in tmp_path.iterdir()] == [LOCK]
 
 
 @pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 0, 1), (1, 5, 1)])

@@ -7,20 +7,23 @@ computed again, and stays in the cache for the day when that code is run again.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
 import importlib.util
 import json
-from contextlib import AbstractContextManager
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from oee_tabular import _files, _lock
+from oee_tabular import _files
 from oee_tabular.experiments.registry import Cell, Row, Settings
 from oee_tabular.testing.command import own_modules
 
 PACKAGE = Path(__file__).parents[1]
+LOCK = ".lock"
 SOURCES = (".py", ".csv", ".xml", ".npz")
 FILES = (
     "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
@@ -69,10 +72,41 @@ def _named(settings: dict[str, Any]) -> dict[str, Any]:
     return own | dict(sorted(settings.get("axes", {}).items())) | dict(sorted(settings.get("asked", {}).items()))
 
 
-def alone(folder: Path) -> AbstractContextManager[None]:
-    """The results folder for one command at a time: the second is refused with a ValueError."""
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold ``folder``, made where it is not there; ValueError where another command does, or ``.lock`` is a link.
+
+    The lock is the system's: it ends with the process that holds it, however it dies.
+    """
+    from filelock import FileLock, Timeout
+
     _require_folder(folder)
-    return _lock.hold_folder(folder)
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOCK
+    if path.is_symlink() or (path.exists() and not path.is_file()):  # of a link that comes later filelock opens none
+        raise ValueError(f"{str(path)!r} must be a plain file; it is a link or something else: remove it")
+    lock = FileLock(path, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        holder = path.read_text(errors="replace")[:20].strip() if path.is_file() else ""
+        raise ValueError(
+            f"{folder} must be used by one command at a time; another{f' (process {holder})' if holder else ''} is at "
+            "work in it: wait for it, or name another folder with --output"
+        ) from None
+    except OSError as error:
+        raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
+    try:
+        path.write_text(f"{os.getpid()}\n")
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # Windows removes no open file
+            path.unlink()
+        lock.release()
+        with contextlib.suppress(OSError):
+            for path in made:
+                path.rmdir()  # where nothing was written
 
 
 def _require_folder(folder: Path) -> None:
@@ -97,7 +131,7 @@ class Store:
         self._cells = folder / "cells.jsonl"
         _require_folder(folder)
         if fresh and folder.exists():
-            present = [path for path in folder.iterdir() if path.name != _lock.NAME]
+            present = [path for path in folder.iterdir() if path.name != LOCK]
             if present and not self._file.is_file():
                 raise ValueError(f"{folder} must be a results folder to be emptied; it has no settings.json")
             others = sorted(path.name for path in present if path.name not in FILES and path.suffix != ".part")
