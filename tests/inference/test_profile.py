@@ -122,8 +122,8 @@ def sparse_problem(seed):
     return oee.Problem(simulator, log, horizon=horizon), rng.dirichlet(np.ones(n_actions), size=n_states)
 
 
-LED_BY_ONE = [(137, -1), (200, 1), (254, -1), (447, 1), (679, -1)]  # seed, sign
-LED_BY_MANY = [(14, 1), (149, 1), (369, 1), (561, -1)]
+LED_BY_ONE = [(12, -1), (276, 1), (386, -1), (392, 1)]  # seed, sign
+LED_BY_MANY = [(152, -1), (188, -1), (219, -1), (220, -1)]
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_the_farthest_of_many_ends_is_found(seed, sign, afforded, monkeypatch):
 
 def test_a_value_near_by_costs_a_step_and_errs_to_second_order():
     """V of rows near by is solved for to a thousandth of the change; J, corrected by the last d, is far closer."""
-    simulator = oee.tasks.gridworld(12, 0.2)
+    simulator = oee.tasks.gridworld(20, 0.2)
     policy = oee.uniform_policy(simulator)
-    log = oee.sample_transitions(simulator, np.full(policy.shape, 1 / policy.size), 3000, seed=0)
+    log = oee.sample_transitions(simulator, np.full(policy.shape, 1 / policy.size), 8000, seed=1)
     evidence = gather(oee.Problem(simulator, log), policy)
     start = likelihood.Start.of(evidence)
     taken = start.taken

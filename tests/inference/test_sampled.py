@@ -140,7 +140,7 @@ def swayed(simulator, problem, horizon, sign, share):
 
 @pytest.mark.parametrize("horizon", [1, 2, 7])
 def test_with_a_horizon_unmet_moves_lead_to_the_extreme_of_the_steps_that_are_left(horizon):
-    log = oee.sample_episodes(SIMULATOR, PI, 4, 5, seed=2)
+    log = oee.sample_episodes(SIMULATOR, PI, 4, 5, seed=3)
     with pytest.warns(UserWarning, match="filled in"):
         simulator = oee.FiniteMDP.from_log(oee.Transitions(**log.columns()), discount=0.8, n_states=4)
     recorded = oee.sample_episodes(simulator, PI, 2, 5, seed=3)

@@ -185,7 +185,7 @@ def test_the_projection_is_the_nearest_point(rng):
 
 SIMULATOR, TARGET = oee.tasks.gridworld(5, 0.3), oee.tasks.gridworld(5, 0.1)
 PLACES = np.column_stack(np.unravel_index(np.arange(25), (5, 5)))
-LOG = oee.sample_transitions(TARGET, np.full((25, 4), 0.01), 3000, seed=0)
+LOG = oee.sample_transitions(TARGET, np.full((25, 4), 0.01), 3000, seed=1)
 TRUTH = oee.true_ratio(TARGET, SIMULATOR).values.data
 
 

@@ -136,7 +136,7 @@ NAMES = [
     "<script>alert(1)</script>",
     "a & b \"quoted\" 'single'",
     "$x$ $",
-    "{{ 7 * 7 }}",
+    "{{ 1234 * 1234 }}",
     "nul\x00 esc\x1b[0m",
     "n" * 300,
 ]
@@ -153,7 +153,7 @@ def test_names_are_escaped():
     for name in (*NAMES[:4], "nul\ufffd esc\ufffd[0m", "n" * 300, "<img src=x>", "</style><b>sim"):
         assert " ".join(name.split()) in parsed.text
     assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f]", text)
-    assert "49" not in [word.strip() for word in parsed.words]
+    assert "1522756" not in [word.strip() for word in parsed.words]
 
 
 def test_a_task_without_a_grid_gets_the_generic_picture():

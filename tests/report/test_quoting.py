@@ -249,7 +249,7 @@ def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
 
 def test_a_paired_comparison_ranks_where_intervals_overlap():
     policies = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.5, 0.4)}
-    report = oee.evaluate(even(1000), policies, estimators=["oee"])
+    report = oee.evaluate(even(1000, 3), policies, estimators=["oee"])
     sure = [report.sureness.intervals[name]["likelihood"] for name in policies]
     assert sure[0].lower < sure[1].upper
     best, why = report.sureness.ranking.split(".5” is worth most in the target.")
