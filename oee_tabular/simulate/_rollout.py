@@ -14,11 +14,9 @@ _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 N_BLOCKS = 16  # drawn at once: 7.6 ns a step, of 8 blocks 12.6, of one 14.5
-_PLACE, _SIZE, _TERMINAL = (
-    np.uint64(8),
-    np.uint64(63),
-    np.uint64(128),
-)  # a state's code: first slot * 2^8 + terminal * 2^7 + k
+N_LANES = 4  # episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid, of one lane 11.3
+# a state's code: first slot * 2^8 + terminal * 2^7 + k
+_PLACE, _SIZE, _TERMINAL = np.uint64(8), np.uint64(63), np.uint64(128)
 
 
 @njit(cache=True, inline="always")
@@ -61,39 +59,45 @@ def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, tab
     """
     code, word, following, reward, factor, entry = table
     weighted, record, used = len(factor) > 0, len(path) > 0, 0
-    words = np.empty((2, N_BLOCKS), np.uint64)
-    for i in range(begin, end):
-        trajectory = np.uint64(i)
-        fill_words(key, stream, trajectory, np.uint64(0), words)
-        here = following[choose_slot(code[-1], words[0, 0], word)]
-        g, x, w, largest, scale = 0.0, 0.0, 1.0, 0.0 if weighted else 1.0, 1.0
-        t, at = 0, 1
-        while True:
-            if at == 2 * N_BLOCKS:
-                at = 0
-                fill_words(key, stream, trajectory, np.uint64((t + 1) // 2), words)
-            slot = choose_slot(here, words[at & 1, at >> 1], word)
-            at += 1
-            here = following[slot]
-            gain = scale * reward[slot]
-            g += gain
-            if weighted:
-                after = w * factor[slot]
-                carried = after if by_transition else w
-                x += gain * carried if gain != 0.0 else 0.0  # a weight may be infinite
-                largest = max(largest, carried)
-                w = after if by_transition or t + 1 < horizon else w
-            if record:
-                if used + t == len(path):
-                    return i, used
-                path[used + t] = entry[slot]
-            scale *= discount
-            t += 1
-            if t == horizon or here & _TERMINAL:
+    n_lanes = 1 if record else N_LANES
+    words, here = np.empty((n_lanes, 2, N_BLOCKS), np.uint64), np.empty(n_lanes, np.uint64)
+    for first in range(begin, end, n_lanes):
+        n_together = min(n_lanes, end - first)
+        for lane in range(n_together):
+            fill_words(key, stream, np.uint64(first + lane), np.uint64(0), words[lane])
+            here[lane] = following[choose_slot(code[-1], words[lane, 0, 0], word)]
+            for k, start in enumerate((0.0, 0.0, 1.0, 0.0 if weighted else 1.0)):
+                sums[k, first + lane] = start
+        scale, n_running = 1.0, n_together
+        for t in range(horizon):
+            at = (t + 1) % (2 * N_BLOCKS)
+            for lane in range(n_together):
+                if t > 0 and here[lane] & _TERMINAL:
+                    continue
+                i = first + lane
+                if at == 0:
+                    fill_words(key, stream, np.uint64(i), np.uint64((t + 1) // 2), words[lane])
+                slot = choose_slot(here[lane], words[lane, at & 1, at >> 1], word)
+                here[lane] = following[slot]
+                gain = scale * reward[slot]
+                sums[0, i] += gain
+                if weighted:
+                    before, after = sums[2, i], sums[2, i] * factor[slot]
+                    carried = after if by_transition else before
+                    sums[1, i] += gain * carried if gain != 0.0 else 0.0  # a weight may be infinite
+                    sums[3, i] = max(sums[3, i], carried)
+                    sums[2, i] = after if by_transition or t + 1 < horizon else before
+                if record:
+                    if used == len(path):
+                        return i, used - t
+                    path[used] = entry[slot]
+                    used += 1
+                if t + 1 == horizon or here[lane] & _TERMINAL:
+                    lengths[i], last[i] = t + 1, entry[slot]
+                    n_running -= 1
+            if n_running == 0:
                 break
-        sums[0, i], sums[1, i], sums[2, i], sums[3, i] = g, x, w, largest
-        lengths[i], last[i] = t, entry[slot]
-        used += t
+            scale *= discount
     return end, used
 
 
