@@ -29,8 +29,8 @@ Every array is checked once, when it comes in, with errors that name argument, p
 ``policies``          pi in each form that people have it, as (S, A)
 ``naming``            names of states and actions, and their numbers
 ``gymnasium_table``   the P of a toy-text environment
-``empirical``         n(s, a, s') / n(s, a) of a log or an environment; ``explorer`` steps to pairs with few samples
-``samples``           how many samples each pair has, and the variance of mean rewards
+``empirical``         n(s, a, s') / n(s, a) of a log or an environment, how many samples there are of each pair, and the
+                      variance of mean rewards; ``explorer`` steps to pairs with few samples
 ``rows``              sums, means and exponential tilts over the rows of P; displacements
 ``files``             the arrays of an npz file
 ``horizons``          how many steps of a horizon a discount leaves visible

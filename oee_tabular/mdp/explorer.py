@@ -12,12 +12,12 @@ V > 0 as long as a pair lacks. On a warehouse of 144 states and 3 actions each s
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import BoolArray, IntArray
 from oee_tabular.mdp.naming import to_plain
 
 GAMMA = 0.99  # of the exploration alone: a pair 1000 steps away still counts 4e-5
@@ -31,7 +31,8 @@ RESET = -1  # the action of leaving an episode; the next state where it terminat
 class Explorer:
     """Samples of an environment: ``transitions`` (state, action, next state, reward, terminated), and ``starts``.
 
-    ``states``: the number of each observation, in the order in which they are met.
+    ``states``: the number of each observation, in the order in which they are met. ``lacking``: the pairs (state, action)
+    with too few samples, of states in which an episode can act.
     """
 
     def __init__(self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator) -> None:
@@ -39,79 +40,73 @@ class Explorer:
         self.states: dict[Any, int] = {}
         self.transitions: list[tuple[int, int, int, float, bool]] = []
         self.starts: list[int] = []
-        self.n_lacking = 0
-        self._counts: list[list[int]] = []
-        self._outcomes: list[dict[int, int]] = []  # of row s * A + a: next state -> number
-        self._is_wanted: list[bool] = []
-        self._cuts: list[int] = []
+        self.lacking: set[tuple[int, int]] = set()
+        self._open: set[int] = set()  # the states in which an episode can act
+        self._counts: Counter[tuple[int, int]] = Counter()
+        self._outcomes: defaultdict[tuple[int, int], Counter[int]] = defaultdict(Counter)
+        self._cuts: Counter[int] = Counter()
         self._best: list[int] = []
         self._values: list[list[float]] = []
         self._plan_step = 0
 
-    def explore(self, max_steps: int) -> BoolArray:
-        """Step until no pair lacks samples, or ``max_steps`` times; return the (S, A) mask of the pairs that lack them."""
+    @property
+    def n_pairs(self) -> int:
+        """The number of state-action pairs in which an action can be taken."""
+        return self.n_actions * len(self._open)
+
+    def explore(self, max_steps: int) -> None:
+        """Step until no pair lacks samples, or ``max_steps`` times."""
         seed: int | None = int(self.generator.integers(2**31))
         is_over, state = True, 0
-        while len(self.transitions) < max_steps and (self.n_lacking or not self.transitions):
+        while len(self.transitions) < max_steps and (self.lacking or not self.transitions):
             is_first = is_over
             if is_over:
                 state, seed = self._number(self.env.reset(seed=seed)[0]), None
                 self.starts.append(state)
-                self._want(state, True)
+                self._set_open(state, True)
             action = self._choose(state, is_first)
             if action == RESET:
                 is_over = True
             else:
                 state, is_over = self._step(state, action)
-        return self._lacking(np.array(self._counts))
-
-    def _lacking(self, counts: IntArray) -> BoolArray:
-        return np.asarray((counts < self.n_wanted) & np.array(self._is_wanted)[:, None])
-
-    @property
-    def n_pairs(self) -> int:
-        """The number of state-action pairs in which an action can be taken."""
-        return self.n_actions * sum(self._is_wanted)
 
     def _step(self, state: int, action: int) -> tuple[int, bool]:
         """Take an action; return the next state and whether the episode is over."""
         observation, reward, terminated, truncated, _ = self.env.step(action)
         following = self._number(observation)
         self.transitions.append((state, action, following, float(reward), bool(terminated)))
-        self._counts[state][action] += 1
-        self.n_lacking -= self._counts[state][action] == self.n_wanted
-        outcomes, outcome = self._outcomes[state * self.n_actions + action], RESET if terminated else following
-        outcomes[outcome] = outcomes.get(outcome, 0) + 1
-        if not terminated and truncated and not any(self._counts[following]):
+        self._outcomes[state, action][RESET if terminated else following] += 1
+        self._counts[state, action] += 1
+        if self._counts[state, action] == self.n_wanted:
+            self.lacking.discard((state, action))
+        if not terminated and truncated and not any(self._counts[following, a] for a in range(self.n_actions)):
             self._cuts[following] += 1
-            self._want(following, self._cuts[following] < MAX_CUTS)
+            self._set_open(following, self._cuts[following] < MAX_CUTS)
         elif not terminated:
-            self._want(following, True)
+            self._set_open(following, True)
         return following, bool(terminated or truncated)
 
     def _number(self, observation: object) -> int:
-        state = self.states.setdefault(to_plain(observation), len(self.states))
-        if state == len(self._counts):
-            self._counts.append([0] * self.n_actions)
-            self._outcomes.extend({} for _ in range(self.n_actions))
-            self._is_wanted.append(False)
-            self._cuts.append(0)
-        return state
+        return self.states.setdefault(to_plain(observation), len(self.states))
 
-    def _want(self, state: int, is_wanted: bool) -> None:
-        """Keep whether a state's pairs are to have samples: it was met, and some episode can act there."""
-        if self._is_wanted[state] != is_wanted:
-            self._is_wanted[state] = is_wanted
-            lacking = sum(count < self.n_wanted for count in self._counts[state])
-            self.n_lacking += lacking if is_wanted else -lacking
+    def _actions_that_lack(self, state: int) -> list[int]:
+        return [a for a in range(self.n_actions) if self._counts[state, a] < self.n_wanted]
+
+    def _set_open(self, state: int, is_open: bool) -> None:
+        """Keep whether an episode can act in a state, so that its pairs are to have samples."""
+        if is_open and state not in self._open:
+            self._open.add(state)
+            self.lacking.update((state, a) for a in self._actions_that_lack(state))
+        elif not is_open and state in self._open:
+            self._open.remove(state)
+            self.lacking.difference_update((state, a) for a in range(self.n_actions))
 
     def _choose(self, state: int, is_first: bool) -> int:
         """Return a lacking action, the one that leads nearest to others; else what the plan says."""
-        counts, is_planned = self._counts[state], state < len(self._values)
-        lacking = [a for a in range(self.n_actions) if counts[a] < self.n_wanted]
-        if lacking:
+        is_planned = state < len(self._values)
+        if lacking := self._actions_that_lack(state):
             ahead = self._values[state] if is_planned else [0.0] * self.n_actions
-            return max(lacking, key=lambda a: (ahead[a], -counts[a]))
+            return max(lacking, key=lambda a: (ahead[a], -self._counts[state, a]))
         age = len(self.transitions) - self._plan_step
         if not is_planned or age >= max(MIN_PLAN_AGE, len(self.states) // 2):
             self._plan()
@@ -122,18 +117,23 @@ class Explorer:
 
     def _plan(self) -> None:
         """Solve for V by value iteration from 0, and keep the best actions and gamma sum_s' P_n V of each pair."""
-        counts, n = np.array(self._counts), len(self._counts)
-        is_lacking = self._lacking(counts)
+        n = len(self.states)
+        is_lacking, is_taken = np.zeros((2, n, self.n_actions), dtype=np.bool_)
+        for pair in self.lacking:
+            is_lacking[pair] = True
+        for pair in self._counts:
+            is_taken[pair] = True
         entries = [
-            (row, n if k == RESET else k, number) for row, met in enumerate(self._outcomes) for k, number in met.items()
+            (number / self._counts[s, a], s * self.n_actions + a, n if k == RESET else k)
+            for (s, a), met in self._outcomes.items()
+            for k, number in met.items()
         ]
-        rows, columns, numbers = (np.array(part) for part in zip(*entries, strict=True))
-        share = numbers / counts.reshape(-1)[rows]
+        share, rows, columns = (np.array(part) for part in zip(*entries, strict=True))
         frequencies = sparse.csr_array((share, (rows, columns)), shape=(n * self.n_actions, n + 1))
         starts = np.bincount(self.starts, minlength=n) / len(self.starts)
         values = np.zeros(n + 1)  # the last one is V_0
         for _ in range(MAX_SWEEPS):
-            ahead = GAMMA * (frequencies @ values).reshape(counts.shape)
+            ahead = GAMMA * (frequencies @ values).reshape(n, -1)
             best = np.where(is_lacking, 1.0, ahead).max(axis=1)
             new = np.maximum(best, GAMMA * values[n])
             new = np.append(new, starts @ new)
@@ -143,5 +143,5 @@ class Explorer:
                 break
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
         self._best = np.where(best < GAMMA * values[n] - TOLERANCE, RESET, actions).tolist()
-        self._values = np.where(counts > 0, ahead, 1.0).tolist()
+        self._values = np.where(is_taken, ahead, 1.0).tolist()
         self._plan_step = len(self.transitions)

@@ -10,8 +10,8 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_from_parts
+from oee_tabular.mdp.empirical import Sampling
 from oee_tabular.mdp.naming import from_text, to_text
-from oee_tabular.mdp.samples import Sampling
 
 _PARTS = ("data", "indices", "indptr")
 _NAMES = ("state_names", "action_names")

@@ -21,8 +21,8 @@ from oee_tabular.mdp.arrays import (
     check_transitions,
     name_transition,
 )
+from oee_tabular.mdp.empirical import Sampling
 from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, initial_distribution
-from oee_tabular.mdp.samples import Sampling
 
 KIND = "finite_mdp"
 

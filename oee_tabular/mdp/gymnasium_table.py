@@ -9,10 +9,10 @@ import sys
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import align, canonical
+from oee_tabular._sparse import csr_on_pattern
+from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.mdp.naming import Name, check_names, coordinates
 
 # wrappers of Gymnasium that change neither actions nor observations nor rewards (a time limit is a horizon)
@@ -23,12 +23,12 @@ _HARMLESS = frozenset((
 
 
 class Outcomes(NamedTuple):
-    """What may follow: six columns, (n,) each; probabilities of a row (s, a) sum to 1."""
+    """What may follow, or did: six columns, (n,) each; the weight is a probability, or a number of samples."""
 
     state: IntArray
     action: IntArray
     next_state: IntArray
-    probability: Array
+    weight: Array
     reward: Array
     terminated: BoolArray
 
@@ -58,8 +58,7 @@ def read_table(env: Any) -> dict[str, Any]:
         if probability > 0
     ]
     columns = np.array(rows, dtype=np.float64).T
-    state, action, to = columns[:3].astype(np.int64)
-    outcomes = Outcomes(state, action, to, columns[3], columns[4], columns[5] > 0)
+    outcomes = Outcomes._make([*columns[:3].astype(np.int64), *columns[3:5], columns[5] > 0])
     return build_arguments(
         outcomes,
         np.array(base.initial_state_distrib, dtype=np.float64),
@@ -80,35 +79,30 @@ def build_arguments(
     state_names: tuple[Name, ...] | None = None,
     action_names: tuple[Name, ...] | None = None,
 ) -> dict[str, Any]:
-    """Return the arguments of an MDP in which outcomes that terminate lead to terminal states.
+    """Return the arguments of an MDP in which outcomes that terminate lead to terminal states; P has the sums of weights.
 
     A state that is only entered by termination is terminal itself; any other has a twin for it. Outcomes of one (s, a) that
     enter the same s' are merged: r(s, a, s') is their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
-    n_own, (state, action, to, probability, reward, terminated) = len(initial), outcomes
-    row = state * n_actions + action
-    is_entered, is_ended = initial > 0, np.zeros(n_own, dtype=np.bool_)
-    is_entered[to[~terminated]] = True
-    is_ended[to[terminated]] = True
+    n_own, (state, action, to, weight, reward, terminated) = len(initial), outcomes
+    is_ended = np.bincount(to[terminated], minlength=n_own) > 0
+    is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
     twins = np.flatnonzero(is_ended & is_entered)
-    n_states = n_own + len(twins)
     terminal_state = np.arange(n_own, dtype=np.int64)
-    terminal_state[twins] = np.arange(n_own, n_states)
+    terminal_state[twins] = n_own + np.arange(len(twins))
     terminal = terminal_state[is_ended]
-    to = np.where(terminated, terminal_state[to], to)
-    kept = ~np.isin(state, terminal)
-    stay = (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
-    places = np.concatenate([row[kept], stay]), np.concatenate([to[kept], np.repeat(terminal, n_actions)])
-    weights = np.concatenate([probability[kept], np.ones(len(stay))])
-    flows = np.concatenate([probability[kept] * reward[kept], np.zeros(len(stay))])
-    shape = (n_states * n_actions, n_states)
-    transitions = canonical(sparse.csr_array((weights, places), shape=shape), drop_zeros=True)
-    table: Any
+    kept, stay = ~np.isin(state, terminal), np.zeros(len(terminal) * n_actions)
+    rows = (state * n_actions + action)[kept], (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
+    columns = np.where(terminated, terminal_state[to], to)[kept], np.repeat(terminal, n_actions)
+    places, n_states = (np.concatenate(rows), np.concatenate(columns)), n_own + len(twins)
+    shape = n_states * n_actions, n_states
+    transitions = csr_from_entries(*places, np.concatenate([weight[kept], stay + 1.0]), shape)
     if rewards is None:
-        flow, _ = align(canonical(sparse.csr_array((flows, places), shape=shape), drop_zeros=False), transitions)
-        table = sparse.csr_array((flow / transitions.data, transitions.indices, transitions.indptr), shape)
+        flow = csr_from_entries(*places, np.concatenate([(weight * reward)[kept], stay]), shape)
+        table: Any = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
     else:
-        table = np.concatenate([np.broadcast_to(rewards, (n_own, n_actions)), np.zeros((len(twins), n_actions))])
+        table = np.zeros((n_states, n_actions))
+        table[:n_own] = rewards
         table[terminal] = 0.0
     layout = coordinates(state_names) if layout is None else layout
     return {

@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -57,8 +56,8 @@ DEEPEST_NAME = 20  # tuples in tuples
 
 def names_of(mdp: object) -> Names:
     """Return the names that an MDP, or what stands for one, has."""
-    names = getattr(mdp, "names", NAMELESS)
-    return names if isinstance(names, Names) else NAMELESS
+    names: Names = getattr(mdp, "names", NAMELESS)
+    return names
 
 
 def name_text(names: tuple[Name, ...] | None, number: Any) -> str:
@@ -142,31 +141,26 @@ def coordinates(names: tuple[Name, ...] | None) -> Array | None:
     >>> coordinates(((0, 0.5), (1, 0.5))).tolist(), coordinates(((0, 0), (1, "over")))
     ([[0.0, 0.5], [1.0, 0.5]], None)
     """
-    if not names or any(not isinstance(name, tuple) or len(name) != len(names[0]) for name in names):
-        return None
-    if any(not isinstance(part, int | float) for name in names for part in name):
+    if not names or any(isinstance(name, str) or any(not isinstance(x, int | float) for x in name) for name in names):
         return None
     try:
         return _checks.freeze(np.array(names, dtype=np.float64))
-    except OverflowError:  # an integer beyond floats
+    except (OverflowError, ValueError):  # an integer beyond floats; tuples of several lengths
         return None
 
 
-_LOOKUPS: dict[int, tuple[tuple[Name, ...], Mapping[Hashable, int]]] = {}  # by identity: O(1), where a hash costs O(S)
+_LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}  # by identity: O(1), where a hash costs O(S)
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
     """Return name -> number; a tuple is there by its text as well, "(0, 1)" or "(0,1)". Made once for a tuple of names."""
-    known, numbers = _LOOKUPS.get(id(names), ((), MappingProxyType({})))
+    known, numbers = _LOOKUPS.get(id(names), ((), {}))
     if known is not names:
         named: dict[Hashable, int] = {item: k for k, item in enumerate(names)}
-        texts: dict[Hashable, int] = {str(item): k for item, k in named.items()}
-        dense: dict[Hashable, int] = {
-            text.replace(", ", ","): k for item, k in named.items() for text in (str(item),) if item != text
-        }
+        texts: dict[Hashable, int] = {str(item): k for item, k in named.items() if isinstance(item, tuple)}
+        numbers = {str(text).replace(", ", ","): k for text, k in texts.items()} | texts | named
         if len(_LOOKUPS) >= 16:
             _LOOKUPS.clear()
-        numbers = MappingProxyType(dense | texts | named)
         _LOOKUPS[id(names)] = names, numbers
     return numbers
 
@@ -245,28 +239,18 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
 
 def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
     """Return a first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
-    weights: Mapping[Any, Any]
-    if isinstance(initial, Mapping):
-        weights, label = initial, "initial's state"
-    elif _is_state(initial, names):
-        weights, label = {to_plain(initial): 1.0}, "initial"
-    else:
-        return initial
     distribution = np.zeros(n_states)
-    for state, weight in weights.items():
-        number = number_of(state, names, n_states, label, "the MDP's")
-        distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
-    return distribution
-
-
-def _is_state(initial: Any, names: tuple[Name, ...] | None) -> bool:
-    """Say whether one state is given; a tuple is one where it is a name or like one, else a distribution."""
-    if isinstance(initial, list) or (isinstance(initial, np.ndarray) and initial.ndim > 0):
-        return False
-    given = to_plain(initial)
-    if isinstance(given, str) or _checks.is_integer(given):
-        return True
-    if not isinstance(initial, tuple) or names is None:
-        return False
-    is_alike = len(given) != len(names) and any(isinstance(name, tuple) and len(name) == len(given) for name in names)
-    return is_alike or given in numbers_of(names) or any(isinstance(part, str) for part in given)
+    if isinstance(initial, Mapping):
+        for state, weight in initial.items():
+            number = number_of(state, names, n_states, "initial's state", "the MDP's")
+            distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
+        return distribution
+    is_scalar, is_tuple = getattr(initial, "ndim", 1) == 0, isinstance(initial, tuple) and names is not None
+    given = to_plain(initial) if is_scalar or is_tuple else initial
+    if is_tuple:  # as many numbers as states are a distribution, unless they are a name
+        is_numbers = all(isinstance(part, int | float) for part in given)
+        is_tuple = len(given) != n_states or not is_numbers or given in numbers_of(names or ())
+    if is_tuple or isinstance(given, str) or _checks.is_integer(given):
+        distribution[number_of(given, names, n_states, "initial", "the MDP's")] = 1.0
+        return distribution
+    return initial

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, IntArray, PolicyLike
-from oee_tabular.mdp.naming import is_name, names_of, number_of, numbers_of, to_plain
+from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.mdp.naming import Name, is_name, names_of, number_of, numbers_of, to_plain
 
 
-class Sized(Protocol):
-    """Anything with numbers of states and actions, and the states that the environment itself knows."""
-
-    @property
-    def n_states(self) -> int:
-        """S."""
-
-    @property
-    def n_actions(self) -> int:
-        """A."""
-
-    @property
-    def terminal_state(self) -> IntArray:
-        """(S0,): its length is the number of the environment's own states."""
-
-
-def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizon: int | None = None) -> Array:
+def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None) -> Array:
     """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
     A policy of the environment's own number of states is extended to the twins that termination appended, where any
@@ -61,36 +45,38 @@ def check_policy(policy: PolicyLike, mdp: Sized, *, name: str = "policy", horizo
     Traceback (most recent call last):
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
     """
-    from oee_tabular.mdp._policies import is_stochastic_matrix
-
     require_sized(mdp)
     _checks.instance(name, str, "name")
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         policy = policy_table(policy, mdp, name)
-    array = _checks.float_array(policy, name)
-    horizon = _checks.optional_horizon(horizon)
-    n_own = len(mdp.terminal_state)
-    is_double = getattr(policy, "dtype", None) != np.float32
-    if is_double and array.shape == (mdp.n_states, mdp.n_actions):
-        tolerance = 0.99 * _checks.SUM_TOLERANCE  # what misses it by a rounding is looked at again below
-        if is_stochastic_matrix(np.ascontiguousarray(array), tolerance):
-            return array
-    shapes: list[tuple[int, ...]] = [(n, mdp.n_actions) for n in dict.fromkeys((mdp.n_states, n_own))]
+    array, horizon = _checks.float_array(policy, name), _checks.optional_horizon(horizon)
+    n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
+    shapes: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
     if horizon is not None:
         shapes += [(horizon, *shape) for shape in shapes]
     if array.shape not in shapes:
         rule = " or ".join(str(shape) for shape in shapes)
         raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
-    _checks.require_nonnegative(array, name)
-    array = _checks.scaled_if_single(array, policy)
-    _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
-    if array.shape[-2] < mdp.n_states:
-        twins = (*array.shape[:-2], mdp.n_states - n_own, mdp.n_actions)
-        array = np.concatenate([array, np.full(twins, 1.0 / mdp.n_actions)], axis=-2)
+    array = _check_distributions(array, policy, name)
+    if array.shape[-2] < n_states:
+        twins = np.full((*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions)
+        array = np.concatenate([array, twins], axis=-2)
     return array
 
 
-def check_policies(policies: Any, mdp: Sized, *, name: str = "policies", alone: str = "policy") -> dict[str, Array]:
+def _check_distributions(array: Array, given: object, name: str) -> Array:
+    """Return an array whose rows are distributions; rows that were ``given`` in single precision are scaled."""
+    from oee_tabular.mdp._policies import is_stochastic_matrix
+
+    array = _checks.scaled_if_single(array, given)
+    rows = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
+    if not is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE):  # or misses the tolerance by a rounding
+        _checks.require_nonnegative(array, name)
+        _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
+    return array
+
+
+def check_policies(policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy") -> dict[str, Array]:
     """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a mapping name -> policy.
 
     A mapping all of whose keys are states is one policy.
@@ -103,7 +89,7 @@ def check_policies(policies: Any, mdp: Sized, *, name: str = "policies", alone: 
     return {alone: check_policy(policies, mdp, name=f"{name} {alone!r}")}
 
 
-def uniform_policy(mdp: Sized) -> Array:
+def uniform_policy(mdp: Any) -> Array:
     """Return the (S, A) policy that takes each action with probability 1/A.
 
     Parameters
@@ -149,10 +135,7 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
         given = _checks.as_array(policy, name)
         if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
             given = deterministic_policy(given, np.shape(other)[1], name)
-        array = _checks.float_array(given, name, ndim=(2, 3))
-        _checks.require_nonnegative(array, name)
-        _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
-        arrays.append(array)
+        arrays.append(_check_distributions(_checks.float_array(given, name, ndim=(2, 3)), given, name))
     if arrays[0].shape != arrays[1].shape:
         raise ValueError(
             f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
@@ -177,7 +160,7 @@ def require_sized(mdp: object) -> None:
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
 
-def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
+def is_policy_by_state(policies: Mapping[Any, object], mdp: Any) -> bool:
     """Say whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
     known = numbers_of(names_of(mdp).states or ())
     return bool(policies) and all(
@@ -186,7 +169,7 @@ def is_policy_by_state(policies: Mapping[Any, object], mdp: Sized) -> bool:
     )
 
 
-def is_policy_list(policies: object, mdp: Sized) -> bool:
+def is_policy_list(policies: object, mdp: Any) -> bool:
     """Say whether a list holds policies, and is not one: an action, or a row, for each state."""
     if not isinstance(policies, list | tuple) or not policies:
         return isinstance(policies, list | tuple)
@@ -202,7 +185,7 @@ def is_time_dependent(policy: PolicyLike | None) -> bool:
     return _ndim(policy) == 3
 
 
-def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
+def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
         hint = f"the same in every state: lambda state: {_checks.show(policy):.40}; a file: numpy.load"
@@ -222,26 +205,18 @@ def policy_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
     return _action_table(policy, mdp, name)
 
 
-def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
+def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
     """Return (S, A) of a mapping or a function of the environment's own states; terminal ones may be left out."""
     names, n_own = names_of(mdp), len(mdp.terminal_state)
-    absorbing = getattr(mdp, "absorbing", None)
-    is_free = np.zeros(mdp.n_states, dtype=np.bool_) if absorbing is None else np.array(absorbing())
+    is_free = mdp.absorbing() if hasattr(mdp, "absorbing") else np.zeros(mdp.n_states, dtype=np.bool_)
     table = np.full((mdp.n_states, mdp.n_actions), np.nan)
-    for state in policy if isinstance(policy, Mapping) else (names.states or range(mdp.n_states))[:n_own]:
+    states = (names.states or range(mdp.n_states))[:n_own]
+    for state, choice, place in _list_choices(policy, states, name):
         s = number_of(state, names.states, mdp.n_states, f"{name}'s state", "the MDP's")
         if not np.isnan(table[s, 0]):
             raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
-        if isinstance(policy, Mapping):
-            table[s] = _choice_row(policy[state], mdp, f"{name}[{_checks.show(state)}]")
-            continue
-        try:
-            choice = policy(state)
-        except Exception as error:
-            told = f"it raises {type(error).__name__}: {_checks.escape_controls(str(error)):.300}"
-            raise ValueError(f"{name}({_checks.show(state)}) must be an action or a distribution; {told}") from error
         if choice is not None or not is_free[s]:
-            table[s] = _choice_row(choice, mdp, f"{name}({_checks.show(state)})")
+            table[s] = _choice_row(choice, names.actions, mdp.n_actions, place)
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
         more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
@@ -251,60 +226,62 @@ def _choice_table(policy: Any, mdp: Sized, name: str) -> Array:
     return np.where(np.isnan(table), 1.0 / mdp.n_actions, table)
 
 
-def _choice_row(choice: Any, mdp: Sized, name: str) -> Array:
+def _list_choices(policy: Any, states: Any, name: str) -> Iterator[tuple[Any, Any, str]]:
+    """Each state of a mapping, or of ``states``, with its choice and what errors call that."""
+    if isinstance(policy, Mapping):
+        yield from ((state, choice, f"{name}[{_checks.show(state)}]") for state, choice in policy.items())
+        return
+    for state in states:
+        place = f"{name}({_checks.show(state)})"
+        try:
+            choice = policy(state)
+        except Exception as error:
+            reason = f"it raises {type(error).__name__}: {_checks.escape_controls(str(error)):.300}"
+            raise ValueError(f"{place} must be an action or a distribution; {reason}") from error
+        yield state, choice, place
+
+
+def _choice_row(choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str) -> Array:
     """Return an action, a mapping action -> probability, or A probabilities, as (A,)."""
-    row, names, given = np.zeros(mdp.n_actions), names_of(mdp).actions, to_plain(choice)
+    row, given = np.zeros(n_actions), to_plain(choice)
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
-            a = number_of(action, names, mdp.n_actions, f"{name}'s action", "the MDP's")
+            a = number_of(action, names, n_actions, f"{name}'s action", "the MDP's")
             row[a] += _checks.number_in(probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0)
-    elif (
-        _checks.is_integer(given) or isinstance(choice, str) or (isinstance(choice, tuple) and _is_known(given, names))
-    ):
-        row[number_of(given, names, mdp.n_actions, name, "the MDP's")] = 1.0
-    else:
-        if _ndim(choice) == 0 or np.shape(choice) != row.shape:
-            raise ValueError(
-                f"{name} must be an action, or a distribution over the {mdp.n_actions} actions; it is {_checks.show(choice)}"
-            )
+    elif _checks.is_integer(given) or (isinstance(choice, str | tuple) and _is_action(given, names)):
+        row[number_of(given, names, n_actions, name, "the MDP's")] = 1.0
+    elif _ndim(choice) == 1 and len(choice) == n_actions:
         row = _checks.float_array(choice, name, ndim=1)
-        _checks.require_nonnegative(row, name)
-        row = _checks.scaled_if_single(row, choice)
-    _checks.require_sums_to_one(np.asarray(row.sum()), name)
-    return row
-
-
-def _action_table(policy: PolicyLike, mdp: Sized, name: str) -> Any:
-    """Return the (S, A) of an action for each state, by number or name; anything else as it is."""
-    names, sizes = names_of(mdp).actions, (mdp.n_states, len(mdp.terminal_state))
-    if (
-        isinstance(policy, list | tuple)
-        and policy
-        and all(isinstance(a, tuple) and _is_known(a, names) for a in policy)
-    ):
-        texts = any(isinstance(part, str) for action in policy for part in action)
-        if not texts and all(len(action) == mdp.n_actions and _ndim(action) == 1 for action in policy):
-            return policy  # as many numbers as there are actions: rows of probabilities
-        actions: Any = policy
     else:
-        try:
-            actions = np.asarray(policy)
-        except (TypeError, ValueError):
-            return policy
-        if actions.ndim != 1 or actions.dtype.kind not in "iuUO":
-            return policy
-        if actions.dtype.kind in "UO" and not all(isinstance(action, str) for action in actions):
-            return policy
-    if len(actions) not in sizes:
+        rule = f"an action, or a distribution over the {n_actions} actions"
+        raise ValueError(f"{name} must be {rule}; it is {_checks.show(choice)}")
+    return _check_distributions(row, choice, name)
+
+
+def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
+    """Return the (S, A) of an action for each state, by number or name; anything else as it is."""
+    names, n_actions = names_of(mdp).actions, mdp.n_actions
+    try:
+        array = np.asarray(policy)
+    except (TypeError, ValueError):  # names of several lengths
+        array = np.zeros((0, 0))
+    are_numbers = array.ndim == 1 and array.dtype.kind in "iu"
+    are_rows = array.ndim == 2 and array.dtype.kind in "biuf" and array.shape[1] == n_actions
+    actions: Any = policy
+    if array.ndim == 0 or are_rows or not (are_numbers or all(_is_action(a, names) for a in actions)):
         return policy
-    if not (isinstance(actions, np.ndarray) and actions.dtype.kind in "iu"):
-        numbered = (number_of(a, names, mdp.n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(actions))
-        actions = np.fromiter(numbered, np.int64, len(actions))
-    return deterministic_policy(actions, mdp.n_actions, name)
+    if len(actions) not in (mdp.n_states, len(mdp.terminal_state)):
+        return policy
+    if not are_numbers:
+        array = np.array([number_of(a, names, n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(actions)])
+    return deterministic_policy(array, n_actions, name)
 
 
-def _is_known(action: object, names: Any) -> bool:
-    return is_name(action) and action in numbers_of(names or ())
+def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
+    """Say whether it is a text, or a tuple that is an action's name."""
+    return isinstance(action, str) or (
+        isinstance(action, tuple) and is_name(action) and action in numbers_of(names or ())
+    )
 
 
 def _ndim(value: Any) -> int:

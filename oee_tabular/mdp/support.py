@@ -31,7 +31,8 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
         flow.data = mdp.transitions.data * mdp.reward_data
         total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
         rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
-    return {"transitions": matrix, "rewards": rewards, "sampling": mdp.sampling and mdp.sampling.mix_actions(n_actions)}
+    least = mdp.sampling and np.repeat(mdp.sampling.pairs.reshape(mdp.rewards.shape).min(axis=1), n_actions)
+    return {"transitions": matrix, "rewards": rewards, "sampling": mdp.sampling and mdp.sampling._replace(pairs=least)}
 
 
 def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:

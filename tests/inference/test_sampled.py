@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.inference.ambiguity import gather
 from oee_tabular.inference.margins import sampling_margin
-from oee_tabular.mdp.samples import Sampling
+from oee_tabular.mdp.empirical import Sampling
 
 PI = np.full((4, 2), 0.5)
 START = [0.5, 0, 0, 0.5]
