@@ -21,8 +21,11 @@ from oee_tabular.mdp.arrays import (
     check_transitions,
     name_transition,
 )
-from oee_tabular.mdp.empirical import Sampling
+from oee_tabular.mdp.empirical import Sampling, env_arguments, log_arguments
+from oee_tabular.mdp.files import constructor_arguments, file_arrays
+from oee_tabular.mdp.gymnasium_table import read_table
 from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, initial_distribution
+from oee_tabular.mdp.support import add_action_noise, add_support
 
 KIND = "finite_mdp"
 
@@ -165,10 +168,9 @@ class FiniteMDP:
     @cached_property
     def transition_rewards(self) -> sparse.csr_array | None:
         """r(s, a, s') as csr of shape (S*A, S), an entry wherever it is defined; None for r(s, a)."""
-        table = self._reward_table
-        if not isinstance(table, np.ndarray):
-            return table
-        rows = table.reshape(self.csr.shape)
+        if not isinstance(self._reward_table, np.ndarray):
+            return self._reward_table
+        rows = self._reward_table.reshape(self.csr.shape)
         return align_to(CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix(), self.csr)[0]
 
     @property
@@ -235,8 +237,6 @@ class FiniteMDP:
         do not depend on s'. It gives a too deterministic simulator the support that a ratio needs.
         A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy + eps uniform).
         """
-        from oee_tabular.mdp.support import add_action_noise
-
         return self._replace(**add_action_noise(self, epsilon))
 
     def with_support_of(self, log: object, epsilon: float) -> Self:
@@ -257,8 +257,6 @@ class FiniteMDP:
         >>> line.with_support_of(oee.Transitions([0, 1], [0, 0], [2, 2]), 0.1).transitions.toarray().tolist()
         [[0.45, 0.45, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.support import add_support
-
         return self._replace(**add_support(self, log, epsilon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -267,19 +265,15 @@ class FiniteMDP:
 
     def arrays(self) -> dict[str, Any]:
         """What a file holds."""
-        from oee_tabular.mdp.files import file_arrays
-
         return file_arrays(self, self._own_layout)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what ``save`` wrote; the same checks as in the constructor."""
-        from oee_tabular.mdp.files import constructor_arguments
-
         hint = "make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
-        arrays = _files.load_npz(path, KIND, hint=hint)
+        stored = _files.load_npz(path, KIND, hint=hint)
         with _files.parts_of(path, "a FiniteMDP"):
-            return cls(**constructor_arguments(arrays))
+            return cls(**constructor_arguments(stored))
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
@@ -298,8 +292,6 @@ class FiniteMDP:
             Without such a table (Blackjack), or where the dynamics are not in it: a fickle Taxi passenger, a wrapper that
             changes actions, observations or rewards.
         """
-        from oee_tabular.mdp.gymnasium_table import read_table
-
         return cls(**read_table(env), discount=discount)
 
     @classmethod
@@ -343,8 +335,6 @@ class FiniteMDP:
         >>> oee.FiniteMDP.from_log(log, discount=0.9).transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        from oee_tabular.mdp.empirical import log_arguments
-
         sizes, names = (n_states, n_actions), (state_names, action_names)
         return cls(**log_arguments(log, rewards, initial, sizes, names, layout), discount=discount)
 
@@ -381,19 +371,16 @@ class FiniteMDP:
         >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
         True
         """
-        from oee_tabular.mdp.empirical import env_arguments
-
         return cls(**env_arguments(env, samples_per_pair, seed, max_steps), discount=discount)
 
     def _arguments(self) -> dict[str, Any]:
-        table = self._reward_table
+        """The arguments of the constructor that make it."""
         same = ("initial", "discount", "terminal_state", "state_names", "action_names", "sampling")
-        changed = {
+        return {
             "transitions": self.csr,
-            "rewards": self.rewards if table is None else table,
+            "rewards": self.rewards if self._reward_table is None else self._reward_table,
             "layout": self._own_layout,
-        }
-        return changed | {name: getattr(self, name) for name in same}
+        } | {name: getattr(self, name) for name in same}
 
     def _replace(self, **changes: object) -> Self:
         """The same MDP with other arguments of the constructor."""

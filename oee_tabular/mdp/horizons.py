@@ -18,21 +18,10 @@ SLOW, ABSURD = 2e9, 2e10  # multiply-adds: some seconds, and a minute or more
 def limit_horizon(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, kept: float = 1.0) -> int:
     """Return min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warn where that is less or takes long.
 
-    Parameters
-    ----------
-    horizon : a positive int
-    rate : what a step multiplies the weight of all later rewards by, at most; from 1 on nothing fades
-    ahead : steps before a reward may come at all (the number of states)
-    work : multiply-adds of a step
-    kept : numbers that are kept of each step
+    ``rate``: what a step multiplies the weight of all later rewards by, at most; from 1 on nothing fades. ``ahead``: steps
+    before a reward may come at all (the number of states). ``work``, ``kept``: multiply-adds of a step, and numbers that
+    are kept of it; ValueError above a million steps that cost more than 2e10 multiply-adds, or where memory lacks.
 
-    Raises
-    ------
-    ValueError
-        A horizon above a million that costs more than 2e10 multiply-adds, or numbers that do not fit the memory.
-
-    Examples
-    --------
     >>> limit_horizon(500, 0.9), limit_horizon(5000, 1.0, work=100.0)
     (500, 5000)
     """
@@ -50,10 +39,8 @@ def limit_horizon(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.
         )
     _checks.require_memory(length * kept, "horizon", horizon)
     if length < horizon:
-        _checks.warn(
-            f"horizon {horizon} is followed to step {length}: from there on the discount leaves less of a reward than "
-            f"2**-200, which no float shows beside the sum"
-        )
+        rule = "from there on the discount leaves less of a reward than 2**-200, which no float shows beside the sum"
+        _checks.warn(f"horizon {horizon} is followed to step {length}: {rule}")
     elif cost > SLOW:
         _checks.warn(f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g} seconds)")
     return length

@@ -9,13 +9,10 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
+from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry
 from oee_tabular.mdp.arrays import csr_from_entries
 
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
-_LOG_FIELDS = (
-    "state", "action", "next_state", "terminated", "reward", "episode_starts", "state_names", "action_names", "numbered"
-)  # fmt: skip
 
 
 def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
@@ -27,12 +24,14 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
     rewards: object = (mixing @ mdp.rewards.reshape(-1)).reshape(mdp.rewards.shape)
     if mdp.reward_data is not None:
-        flow = mdp.transitions.copy()
-        flow.data = mdp.transitions.data * mdp.reward_data
-        total, _ = align(canonical(mixing @ flow, drop_zeros=False), matrix)
-        rewards = sparse.csr_array((total / matrix.data, matrix.indices, matrix.indptr), matrix.shape)
-    least = mdp.sampling and np.repeat(mdp.sampling.pairs.reshape(mdp.rewards.shape).min(axis=1), n_actions)
-    return {"transitions": matrix, "rewards": rewards, "sampling": mdp.sampling and mdp.sampling._replace(pairs=least)}
+        flow = mixing @ csr_on_pattern(mdp.transitions, mdp.transitions.data * mdp.reward_data, own=True)
+        total, _ = align(canonical(flow, drop_zeros=False), matrix)
+        rewards = csr_on_pattern(matrix, total / matrix.data, own=True)
+    sampling = mdp.sampling
+    if sampling is not None:  # each pair rests on the least sampled action of its state
+        least = sampling.pairs.reshape(-1, n_actions).min(axis=1)
+        sampling = sampling._replace(pairs=np.repeat(least, n_actions))
+    return {"transitions": matrix, "rewards": rewards, "sampling": sampling}
 
 
 def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
@@ -40,15 +39,13 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _observed_transitions(mdp, log)
     matrix = mdp.transitions
-    shape = matrix.shape
-    observed = csr_from_entries(rows, columns, np.ones(len(rows)), shape)
-    position, is_stored = find(matrix, row_of_entry(observed), observed.indices.astype(np.int64))
-    impossible = ~(is_stored & (matrix.data[position] >= SMALLEST_PROBABILITY))
-    row, column = row_of_entry(observed)[impossible], observed.indices[impossible]
-    if len(row) == 0:
+    observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
+    is_impossible = align(matrix, observed)[0] < SMALLEST_PROBABILITY
+    if not is_impossible.any():
         return {}
-    number = np.bincount(row, minlength=shape[0])
-    added = csr_from_entries(row, column, eps / number[row], shape)
+    row, column = row_of_entry(observed)[is_impossible], observed.indices[is_impossible]
+    number = np.bincount(row, minlength=matrix.shape[0])
+    added = csr_from_entries(row, column, eps / number[row], matrix.shape)
     kept = sparse.csr_array(sparse.diags_array(np.where(number > 0, 1.0 - eps, 1.0)) @ matrix)
     new = canonical(kept + added, drop_zeros=True)
     table = mdp.transition_rewards
@@ -58,15 +55,16 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     value = mdp.rewards.reshape(-1)[row_of_entry(new)]
     if reward is not None:
         has_reward = ~np.isnan(reward)  # some may be missing
-        total, _ = align(csr_from_entries(rows, columns, np.where(has_reward, reward, 0.0), shape), new)
-        count, _ = align(csr_from_entries(rows, columns, has_reward.astype(np.float64), shape), new)
-        value = np.where(count > 0, total / np.where(count > 0, count, 1.0), value)
+        places = rows[has_reward], columns[has_reward]
+        total, _ = align(csr_from_entries(*places, reward[has_reward], matrix.shape), new)
+        count, is_paid = align(csr_from_entries(*places, np.ones(len(places[0])), matrix.shape), new)
+        value = np.where(is_paid, total / np.maximum(count, 1.0), value)
     beside = np.flatnonzero(~align(new, table)[1])  # defined where P is 0: they stay
     rewards = csr_from_entries(
         np.concatenate([row_of_entry(new), row_of_entry(table)[beside]]),
         np.concatenate([new.indices, table.indices[beside]]),
         np.concatenate([np.where(is_defined, own, value), table.data[beside]]),
-        shape,
+        matrix.shape,
     )
     return {"transitions": new, "rewards": rewards}
 
@@ -86,15 +84,15 @@ def _observed_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array
         bad = np.flatnonzero(values >= limit)
         if bad.size:
             raise ValueError(f"log.{name}[{bad[0]}] must be in 0..{limit - 1}, the simulator's; it is {values[bad[0]]}")
-    lead = np.arange(mdp.n_states)
-    lead[: len(mdp.terminal_state)] = mdp.terminal_state
-    to = np.where(log.terminated, lead[log.next_state], log.next_state)
+    ends = np.arange(mdp.n_states)
+    ends[: len(mdp.terminal_state)] = mdp.terminal_state
+    to = np.where(log.terminated, ends[log.next_state], log.next_state)
     return log.state * mdp.n_actions + log.action, to, log.reward
 
 
 def require_log(log: object) -> None:
-    """Raise ValueError for what is no log."""
-    if isinstance(log, type) or not all(hasattr(log, name) for name in _LOG_FIELDS):
-        is_frame = hasattr(log, "columns") and not isinstance(log, type)
-        hint = " (of a data frame: Transitions.from_frame(log))" * is_frame
+    """Raise ValueError for what is no log (``data``, which knows its class, stands above)."""
+    is_class = isinstance(log, type)
+    if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
+        hint = " (of a data frame: Transitions.from_frame(log))" * (hasattr(log, "columns") and not is_class)
         raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")
