@@ -36,8 +36,6 @@ class Rows:
     entries : their places among the simulator's, a slice where they stand side by side
     n_states, n_actions : int
 
-    Examples
-    --------
     >>> rows = Rows.of(FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0, 1], [1, 0], 0.9))
     >>> rows.sums(np.array([1.0, 2.0, 3.0])).tolist(), rows.spread(np.array([7, 8])).tolist()
     ([3.0, 3.0], [7, 7, 8])
@@ -52,14 +50,13 @@ class Rows:
     n_actions: int
 
     @classmethod
-    def of(cls, simulator: FiniteMDP, mask: BoolArray | None = None) -> Rows:
-        """All rows of a simulator, or those of ``mask`` (S*A,)."""
+    def of(cls, simulator: FiniteMDP) -> Rows:
+        """All rows of a simulator."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
         weights = csr.data / np.repeat(np.add.reduceat(csr.data, indptr[:-1]), np.diff(indptr))
         sizes = simulator.n_states, simulator.n_actions
-        rows = cls(np.arange(csr.shape[0]), csr.indices, weights, indptr, slice(0, len(weights)), *sizes)
-        return rows if mask is None else rows.select(mask)
+        return cls(np.arange(csr.shape[0]), csr.indices, weights, indptr, slice(0, len(weights)), *sizes)
 
     def select(self, mask: BoolArray) -> Rows:
         """Those of ``mask`` (rows,)."""
@@ -67,23 +64,25 @@ class Rows:
         lengths = np.diff(self.indptr)[at]
         indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
         inside = np.arange(int(indptr[-1])) + np.repeat(self.indptr[:-1][at] - indptr[:-1], lengths)
-        entries = self.entries.start + inside if isinstance(self.entries, slice) else self.entries[inside]
-        return self._part(at, inside, indptr, entries)
+        return self._part(at, inside, indptr)
 
     def blocks(self) -> Iterator[Rows]:
         """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a block stays small."""
         ends = np.arange(1, max(1, round(int(self.indptr[-1]) / BLOCK))) * BLOCK
         for first, last in itertools.pairwise(np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])):
             low, high = (int(x) for x in self.indptr[[first, last]])
-            start = self.entries.start if isinstance(self.entries, slice) else 0
-            entries = slice(start + low, start + high) if isinstance(self.entries, slice) else self.entries[low:high]
-            yield self._part(slice(first, last), slice(low, high), self.indptr[first : last + 1] - low, entries)
+            yield self._part(slice(first, last), slice(low, high), self.indptr[first : last + 1] - low)
 
-    def _part(
-        self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray, entries: IntArray | slice
-    ) -> Rows:
-        sizes = self.n_states, self.n_actions
-        return Rows(self.number[at], self.arrival[inside], self.weights[inside], indptr, entries, *sizes)
+    def _part(self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray) -> Rows:
+        """The rows ``at``, which have the entries ``inside``."""
+        if not isinstance(self.entries, slice):
+            entries: IntArray | slice = self.entries[inside]
+        elif isinstance(inside, slice):
+            entries = slice(self.entries.start + inside.start, self.entries.start + inside.stop)
+        else:
+            entries = self.entries.start + inside
+        parts = self.number[at], self.arrival[inside], self.weights[inside], indptr, entries
+        return Rows(*parts, self.n_states, self.n_actions)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -191,24 +190,15 @@ def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[A
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    csr = mdp.csr
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)
     places = np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given
-    state = row_of_entry(csr) // mdp.n_actions
-    kind = np.zeros(csr.nnz, dtype=np.int64)
-    for place in places.T:
-        _, step = np.unique(_differences(place, state, csr.indices), return_inverse=True)
-        _, kind = np.unique(kind * (int(step.max()) + 1) + step, return_inverse=True)
-    _, first = np.unique(kind, return_index=True)
-    mass = np.bincount(kind, weights=csr.data)
+    state = row_of_entry(mdp.csr) // mdp.n_actions
+    kinds, kind = distinct_rows(round_displacements(places[mdp.csr.indices] - places[state]))
+    mass = np.bincount(kind, weights=mdp.csr.data)
     order = np.argsort(-np.round(mass / mass.sum(), 12), kind="stable")  # equal but for the order of their sums: equal
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    entry = first[order]
-    kinds = np.stack([_differences(place, state[entry], csr.indices[entry]) for place in places.T], axis=1)
-    return kinds, rank[kind]
+    return kinds[order], np.argsort(order)[kind]
 
 
-def _differences(place: Array, state: IntArray, next_state: Any) -> Array:
-    """Differences along one coordinate; + 0.0 makes -0.0 plain."""
-    return np.asarray(np.round(place[next_state] - place[state], DIGITS) + 0.0)
+def round_displacements(differences: Array) -> Array:
+    """Return differences of coordinates, those of less than 1e-9 made equal; + 0.0 makes -0.0 plain."""
+    return np.asarray(np.round(differences, DIGITS) + 0.0)

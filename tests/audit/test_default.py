@@ -316,7 +316,7 @@ def test_a_displacement_must_have_a_fiftieth_of_the_moves_in_the_rows_that_the_l
     for visited, there in ((30, False), (24, True)):
         chosen = np.zeros(30, dtype=bool)
         chosen[:visited] = True
-        names = [feature.name for feature in library(simulator, [], Rows.of(simulator, chosen))]
+        names = [feature.name for feature in library(simulator, [], Rows.of(simulator).select(chosen))]
         assert ("move +5" in names) is there, visited
         assert "move +1" in names
 

@@ -108,7 +108,7 @@ def test_evidence_part_by_part():
         counts, matrix = counts_of(log, simulator), simulator.transitions
         n_row = np.add.reduceat(counts, matrix.indptr[:-1])
         told = np.repeat(n_row > 0, np.diff(matrix.indptr))
-        rows = Rows.of(simulator, n_row > 0)
+        rows = Rows.of(simulator).select(n_row > 0)
         missed = 1 - (n_row > 0).mean()
         tilt = fit_default_tilt(counts, simulator)
         for part in parts_of(log, simulator, policy):
@@ -151,7 +151,7 @@ def test_prices_are_paid_by_feature():
     counts = counts_of(drawn(target, 6.0, 1), simulator)
     n_row = np.add.reduceat(counts, simulator.transitions.indptr[:-1])
     told = np.repeat(n_row > 0, 5)
-    rows = Rows.of(simulator, n_row > 0)
+    rows = Rows.of(simulator).select(n_row > 0)
     assert any("action" in name for part in several for name in part.theta)
     for part in several:
         score = choose_strength(counts[told], part.rows[told], rows).score

@@ -67,7 +67,7 @@ def test_every_column(form, layout):
     simulator = five(form, layout)
     policy = np.tile([0.3, 0.7], (5, 1))
     level = dense_values(simulator, policy)
-    rows = Rows.of(simulator, CHOSEN)
+    rows = Rows.of(simulator).select(CHOSEN)
     features = named(library(simulator, [level], rows))
     plain = {
         "log P": lambda s, a, t, p: np.log(p),
@@ -127,7 +127,7 @@ def test_displacements_are_counted_where_the_log_has_been():
     simulator = five(2)
     few = np.zeros(10, dtype=bool)
     few[0] = True  # the moves of state 0: displacements 0, 1, 2, ...
-    names = [f.name for f in library(simulator, [], Rows.of(simulator, few)) if f.name.startswith("move")]
+    names = [f.name for f in library(simulator, [], Rows.of(simulator).select(few)) if f.name.startswith("move")]
     assert set(names) <= {"move 0", "move +1", "move +2", "move +3", "move +4"}
 
 

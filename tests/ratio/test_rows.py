@@ -30,7 +30,7 @@ def test_entries_and_sums_of_chosen_rows(rng):
     n_rows = simulator.n_states * simulator.n_actions
     chosen = rng.random(n_rows) < 0.6
     chosen[rng.integers(n_rows)] = True
-    rows, expected = Rows.of(simulator, chosen), by_hand(simulator, chosen)
+    rows, expected = Rows.of(simulator).select(chosen), by_hand(simulator, chosen)
     assert len(rows) == len(expected)
     assert rows.state.tolist() == [row[0][0] for row in expected]
     assert rows.action.tolist() == [row[0][1] for row in expected]

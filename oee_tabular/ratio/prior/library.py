@@ -27,7 +27,7 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import DIGITS, Rows, distinct_rows
+from oee_tabular.mdp.rows import Rows, distinct_rows, round_displacements
 from oee_tabular.ratio.prior.neighbours import smooth_functions
 
 SMOOTH, MOVES = 3, 8  # functions on the graph, displacements
@@ -147,7 +147,7 @@ def _places(simulator: FiniteMDP) -> Array:
 
 
 def _steps(places: Array, rows: Rows) -> Array:
-    return np.asarray(np.round(places[rows.arrival] - rows.spread(places[rows.state]), DIGITS) + 0.0)
+    return round_displacements(places[rows.arrival] - rows.spread(places[rows.state]))
 
 
 def _indicator(places: Array, step: Array) -> Callable[[Rows], Array]:
