@@ -73,17 +73,17 @@ if TYPE_CHECKING:  # the same for type checkers
     # isort: on
     # fmt: on
 
-__all__ = sorted({*_EXPORTS, *" ".join(_EXPORTS.values()).split()})  # noqa: PLE0605
+_ROOM_OF = {name: room for room, names in _EXPORTS.items() for name in (room, *names.split())}
+__all__ = sorted(_ROOM_OF)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    room = name if name in _EXPORTS else next((m for m, names in _EXPORTS.items() if name in names.split()), None)
-    if room is None:
+    if name not in _ROOM_OF:
         raise AttributeError(f"module 'oee_tabular' has no attribute {name!r}")
-    module = importlib.import_module(f"oee_tabular.{room}")
-    value = globals()[name] = module if room == name else getattr(module, name)
+    room = importlib.import_module(f"oee_tabular.{_ROOM_OF[name]}")
+    value = globals()[name] = room if name in _EXPORTS else getattr(room, name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return [*__all__, "__version__"]

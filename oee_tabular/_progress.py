@@ -6,6 +6,7 @@ the command sets ``tell``.
 
 from __future__ import annotations
 
+import functools
 import sys
 import threading
 import time
@@ -17,7 +18,7 @@ SECONDS = 2.0  # between two looks at the step that is being done
 LONG = 2.0  # seconds of compiling
 
 tell: Callable[[str], object] | None = None
-_listeners: list[_Steps] = []
+_step: str | None = None  # what is being done; None: nobody listens
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
@@ -29,73 +30,55 @@ def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
 
 def report_step(step: str) -> None:
     """Say what is being done now; it is told if somebody listens and it is slow."""
-    if _listeners:
-        _listeners[-1].begin(step)
+    global _step
+    if _step is not None:
+        _step = step
+        if tell is not None:
+            announce_compiling(tell)
 
 
 @contextmanager
 def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
     """Steps inside are told on stderr; those who listen already go on (``only_terminal``: nobody else, unless it is one)."""
-    if _listeners or (only_terminal and not sys.stderr.isatty()):
+    global _step
+    if _step is not None or (only_terminal and not sys.stderr.isatty()):
         yield
         return
-    _listeners.append(_Steps())
+    _step = ""
+    is_done = threading.Event()
+    thread = threading.Thread(target=_tell_steps, args=(is_done,), daemon=True)
+    thread.start()
     try:
         yield
     finally:
-        _listeners.pop().end()
+        is_done.set()
+        thread.join()
+        _step = None
 
 
-class _Steps:
-    """The step that is being done, and a thread that tells it; it starts with the first step."""
+def _tell_steps(is_done: threading.Event) -> None:
+    start, last = time.monotonic(), ""
+    while not is_done.wait(SECONDS):
+        if _step and _step != last:
+            from tqdm import tqdm  # whose bars stay below the line
 
-    def __init__(self) -> None:
-        self.step, self.start = "", 0.0
-        self.is_done = threading.Event()
-        self.thread: threading.Thread | None = None
-
-    def begin(self, step: str) -> None:
-        self.step = step
-        if self.thread is None:
-            if tell is not None:
-                announce_compiling(tell)
-            self.start = time.monotonic()
-            self.thread = threading.Thread(target=self.watch, daemon=True)
-            self.thread.start()
-
-    def end(self) -> None:
-        self.is_done.set()
-        if self.thread is not None:
-            self.thread.join()
-
-    def watch(self) -> None:
-        last = ""
-        while not self.is_done.wait(SECONDS):
-            if self.step != last:
-                from tqdm import tqdm  # whose bars stay below the line
-
-                last = self.step
-                tqdm.write(f"oee: {time.monotonic() - self.start:.0f} s: {last}", file=sys.stderr)
-                sys.stderr.flush()
+            last = _step
+            tqdm.write(f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr)
+            sys.stderr.flush()
 
 
+@functools.cache
 def announce_compiling(tell: Callable[[str], object]) -> None:
     """One sentence to ``tell``, once numba has compiled for two seconds."""
     from numba.core import event
 
-    class Listener(event.Listener):
-        depth, start, seconds = 0, 0.0, 0.0
+    class Listener(event.TimingListener):
+        is_told = False
 
-        def on_start(self, _: object) -> None:
-            self.depth += 1
-            if self.depth == 1:
-                self.start = time.perf_counter()
-
-        def on_end(self, _: object) -> None:
-            self.depth -= 1
-            if self.depth == 0:
-                before, self.seconds = self.seconds, self.seconds + time.perf_counter() - self.start
-                if before <= LONG < self.seconds:
-                    tell("compiling (once)")
+        def on_end(self, happening: Any) -> None:
+            super().on_end(happening)  # type: ignore[no-untyped-call]
+            if self.done and self.duration > LONG and not self.is_told:
+                self.is_told = True
+                tell("compiling (once)")
 
     event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]

@@ -424,7 +424,7 @@ def test_json_is_alone_on_stdout(folder):
     words = ["evaluate", "--simulator", "sim.npz", "--log", "log.csv", "--estimators", "simulator", "--json"]
     done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
     assert "results" in json.loads(done.stdout)
-    assert re.match(r"oee: 0 s: ", done.stderr)
+    assert re.match(r"oee: \d+ s: ", done.stderr)
 
 
 @pytest.mark.parametrize("asked", ["-h", "--help"])
