@@ -84,18 +84,12 @@ def place(name: str, index: tuple[int, ...]) -> str:
 
 def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None = None) -> Array:
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
-    if is_sparse(value):
-        raise ValueError(f"{name} must be a dense array of numbers; got {show(value)}")
+    given: Any = as_array(value, name, "an array of numbers")
+    kind = given.dtype.kind
+    is_text = kind in "USMm" or (kind == "O" and any(isinstance(x, str | bytes) for x in given.flat))
     try:
-        given: Any = np.array(value)
-        if given.dtype.kind == "c":
-            raise TypeError("complex numbers")
-        if given.dtype.kind in "USMm" or (
-            given.dtype.kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
-        ):
-            raise TypeError("text or dates")
-        if given.dtype.kind not in "biufO":
-            raise TypeError(f"it holds {given.dtype}, no numbers")
+        if is_text or kind not in "biufO":
+            raise TypeError("text or dates" if is_text else "complex numbers" if kind == "c" else f"of {given.dtype}")
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
@@ -106,47 +100,41 @@ def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None 
     return array
 
 
-def as_array(value: object, name: str) -> NDArray[Any]:
+def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
     """``numpy.array(value)``, with an error that names the argument where rows have different lengths."""
-    if is_sparse(value):
-        raise ValueError(f"{name} must be a dense array; got {show(value)}")
     try:
+        if is_sparse(value):
+            raise TypeError("a sparse matrix")
         return np.array(value)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{name} must be an array; {error}") from None
+        raise ValueError(f"{name} must be {rule}; got {type(value).__name__} ({error})") from None
 
 
 def require_finite(array: Array, name: str) -> None:
     """Every entry is a finite number."""
-    if np.isfinite(array).all():
-        return
-    bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
-        first = tuple(bad[0])
-        raise ValueError(f"{place(name, first)} must be finite; it is {array[first]}")
+    _require(np.isfinite(array), array, name, "be finite; it is {}")
 
 
 def require_nonnegative(array: Array, name: str) -> None:
     """Every entry is a finite number, none below 0."""
-    if array.size == 0 or (array.min() >= 0 and array.max() < np.inf):
-        return
     require_finite(array, name)
-    bad = np.argwhere(array < 0)
-    if bad.size:
-        first = tuple(bad[0])
-        raise ValueError(f"{place(name, first)} must be nonnegative; it is {array[first]}")
+    _require(array >= 0, array, name, "be nonnegative; it is {}")
 
 
 def require_sums_to_one(sums: Array, name: str) -> None:
     """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the tolerance."""
-    fine = np.abs(sums - 1.0) <= SUM_TOLERANCE
+    rule = f"sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {{:.10g}}"
+    _require(np.abs(sums - 1.0) <= SUM_TOLERANCE, sums, name, rule, "rows")
+
+
+def _require(fine: BoolArray, array: Array, name: str, rule: str, counted: str = "") -> None:
+    """A ValueError that names the first entry of ``array`` that is not ``fine``, and how many such there are."""
     if fine.all():
         return
     bad = np.argwhere(~fine)
-    first = tuple(bad[0])  # of a single sum the index is empty: its size says nothing
-    where = place(name, first) if first else name
-    more = f" ({len(bad)} such rows in all)" if len(bad) > 1 else ""
-    raise ValueError(f"{where} must sum to 1 (tolerance {SUM_TOLERANCE:g}); it sums to {float(sums[first]):.10g}{more}")
+    first = tuple(bad[0])  # of a single number the index is empty
+    more = f" ({len(bad)} such {counted} in all)" if counted and len(bad) > 1 else ""
+    raise ValueError(f"{place(name, first) if first else name} must {rule.format(array[first])}{more}")
 
 
 def scaled_if_single(array: Array, given: object) -> Array:
@@ -198,12 +186,8 @@ def number_in(
 ) -> float:
     """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
-        if (
-            isinstance(value, str | bytes)
-            or is_sparse(value)
-            or np.ndim(value)
-            or np.asarray(value).dtype.kind not in "biufO"
-        ):
+        array: Any = None if is_sparse(value) else np.asarray(value)
+        if array is None or array.ndim or array.dtype.kind not in "biufO":
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -212,12 +196,8 @@ def number_in(
     if np.isinf(number) and not infinite:
         raise ValueError(f"{name} must be finite; it is {number:g}")
     if not inside:
-        ends = (
-            f"({low:g}, {high:g})"
-            if open_ends
-            else f"[{low:g}, {high:g}{']' if infinite or np.isfinite(high) else ')'}"
-        )
-        raise ValueError(f"{name} must be in {ends}; it is {number:g}")
+        left, right = "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
+        raise ValueError(f"{name} must be in {left}{low:g}, {high:g}{right}; it is {number:g}")
     return number
 
 
