@@ -12,7 +12,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -158,29 +158,6 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def distribution_pair(p: object, q: object) -> tuple[Array, Array]:
-    """p and q, counts or probabilities of the same cells, each scaled to sum to 1."""
-    (p_weights, q_weights), (p_total, q_total) = weight_pair(p, q)
-    return p_weights / p_total, q_weights / q_total
-
-
-def weight_pair(p: object, q: object) -> tuple[list[Array], list[float]]:
-    """p and q, counts or probabilities of the same cells, and the sum of each."""
-    arrays, totals = [], []
-    for value, name in ((p, "p"), (q, "q")):
-        array = float_array(value, name, ndim=1)
-        require_nonnegative(array, name)
-        with np.errstate(over="ignore"):
-            total = float(array.sum())
-        if not 0.0 < total < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
-        arrays.append(array)
-        totals.append(total)
-    if arrays[0].shape != arrays[1].shape:
-        raise ValueError(f"p and q must have one length; they have {len(arrays[0])} and {len(arrays[1])}")
-    return arrays, totals
-
-
 def number_in(
     value: Any, name: str, low: float, high: float, *, open_ends: bool = False, infinite: bool = False
 ) -> float:
@@ -199,34 +176,6 @@ def number_in(
         left, right = "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
         raise ValueError(f"{name} must be in {left}{low:g}, {high:g}{right}; it is {number:g}")
     return number
-
-
-class Box(NamedTuple):
-    """Checked bounds nu <= g <= mu of a ratio, infinite where not given."""
-
-    lower: float
-    upper: float
-
-
-def box(lower: object, upper: object, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
-    """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
-    nu = 0.0 if lower is None else number_in(lower, names[0], 0.0, np.inf)
-    mu = np.inf if upper is None else number_in(upper, names[1], 0.0, np.inf, infinite=True)
-    if nu > mu:
-        raise ValueError(f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}")
-    if mu == 0.0:
-        raise ValueError(f"{names[1]} must be positive: the logarithm of the ratio is part of the objective; it is 0")
-    if normalized and not nu <= 1.0 <= mu:
-        raise ValueError(
-            f"the box [{', '.join(names)}] must contain 1 for sum q g = 1 to be possible; it is [{nu:g}, {mu:g}]"
-        )
-    return Box(nu, mu)
-
-
-def ridge(value: object, n: float) -> float:
-    """lambda_n as a finite nonnegative number: given, or a function of the sample size."""
-    name = f"ridge({n:g})" if callable(value) else "ridge"
-    return number_in(value(n) if callable(value) else value, name, 0.0, np.inf)
 
 
 def positive_integer(value: Any, name: str) -> int:

@@ -35,6 +35,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.policies import is_policy_by_state
 from oee_tabular.ratio import transition_ratio
+from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.ratio.support import refuse_unsupported
 
@@ -124,7 +125,7 @@ def plan_data_collection(
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
     _checks.one_of(solver, "solver", ("auto", "frank_wolfe", "CLARABEL"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    box = _checks.box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
+    box = check_box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
     if sampling == "free" and restart is not None:
         raise ValueError(f"restart must be left out with sampling 'free'; it is {_checks.show(restart)}")
     pis = _policies(policies, mdp)

@@ -27,13 +27,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, BoolArray, Box, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import align, canonical, csr_on_pattern, row_sums, row_variances
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import Model, ReweightedModel, reweight, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import Conditional
+from oee_tabular.ratio.arguments import Box
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no move
 _SURE = 1.0 - 1e-12  # a row whose largest probability is above this has no spread

@@ -22,6 +22,7 @@ from oee_tabular.exact.system import policy_kernel
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import density_ratio
+from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.method import Population
 
 
@@ -57,7 +58,7 @@ class Marginalized(ExactLimit):
 
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
-        _checks.box(self.lower, self.upper, normalized=False)
+        check_box(self.lower, self.upper, normalized=False)
 
     @one_thread
     @without_divergence
@@ -100,7 +101,7 @@ class Marginalized(ExactLimit):
         beta, gap = np.zeros_like(share), 0.0
         inside = float(here[seen].sum())
         if inside > 0:  # the fit scales both to distributions: its ratio is beta / inside, and so is its box
-            box = _checks.box(self.lower, self.upper, normalized=False)
+            box = check_box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
                 here[seen], share[seen], lower=box.lower / inside, upper=box.upper / inside, normalized=False
             )

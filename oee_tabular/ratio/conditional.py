@@ -24,6 +24,7 @@ from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
+from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.method import Given, Method, Population
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.centre import Log, fit_centre
@@ -113,7 +114,7 @@ class Conditional(Method):
         for name in ("features", "smoothness"):
             if getattr(self, name) is not None and self.prior != "tilt":
                 raise ValueError(f"{name} must be left out with prior {self.prior!r}, which does not use them")
-        _checks.box(self.lower, self.upper, normalized=True)
+        check_box(self.lower, self.upper, normalized=True)
 
     def _check_network(self) -> None:
         """A network has no prior, no box and no solver: a ValueError that names what is there."""
@@ -124,7 +125,7 @@ class Conditional(Method):
             raise ValueError(
                 f"prior must be left out with functions=Network(...), which has none; got {_checks.show(self.prior)}"
             )
-        box = _checks.box(self.lower, self.upper, normalized=True)
+        box = check_box(self.lower, self.upper, normalized=True)
         if box != (0.0, np.inf):
             raise ValueError(
                 "lower and upper must be left out with functions=Network(...), whose rows sum to 1 without a box; "
@@ -149,7 +150,7 @@ class Conditional(Method):
 
     def _fit(self, given: Given) -> TransitionRatio:
         observed, rows = given.observed, given.rows
-        box = _checks.box(self.lower, self.upper, normalized=True)
+        box = check_box(self.lower, self.upper, normalized=True)
         n_row = rows.sums(observed)
         prior = PRIORS[str(self.prior)](given, self)
         weight = n_row + prior.kappa
@@ -159,7 +160,7 @@ class Conditional(Method):
             lam = self._chosen_ridge(given, n_row, details)
         else:
             sizes, index = np.unique(n_row, return_inverse=True)
-            lam = np.array([_checks.ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
+            lam = np.array([check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
         zeta, bent, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, Box, Seed
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
+from oee_tabular.ratio.arguments import Box, check_box, check_ridge, check_weights
 from oee_tabular.ratio.features import Kernel
 from oee_tabular.ratio.interior import objective
 from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
@@ -158,10 +159,11 @@ def density_ratio(
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
     sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     _checks.boolean(normalized, "normalized")
-    weights, totals = _checks.weight_pair(p, q)
+    weights = check_weights(p, q)
+    totals = [float(w.sum()) for w in weights]
     _checks.one_of(loss, "loss", ("kl", "chi2"))
-    box = _checks.box(lower, upper, normalized=normalized)
-    strength = _checks.ridge(ridge, totals[0])
+    box = check_box(lower, upper, normalized=normalized)
+    strength = check_ridge(ridge, totals[0])
     if features is not None or kernel is not None:
         if toward is not None or loss != "kl":
             raise ValueError(

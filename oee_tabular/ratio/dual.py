@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray, Box, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.ratio import _certificate, _dual, _plain
+from oee_tabular.ratio.arguments import Box
 
 
 class Coordinates(NamedTuple):

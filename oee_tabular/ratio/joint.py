@@ -19,9 +19,10 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Box, PolicyLike
+from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, _joint, statements
+from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
@@ -90,12 +91,12 @@ class Joint(Method):
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
         refuse_words(self.ridge, self._name)
-        _checks.box(self.lower, self.upper, normalized=True)
+        check_box(self.lower, self.upper, normalized=True)
         self._ratio_box()
         check_simulator_data(self.data)
 
     def _ratio_box(self) -> Box:
-        return _checks.box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
+        return check_box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The program's ratio with exact rates on both sides."""
@@ -103,9 +104,9 @@ class Joint(Method):
 
     def _fit(self, given: Given) -> TransitionRatio:
         counts, rows = given.observed, given.rows
-        box, ratio_box = _checks.box(self.lower, self.upper, normalized=True), self._ratio_box()
+        box, ratio_box = check_box(self.lower, self.upper, normalized=True), self._ratio_box()
         share = rows.sums(simulator_weights(given, self.data, self.behavior_policy))
-        lam = _checks.ridge(self.ridge, float(counts.sum()))
+        lam = check_ridge(self.ridge, float(counts.sum()))
         program = joint_program(counts, share / share.sum(), rows, box, ratio_box, lam)
         lost = (program.s > 0) & (share == 0)
         if lost.any() and not np.isfinite(box.upper) and lam == 0:

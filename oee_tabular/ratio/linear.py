@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Box, Seed
+from oee_tabular._checks import Array, Seed
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import interior, statements
+from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.interior import LinearSolution
 from oee_tabular.ratio.method import Given, Method
@@ -223,7 +224,7 @@ class InClass(Method):
             if self.coordinates is None:
                 raise ValueError('coordinates must be given with method "kernel": (S,) or (S, c), where each state is')
         _checks.positive_integer(self.n_centers, "n_centers")
-        _refuse_thin_box(_checks.box(self.lower, self.upper, normalized=True), True)
+        _refuse_thin_box(check_box(self.lower, self.upper, normalized=True), True)
 
     @property
     def _name(self) -> str:
@@ -231,7 +232,7 @@ class InClass(Method):
 
     def _fit(self, given: Given) -> TransitionRatio:
         observed, simulator, rows = given.observed, given.simulator, given.rows
-        box, q = _checks.box(self.lower, self.upper, normalized=True), rows.weights
+        box, q = check_box(self.lower, self.upper, normalized=True), rows.weights
         details: dict[str, object] = {}
         if self.kernel is None:
             phi = rows.center(feature_array(self.features, simulator))
@@ -243,7 +244,7 @@ class InClass(Method):
             phi = space.matrix
             details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
         n = float(observed.sum())
-        lam = 1.0 / n if self.ridge is None else _checks.ridge(self.ridge, n)
+        lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q
         program = LinearProgram(
             b=mass,

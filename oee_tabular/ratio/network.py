@@ -14,6 +14,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.arguments import check_box
 
 ACTIVATIONS = ("relu", "tanh", "gelu", "silu", "softplus")
 OPTIMIZERS = ("adam", "sgd")
@@ -139,7 +140,7 @@ def check_boxed_network(
     check_network(network, solver=solver)
     if normalized:
         raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
-    box = _checks.box(lower, upper, normalized=False)
+    box = check_box(lower, upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
         raise ValueError(
             "lower and upper must be a box with 0 < lower < upper < inf with functions=Network(...); "

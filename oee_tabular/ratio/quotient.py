@@ -14,6 +14,7 @@ from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
+from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
 from oee_tabular.ratio.network import Network, check_boxed_network
@@ -84,7 +85,7 @@ class Quotient(Method):
         if not isinstance(self.solver, str | Sgd):
             raise ValueError(f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}")
         refuse_words(self.ridge, self._name)
-        _checks.box(self.lower, self.upper, normalized=self.normalized)
+        check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
             check_boxed_network(

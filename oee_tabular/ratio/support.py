@@ -14,6 +14,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
+from oee_tabular.ratio.arguments import check_distributions
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
@@ -244,7 +245,7 @@ def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float)
     >>> print(check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2))
     nu < 1 < mu: holds; nu <= p/q <= mu: fails (0 entries below, 1 above), p/q from 0.5 to 1.5; support: holds; D_inf = 0.4055
     """
-    ps, qs = _checks.distribution_pair(p, q)
+    ps, qs = check_distributions(p, q)
     nu = _checks.number_in(lower, "lower", 0.0, np.inf)
     mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     ratio = ps[qs > 0] / qs[qs > 0]

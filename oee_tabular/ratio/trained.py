@@ -13,6 +13,7 @@ from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import dual
+from oee_tabular.ratio.arguments import check_ridge
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.network import Network, Training
@@ -50,7 +51,7 @@ def fit_network(
     (p_train, p_held), (q_train, q_held) = (
         _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
     )
-    lam = np.full(len(p), _checks.ridge(ridge, float(p.sum())))
+    lam = np.full(len(p), check_ridge(ridge, float(p.sum())))
     places = _places(network, sizes[0])
     training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
     found = train(network, training, generator)

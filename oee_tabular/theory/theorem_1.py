@@ -17,6 +17,7 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular.ratio.arguments import check_distributions
 from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
 
 
@@ -38,7 +39,7 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     >>> [round(renyi_divergence([3, 1], [1, 1], a), 6) for a in (0.5, 1, 2, float("inf"))]
     [0.069336, 0.130812, 0.223144, 0.405465]
     """
-    ps, qs = _checks.distribution_pair(p, q)
+    ps, qs = check_distributions(p, q)
     a = _checks.number_in(order, "order", 0.0, math.inf, infinite=True)
     if a == 0.0:
         raise ValueError("order must be positive; it is 0")
@@ -120,7 +121,7 @@ def estimation_sides(
     >>> estimation_sides([1.4, 0.6], [3, 1], [2, 2], n=100, mu=10.0, nu=0.1, confidence=0.95, constant=1.0).holds
     True
     """
-    ps, qs = _checks.distribution_pair(p, q)
+    ps, qs = check_distributions(p, q)
     values = in_box(g, "g", *check_box(nu, mu))
     _same_length(values, ps)
     right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
@@ -232,7 +233,7 @@ def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
     >>> round(sides.left, 12) == round(sides.right, 12) == round(renyi_divergence([3, 1], [2, 2], 1), 12)
     True
     """
-    ps, qs = _checks.distribution_pair(p, q)
+    ps, qs = check_distributions(p, q)
     values = _checks.float_array(g, "g", ndim=1)
     _checks.require_nonnegative(values, "g")
     _same_length(values, ps)
@@ -259,7 +260,7 @@ def squared_error_sides(g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float |
     0.361
     """
     risk = excess_risk(g, p, q).right
-    ps, qs = _checks.distribution_pair(p, q)
+    ps, qs = check_distributions(p, q)
     values, best = _checks.float_array(g, "g")[ps > 0.0], _ratio(ps, qs)[ps > 0.0]
     largest = float(max(values.max(), best.max()))
     bound = largest if mu is None else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)

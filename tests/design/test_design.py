@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions, _checks
+from oee_tabular import FiniteMDP, Problem, Transitions
 from oee_tabular.design import collection, costs
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.costs import largest_variance, next_pairs, row_costs
 from oee_tabular.design.flow import Flow, collection_mdp, flow_design, policy_of
 from oee_tabular.design.programs import conic_design, evaluate, fill, free_design, minimise
 from oee_tabular.exact import transition_gradient
+from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.tasks.gridworld import gridworld_policy
 
@@ -45,7 +46,7 @@ def random_program(rng, *, kinds=3):
     mdp = random_mdp(rng, n_states=int(rng.integers(2, 8)), n_actions=int(rng.integers(1, 4)), discount=0.9)
     policies = [random_policy(rng, mdp) for _ in range(int(rng.integers(1, kinds + 1)))]
     counts = rng.integers(0, 4, mdp.n_states * mdp.n_actions) * float(rng.integers(0, 2))
-    box = _checks.box(None, None, normalized=True)
+    box = check_box(None, None, normalized=True)
     costs = row_costs(
         mdp, mdp, policies, counts, horizon=None, box=box, confidence=0.95, optimistic=bool(rng.integers(0, 2))
     ).table
@@ -128,7 +129,7 @@ def test_deterministic_rows_have_an_optimistic_cost():
 
 def test_rows_are_costed_some_at_a_time(monkeypatch):
     mdp = oee.tasks.gridworld(5, 0.0)
-    box, counts = _checks.box(None, 3.0, normalized=True), np.arange(100.0) % 3
+    box, counts = check_box(None, 3.0, normalized=True), np.arange(100.0) % 3
     policies = [oee.uniform_policy(mdp), oee.tasks.gridworld_expert(5)]
     tables = []
     for some in (10**6, 7):
@@ -308,7 +309,7 @@ def test_the_bound_holds_for_every_behaviour(rng):
 
 def test_kiefer_and_wolfowitz():
     """max over q' of <q', c / q*^2> = sum c / q*; for any other q it is larger."""
-    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=_checks.box(None, None, normalized=True),
+    costs = row_costs(TARGET, TARGET, [POLICY], np.zeros(100), horizon=None, box=check_box(None, None, normalized=True),
                       confidence=0.95, optimistic=True).table  # fmt: skip
     costs = costs / np.sqrt(costs).sum() ** 2
     collection, base = collection_mdp(TARGET, 0.05), np.zeros(100)

@@ -10,8 +10,8 @@ from ratio.problem import COUNTS, fit
 
 import oee_tabular as oee
 from oee_tabular import Transitions
-from oee_tabular._checks import Box
 from oee_tabular.ratio import _joint, joint, statements
+from oee_tabular.ratio.arguments import Box
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
