@@ -12,6 +12,8 @@ from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular._sparse import align, align_to, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.mdp.naming import NAMELESS, Names
 
+_SHAPES = "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state and one action"
+
 
 class CsrArrays(NamedTuple):
     """The read-only arrays of a csr matrix, without scipy's object, which takes longer to make than V of 4 states."""
@@ -67,15 +69,9 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
         csr = _check_sparse_transitions(transitions)
     else:
         dense = _checks.float_array(transitions, "transitions")
-        if dense.ndim != 3:
-            raise ValueError(
-                f"transitions must have shape (S, A, S), or (S*A, S) as a scipy.sparse array; it has shape {dense.shape}"
-            )
-        if dense.shape[0] != dense.shape[2]:
-            raise ValueError(f"transitions must have shape (S, A, S); it has shape {dense.shape}")
+        if dense.ndim != 3 or dense.shape[0] != dense.shape[2] or dense.size == 0:
+            raise ValueError(f"transitions must {_SHAPES}; it has shape {dense.shape}")
         _checks.require_nonnegative(dense, "transitions")
-        if dense.size == 0:
-            raise ValueError(f"transitions must have at least one state and one action; it has shape {dense.shape}")
         dense = _checks.scaled_if_single(dense, transitions)
         _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
         csr = CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
@@ -85,10 +81,8 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
 
 def _check_sparse_transitions(transitions: Any) -> CsrArrays:
     shape = transitions.shape
-    if transitions.ndim != 2 or shape[1] == 0 or shape[0] % shape[1]:
-        raise ValueError(f"transitions must have shape (S*A, S) when sparse; it has shape {shape}")
-    if shape[0] == 0:
-        raise ValueError(f"transitions must have at least one state and one action; it has shape {shape}")
+    if transitions.ndim != 2 or 0 in shape or shape[0] % shape[1]:
+        raise ValueError(f"transitions must {_SHAPES}; it has shape {shape}")
     raw = check_csr(transitions, "transitions")
     n_actions = shape[0] // shape[1]
     bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
@@ -107,26 +101,25 @@ def check_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> tuple[Array, 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s').
     """
     n_states = csr.shape[1]
-    shapes = {1: (n_states,), 2: (n_states, n_actions), 3: (n_states, n_actions, n_states)}
+    shape = n_states, n_actions, n_states
     if sparse.issparse(rewards):
         table, data = align_to(_check_sparse_rewards(rewards, csr, n_actions), csr)
     else:
-        array = _checks.float_array(rewards, "rewards", ndim=(1, 2, 3))
-        if array.shape != shapes[array.ndim]:
-            raise ValueError(f"rewards must have shape {shapes[array.ndim]}; it has shape {array.shape}")
+        array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
+        if array.shape != shape[: array.ndim]:
+            raise ValueError(f"rewards must have shape {shape[: array.ndim]}; it has shape {array.shape}")
         if array.ndim < 3:
             _checks.require_finite(array, "rewards")
-            return freeze(array if array.ndim == 2 else np.repeat(array[:, None], n_actions, axis=1)), None, None
+            return array if array.ndim == 2 else freeze(np.repeat(array[:, None], n_actions, axis=1)), None, None
         if np.isinf(array).any():
             first = tuple(np.argwhere(np.isinf(array))[0])
             raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")
-        row, table = row_of_entry(csr), freeze(array)
-        data = freeze(table.reshape(csr.shape)[row, csr.indices])
+        row, table = row_of_entry(csr), array
+        data = freeze(array.reshape(csr.shape)[row, csr.indices])
         if (bad := np.flatnonzero(np.isnan(data))).size:
             where = _checks.place("rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]]))
             raise ValueError(f"{where} must be finite where the transition has a probability; it is nan")
-    expected = row_sums(csr, csr.data * data).reshape(shapes[2])
-    return freeze(expected), data, table
+    return freeze(row_sums(csr, csr.data * data).reshape(n_states, n_actions)), data, table
 
 
 def _check_sparse_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> sparse.csr_array:
@@ -143,8 +136,7 @@ def _check_sparse_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> spars
         return given
     rows = np.concatenate([row_of_entry(given), row_of_entry(csr)[absent]])
     columns = np.concatenate([given.indices, csr.indices[absent]])
-    data = np.concatenate([given.data, np.zeros(int(absent.sum()))])
-    return csr_from_entries(rows, columns, data, csr.shape)
+    return csr_from_entries(rows, columns, np.pad(given.data, (0, len(rows) - given.nnz)), csr.shape)
 
 
 def check_terminal_state(value: object, n_states: int) -> IntArray:
@@ -152,10 +144,15 @@ def check_terminal_state(value: object, n_states: int) -> IntArray:
     array = _checks.as_array(value, "terminal_state")
     if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
         raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
-    bad = np.flatnonzero((array < 0) | (array >= n_states))
-    if bad.size:
-        raise ValueError(f"terminal_state[{bad[0]}] must be in 0..{n_states - 1}; it is {array[bad[0]]}")
+    require_numbers(array, n_states, "terminal_state")
     return array.astype(np.int64)
+
+
+def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
+    """Every one of (n,) integers is a number of ``size`` states or actions."""
+    bad = np.flatnonzero((values < 0) | (values >= size))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in 0..{size - 1}{whose}; it is {values[bad[0]]}")
 
 
 def check_layout(value: object, n_states: int, name: str = "layout") -> Array:

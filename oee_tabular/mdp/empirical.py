@@ -101,7 +101,7 @@ def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: obj
     names = Names(state_names)
     if explorer.lacking:
         rule = f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}"
-        total = f"{explorer.n_pairs} state-action pairs that were met"
+        total = f"{explorer.n_actions * len(explorer.open)} state-action pairs that were met"
         short = [(number[s], a) for s, a in sorted(explorer.lacking)]
         _checks.warn(f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}")
     state, action, following, reward, terminated = (np.array(c) for c in zip(*explorer.transitions, strict=True))

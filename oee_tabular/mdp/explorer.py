@@ -31,8 +31,8 @@ RESET = -1  # the action of leaving an episode; the next state where it terminat
 class Explorer:
     """Samples of an environment: ``transitions`` (state, action, next state, reward, terminated), and ``starts``.
 
-    ``states``: the number of each observation, in the order in which they are met. ``lacking``: the pairs (state, action)
-    with too few samples, of states in which an episode can act.
+    ``states``: the number of each observation, in the order in which they are met. ``open``: those in which an episode can
+    act; ``lacking``: their pairs (state, action) with too few samples.
     """
 
     def __init__(self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator) -> None:
@@ -41,18 +41,13 @@ class Explorer:
         self.transitions: list[tuple[int, int, int, float, bool]] = []
         self.starts: list[int] = []
         self.lacking: set[tuple[int, int]] = set()
-        self._open: set[int] = set()  # the states in which an episode can act
+        self.open: set[int] = set()
         self._counts: Counter[tuple[int, int]] = Counter()
         self._outcomes: defaultdict[tuple[int, int], Counter[int]] = defaultdict(Counter)
         self._cuts: Counter[int] = Counter()
         self._best: list[int] = []
         self._values: list[list[float]] = []
         self._plan_step = 0
-
-    @property
-    def n_pairs(self) -> int:
-        """The number of state-action pairs in which an action can be taken."""
-        return self.n_actions * len(self._open)
 
     def explore(self, max_steps: int) -> None:
         """Step until no pair lacks samples, or ``max_steps`` times."""
@@ -94,11 +89,11 @@ class Explorer:
 
     def _set_open(self, state: int, is_open: bool) -> None:
         """Keep whether an episode can act in a state, so that its pairs are to have samples."""
-        if is_open and state not in self._open:
-            self._open.add(state)
+        if is_open and state not in self.open:
+            self.open.add(state)
             self.lacking.update((state, a) for a in self._actions_that_lack(state))
-        elif not is_open and state in self._open:
-            self._open.remove(state)
+        elif not is_open and state in self.open:
+            self.open.remove(state)
             self.lacking.difference_update((state, a) for a in range(self.n_actions))
 
     def _choose(self, state: int, is_first: bool) -> int:

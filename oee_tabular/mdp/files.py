@@ -14,28 +14,27 @@ from oee_tabular.mdp.empirical import Sampling
 from oee_tabular.mdp.naming import from_text, to_text
 
 _PARTS = ("data", "indices", "indptr")
-_NAMES = ("state_names", "action_names")
 
 
 def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
     """Return what a file holds; ``layout``: the one that was given, without the coordinates of names."""
-    arrays: dict[str, Any] = {
-        "shape": np.array(mdp.rewards.shape),
+    pairs, starts, error = mdp.sampling or (None, None, None)
+    arrays = {
+        "shape": mdp.rewards.shape,
+        "rewards": mdp.rewards if mdp.reward_data is None else None,
         "initial": mdp.initial,
-        "discount": np.array(mdp.discount),
+        "discount": mdp.discount,
         "terminal_state": mdp.terminal_state,
+        "layout": layout,
+        "sampling_pairs": pairs,
+        "sampling_starts": starts,
+        "state_names": mdp.state_names and to_text(mdp.state_names),
+        "action_names": mdp.action_names and to_text(mdp.action_names),
     }
-    tables: dict[str, Any] = {"transitions": mdp.csr, "rewards": mdp.transition_rewards}
-    if mdp.reward_data is None:
-        arrays["rewards"] = mdp.rewards
-    if layout is not None:
-        arrays["layout"] = layout
-    if mdp.sampling is not None:
-        arrays |= {"sampling_pairs": mdp.sampling.pairs, "sampling_starts": np.array(mdp.sampling.starts)}
-        tables["sampling_error"] = mdp.sampling.reward_error
+    tables = {"transitions": mdp.csr, "rewards": mdp.transition_rewards, "sampling_error": error}
     for name, table in tables.items():
-        arrays |= {} if table is None else {f"{name}_{part}": getattr(table, part) for part in _PARTS}
-    return arrays | {name: to_text(names) for name in _NAMES if (names := getattr(mdp, name)) is not None}
+        arrays |= {f"{name}_{part}": None if table is None else getattr(table, part) for part in _PARTS}
+    return {name: np.asarray(array) for name, array in arrays.items() if array is not None}
 
 
 def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,7 +53,7 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
         "terminal_state": arrays["terminal_state"],
         "layout": arrays.get("layout"),
         "sampling": _stored_sampling(arrays, shape) if "sampling_pairs" in arrays else None,
-    } | {name: from_text(arrays[name], name) for name in _NAMES if name in arrays}
+    } | {name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays}
 
 
 def _stored_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> sparse.csr_array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.mdp.arrays import require_numbers
 from oee_tabular.mdp.naming import Name, is_name, names_of, number_of, numbers_of, to_plain
 
 
@@ -108,9 +109,7 @@ def uniform_policy(mdp: Any) -> Array:
 
 def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") -> Array:
     """Return the (S, A) policy that takes ``actions[s]`` in state s."""
-    bad = np.flatnonzero((actions < 0) | (actions >= n_actions))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in 0..{n_actions - 1}; it is {actions[bad[0]]}")
+    require_numbers(actions, n_actions, name)
     policy = np.zeros((len(actions), n_actions))
     policy[np.arange(len(actions)), actions.astype(np.int64)] = 1.0
     return policy

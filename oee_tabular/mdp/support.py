@@ -10,7 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry
-from oee_tabular.mdp.arrays import csr_from_entries
+from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
 
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
 
@@ -80,10 +80,7 @@ def _observed_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array
     require_log(log)
     log = log.numbered(mdp)
     for name, limit in (("state", mdp.n_states), ("action", mdp.n_actions), ("next_state", mdp.n_states)):
-        values = getattr(log, name)
-        bad = np.flatnonzero(values >= limit)
-        if bad.size:
-            raise ValueError(f"log.{name}[{bad[0]}] must be in 0..{limit - 1}, the simulator's; it is {values[bad[0]]}")
+        require_numbers(getattr(log, name), limit, f"log.{name}", ", the simulator's")
     ends = np.arange(mdp.n_states)
     ends[: len(mdp.terminal_state)] = mdp.terminal_state
     to = np.where(log.terminated, ends[log.next_state], log.next_state)
