@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -52,12 +53,12 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
         policy = policy_table(policy, mdp, name)
     array, horizon = _checks.float_array(policy, name), _checks.optional_horizon(horizon)
     n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
-    shapes: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
-    if horizon is not None:
-        shapes += [(horizon, *shape) for shape in shapes]
-    if array.shape not in shapes:
-        rule = " or ".join(str(shape) for shape in shapes)
-        raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
+    if array.shape != (n_states, n_actions):
+        shapes: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
+        shapes += [] if horizon is None else [(horizon, *shape) for shape in shapes]
+        if array.shape not in shapes:
+            rule = " or ".join(str(shape) for shape in shapes)
+            raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
     array = _check_distributions(array, policy, name)
     if array.shape[-2] < n_states:
         twins = np.full((*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions)
@@ -70,7 +71,7 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
     array = _checks.scaled_if_single(array, given)
-    rows = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
+    rows = np.ascontiguousarray(array).reshape(math.prod(array.shape[:-1]), array.shape[-1])
     if not is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE):  # or misses the tolerance by a rounding
         _checks.require_nonnegative(array, name)
         _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
