@@ -14,26 +14,38 @@ WATCH = 0.5  # seconds between two looks of a worker at its parent
 
 
 @contextlib.contextmanager
-def client(address: str, seconds: float = CONNECT) -> Iterator[Any]:
-    """A client of the scheduler at ``address``; an OSError where none answers within ``seconds``."""
+def backend(jobs: int, dask: str | None) -> Iterator[Any]:
+    """Inside, ``parallel`` starts processes here, which end with this one however it dies, or asks the cluster at ``dask``.
+
+    Gives the cluster's client, or None. OSError where no scheduler answers, RuntimeError where it has no workers.
+    """
+    import joblib
+
+    if dask is not None:
+        with _connect(dask) as cluster, joblib.parallel_config("dask", pure=False):
+            if not cluster.scheduler_info()["workers"]:
+                raise RuntimeError(
+                    "the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1"
+                )
+            yield cluster
+    elif jobs == 1:
+        yield None
+    else:
+        with joblib.parallel_config(
+            "loky", inner_max_num_threads=1, initializer=end_with_parent, initargs=(os.getpid(),)
+        ):
+            yield None
+
+
+def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
         raise ImportError("--dask needs dask.distributed; in a clone: pip install '.[dask]'") from error
     try:
-        connect: Any = Client
-        scheduler = connect(address, timeout=seconds, set_as_default=True)
+        return Client(address, timeout=CONNECT, set_as_default=True)  # type: ignore[no-untyped-call]
     except Exception as error:  # what is not a scheduler may answer anything
         raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
-    with scheduler:
-        yield scheduler
-
-
-def local_processes() -> Any:
-    """The configuration of joblib for processes of this machine, one thread each, that end with this one however it dies."""
-    import joblib
-
-    return joblib.parallel_config("loky", inner_max_num_threads=1, initializer=end_with_parent, initargs=(os.getpid(),))
 
 
 def end_with_parent(parent: int) -> None:
@@ -48,26 +60,23 @@ def end_with_parent(parent: int) -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
+def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
+    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a core."""
+    import joblib
+
+    most = joblib.cpu_count() if jobs == -1 else jobs
+    return joblib.Parallel(n_jobs=-1 if dask else max(1, min(most, number)), batch_size=1, **options)
+
+
 def each(
     function: Callable[..., Any], calls: Iterable[tuple[object, ...]], number: int, *, jobs: int, dask: str | None
 ) -> Iterator[Any]:
     """``function(*call)`` of each of the ``number`` calls, in their order; an error is raised in its place."""
     if dask is None and (jobs == 1 or number < 2):
-        for call in calls:
-            yield function(*call)
+        yield from (function(*call) for call in calls)
         return
     import joblib
 
-    with contextlib.ExitStack() as stack:
-        if dask is not None:
-            cluster = stack.enter_context(client(dask))
-            if not cluster.scheduler_info()["workers"]:
-                raise RuntimeError(
-                    "the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1"
-                )
-            stack.enter_context(joblib.parallel_config("dask", pure=False))
-        else:
-            stack.enter_context(local_processes())
-        most = -1 if dask is not None or jobs == -1 else min(jobs, number)
-        parallel = joblib.Parallel(n_jobs=most, return_as="generator", batch_size=1)
-        yield from parallel(joblib.delayed(function)(*call) for call in calls)
+    with backend(jobs, dask):
+        tasks = (joblib.delayed(function)(*call) for call in calls)
+        yield from parallel(number, jobs, dask, return_as="generator")(tasks)

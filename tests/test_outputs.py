@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import oee_tabular as oee
-from oee_tabular import _files
+from oee_tabular import _files, _workers
 from oee_tabular.cli import main
 from oee_tabular.experiments.store import LOCK, Store, alone
 
@@ -288,10 +288,7 @@ def test_fresh_keeps_the_lock_that_it_holds(tmp_path):
 
 @pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 0, 1), (1, 5, 1)])
 def test_no_more_jobs_than_cells(jobs, cells, most):
-    from oee_tabular.experiments.run import _backend
-
-    with _backend(jobs, None) as parallel:
-        assert parallel(cells).n_jobs == most
+    assert _workers.parallel(cells, jobs, None).n_jobs == most
 
 
 # ---- Ctrl-C

@@ -11,6 +11,7 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,12 @@ import joblib
 import numpy as np
 
 from oee_tabular._progress import progress_bar
-from oee_tabular._workers import client, local_processes
+from oee_tabular._workers import backend, parallel
 from oee_tabular.experiments.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.experiments.store import Store, code_version
 from oee_tabular.testing.calls import one_thread
 
 ATTEMPTS = 3  # of a cell whose worker died
-CONNECT = 5.0  # seconds to wait for a dask scheduler
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,9 @@ def run_experiment(
     if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
     require_modules(experiment)
-    with _backend(jobs, dask) as parallel:
+    with backend(jobs, dask) as cluster:
+        if cluster is not None:
+            _check_workers(cluster)
         store = Store(folder, settings, fresh=fresh)
         store.open()
         todo = store.missing()
@@ -126,14 +128,14 @@ def run_experiment(
             leave=True,
         )
         try:
-            _compute(experiment, settings, store, todo, parallel, bar)
+            _compute(experiment, settings, store, todo, partial(parallel, jobs=jobs, dask=dask), bar)
         finally:
             bar.close()
     return Sweep(folder, len(todo), total - len(todo), store.stale)
 
 
 def _compute(
-    experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], parallel: Callable[[int], Any], bar: Any
+    experiment: Experiment, settings: Settings, store: Store, todo: list[Cell], start: Callable[..., Any], bar: Any
 ) -> None:
     left, attempt = dict(enumerate(todo)), 0
     while True:
@@ -141,7 +143,7 @@ def _compute(
         tasks = (joblib.delayed(_task)((k, experiment.run, settings, cell, store.code)) for k, cell in left.items())
         try:
             with _deaf():
-                results = parallel(len(left))(list(tasks))
+                results = start(len(left), return_as="generator_unordered")(list(tasks))
             for number, rows in results:
                 store.add(left.pop(number), rows)
                 bar.update()
@@ -177,31 +179,9 @@ def _died(error: Exception) -> bool:
     return isinstance(error, BrokenProcessPool) or type(error).__name__ in ("TerminatedWorkerError", "KilledWorker")
 
 
-@contextlib.contextmanager
-def _backend(jobs: int, dask: str | None) -> Iterator[Callable[[int], Any]]:
-    """What makes a ``joblib.Parallel`` for a number of cells, which yields results as they come."""
-
-    def parallel(cells: int) -> Any:
-        most = joblib.cpu_count() if jobs == -1 else jobs
-        return joblib.Parallel(
-            n_jobs=-1 if dask else max(1, min(most, cells)), return_as="generator_unordered", batch_size=1
-        )
-
-    if dask is None:
-        with local_processes() if jobs != 1 else contextlib.nullcontext():
-            yield parallel
-        return
-    with client(dask, CONNECT) as cluster:
-        _check_workers(cluster)
-        with joblib.parallel_config("dask", pure=False):
-            yield parallel
-
-
 def _check_workers(client: Any) -> None:
     """Every worker that is there now has this code; those that come later are checked by their first cell."""
     versions = client.run(code_version, on_error="return")
-    if not versions:
-        raise RuntimeError("the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1")
     several = {address: n for address, n in client.nthreads().items() if n > 1}
     if several:
         address, n = next(iter(several.items()))

@@ -86,7 +86,7 @@ def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
 
 def test_a_scheduler_that_does_not_answer_is_said_within_ten_seconds(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(running, "CONNECT", 1.0)
+    monkeypatch.setattr("oee_tabular._workers.CONNECT", 1.0)
     start = time.perf_counter()
     with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
         run_experiment(experiment(), tmp_path / "a", experiment().settings(), dask="tcp://127.0.0.1:9")
