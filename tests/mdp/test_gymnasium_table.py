@@ -1,4 +1,4 @@
-"""MDPs of Gymnasium's tables: the table's own values, where termination leads, and what is refused."""
+"""MDPs of Gymnasium's tables: the table's own values, where termination leads, names and maps, and what is refused."""
 
 import gymnasium
 import numpy as np
@@ -39,6 +39,20 @@ def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
     assert_allclose(mdp.transitions.toarray().reshape(expected.shape)[~over], expected[~over], rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("name", "kwargs", "columns", "actions"),
+    [
+        ("FrozenLake-v1", {"map_name": "8x8"}, 8, ("left", "down", "right", "up")),
+        ("FrozenLake-v1", {"desc": ["SFH", "FFG"]}, 3, ("left", "down", "right", "up")),
+        ("CliffWalking-v1", {}, 12, ("up", "right", "down", "left")),
+    ],
+)
+def test_maps_have_rows_columns_and_directions(name, kwargs, columns, actions):
+    mdp = oee.tasks.toy_text(name, **kwargs)
+    assert_array_equal(mdp.layout, [divmod(s, columns) for s in range(mdp.n_states)])
+    assert (mdp.action_names, mdp.state_names) == (actions, None)
+
+
 def test_goal_and_holes_of_frozen_lake_stay_apart():
     mdp = oee.tasks.toy_text("FrozenLake-v1", map_name="4x4")
     assert mdp.n_states == 16
@@ -48,6 +62,7 @@ def test_goal_and_holes_of_frozen_lake_stay_apart():
 def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
     """Taxi: from its unreachable states the destination is entered without termination, so dropping off needs twins."""
     mdp = oee.tasks.toy_text("Taxi-v4")
+    assert (mdp.layout, mdp.state_names, mdp.action_names) == (None, None, None)  # its map is not its states
     twins = np.flatnonzero(mdp.terminal_state != np.arange(500))
     assert (mdp.n_states, len(mdp.terminal_state), len(twins)) == (504, 500, 4)
     assert_array_equal(np.sort(mdp.terminal_state[twins]), np.arange(500, 504))
@@ -61,29 +76,42 @@ def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
     assert_allclose(by_step, oee.policy_value(mdp, own, horizon=3), rtol=1e-13)
 
 
-def lake():
-    return gymnasium.make("FrozenLake-v1")
+class Ledge(gymnasium.Env):
+    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends nowhere else."""
+
+    observation_space, action_space = gymnasium.spaces.Discrete(4), gymnasium.spaces.Discrete(2)
+    initial_state_distrib = np.array([1.0, 0.0, 0.0, 0.0])
+    P = {
+        0: {0: [(0.5, 1, 0.0, False), (0.5, 2, 0.0, False)], 1: [(1.0, 0, 0.0, False), (0.0, 3, 7.0, True)]},
+        1: {a: [(1.0, 3, 0.0, False)] for a in range(2)},
+        2: {a: [(1.0, 3, 1.0, True)] for a in range(2)},
+        3: {a: [(1.0, 2, 0.0, False)] for a in range(2)},
+    }
+
+
+PLACES = [("a", 0), ("a", 1), ("b", 0), ("b", 1)]
 
 
 @pytest.mark.parametrize(
-    ("make", "text"),
+    ("facts", "states", "actions", "layout"),
     [
-        (
-            lambda: gymnasium.make("Taxi-v4", fickle_passenger=True),
-            "fickle Taxi passenger changes its destination outside",
-        ),
-        (lambda: gymnasium.make("Blackjack-v1"), "BlackjackEnv has none"),
-        (lambda: gymnasium.wrappers.TransformReward(lake(), lambda r: -r), "the wrapper TransformReward may"),
-        (lambda: gymnasium.wrappers.StickyAction(lake(), 0.25), "the wrapper StickyAction may"),
-        (lambda: gymnasium.wrappers.NormalizeReward(lake()), "the wrapper NormalizeReward may"),
-        (lambda: gymnasium.wrappers.FrameStackObservation(lake(), 2), "the wrapper FrameStackObservation may"),
-        (lambda: gymnasium.wrappers.DelayObservation(lake(), 1), "the wrapper DelayObservation may"),
+        ({"shape": (2, 2)}, None, None, [[0, 0], [0, 1], [1, 0], [1, 1], [1, 1]]),
+        ({"shape": (4,), "state_names": PLACES}, (*PLACES, ("b", 1, "over")), None, None),
+        ({"shape": (2, 3), "state_names": list("wxyz")}, (*"wxyz", "z (over)"), None, None),
+        ({"shape": (4, None), "action_names": ["a", "b"]}, None, ("a", "b"), None),
+        ({"get_action_meanings": lambda self: ["NOOP", "FIRE"]}, None, ("NOOP", "FIRE"), None),
+        ({"shape": "2x2", "action_names": ["a", "a"], "state_names": ["only one"]}, None, None, None),
     ],
 )
-def test_refusals(make, text):
-    with pytest.raises(ValueError, match=text):
-        FiniteMDP.from_gymnasium(make())
-    assert FiniteMDP.from_gymnasium(gymnasium.wrappers.RecordEpisodeStatistics(lake())).n_states == 16
+def test_names_and_map_of_an_environment(facts, states, actions, layout):
+    """A twin is called, and lies, as its state; what does not fit the states is left."""
+    mdp = FiniteMDP.from_gymnasium(type("Named", (Ledge,), facts)())
+    assert mdp.terminal_state.tolist() == [0, 1, 2, 4]
+    assert (mdp.state_names, mdp.action_names) == (states, actions)
+    assert_array_equal(mdp.layout, layout)
+    own = [0, 0, 1, 1]  # policies of the environment's own states
+    for policy in (own, [*own, 0], np.eye(2)[own], dict(enumerate(own))):
+        assert_array_equal(oee.mdp.check_policy(policy, mdp)[:4], np.eye(2)[own])
 
 
 class Corridor(gymnasium.Env):
@@ -103,3 +131,23 @@ def test_a_table_whose_last_state_is_never_entered():
     assert_array_equal(mdp.transitions.toarray(), [[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0]])
     assert_array_equal(mdp.initial, [0, 0, 1])
     assert_array_equal(oee.state_values(mdp, np.ones((3, 1))), [0, 0, 1])
+
+
+def lake():
+    return gymnasium.make("FrozenLake-v1")
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: gymnasium.make("Taxi-v4", fickle_passenger=True), "fickle Taxi passenger changes its destination"),
+        (lambda: gymnasium.make("Blackjack-v1"), "BlackjackEnv has none"),
+        (lambda: gymnasium.wrappers.TransformReward(lake(), lambda r: -r), "the wrapper TransformReward may"),
+        (lambda: gymnasium.wrappers.StickyAction(lake(), 0.25), "the wrapper StickyAction may"),
+        (lambda: gymnasium.wrappers.FrameStackObservation(lake(), 2), "the wrapper FrameStackObservation may"),
+    ],
+)
+def test_refusals(make, text):
+    with pytest.raises(ValueError, match=text):
+        FiniteMDP.from_gymnasium(make())
+    assert FiniteMDP.from_gymnasium(gymnasium.wrappers.RecordEpisodeStatistics(lake())).n_states == 16

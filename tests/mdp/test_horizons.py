@@ -1,8 +1,5 @@
 """A horizon is followed as far as the discount can show; the rest is said, or refused with its cost."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -93,16 +90,3 @@ def test_sampled_episodes():
     np.testing.assert_array_equal(log.state, oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0).state)
     endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.5)
     assert len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000  # a log of a million is not cut
-
-
-def test_from_the_command_line(tmp_path):
-    LOG.save(tmp_path / "log.npz")
-    words = ["evaluate", "--simulator", "gridworld:3,slip=0.3", "--log", str(tmp_path / "log.npz")]
-    for horizon, code, text in (
-        ("1000000000", 0, "oee: warning: horizon 1000000000 is followed to step"),
-        ("9" * 20, 2, f"horizon must be at most 2**63 - 1; it is {'9' * 20}"),
-    ):
-        command = [sys.executable, "-m", "oee_tabular", *words, "--estimators", "simulator", "--horizon", horizon]
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode == code
-        assert text in done.stderr

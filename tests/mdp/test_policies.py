@@ -15,29 +15,29 @@ STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
 ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
 PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)
 NAMED = PLAIN.with_names(STATES, ACTIONS)
-GO_STAY = np.array([[1.0, 0], [0, 1], [0.5, 0.5]])
 LOG = oee.Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [-1.0, -1, -1], episode=[0, 0, 1])
 
 
-@pytest.mark.parametrize(
-    "policy",
-    [
-        {"hall": "go", ("room", 1): "stay"},
-        {0: 0, 1: 1, 2: [0.5, 0.5]},
-        {"hall": {"go": 1.0}, "('room', 1)": (0.0, 1.0), "dock": np.array([0.5, 0.5], dtype=np.float32)},
-        lambda state: {"hall": 0, ("room", 1): "stay"}.get(state),
-        lambda state: None if state == "dock" else np.int64(state != "hall"),
-        lambda state: {"go": float(state == "hall"), 1: float(state != "hall")} if state != "dock" else [0.5, 0.5],
-    ],
-)
-def test_by_name_and_as_a_function(policy):
-    assert_array_equal(check_policy(policy, NAMED), GO_STAY)
+FORMS = [
+    {"hall": "go", ("room", 1): "stay"},
+    {0: 0, 1: 1, 2: [0.5, 0.5]},
+    {"hall": {"go": 1.0}, "('room', 1)": (0.0, 1.0), "dock": np.array([0.5, 0.5], dtype=np.float32)},
+    lambda state: {"hall": 0, ("room", 1): "stay"}.get(state),
+    lambda state: None if state == "dock" else np.int64(state != "hall"),
+    lambda state: {"go": float(state == "hall"), 1: float(state != "hall")} if state != "dock" else [0.5, 0.5],
+    (0, 1, 1),
+    np.array([0, 1, 1], np.uint8),
+    ["go", "stay", "stay"],
+    np.array(["go", "stay", "stay"]),
+    np.array(["go", "stay", "stay"], object),
+]
 
 
-@pytest.mark.parametrize("policy", [[0, 1, 1], (0, 1, 1), np.array([0, 1, 1], np.uint8), ["go", "stay", "stay"],
-                                    np.array(["go", "stay", "stay"]), np.array(["go", "stay", "stay"], object)])  # fmt: skip
-def test_an_action_a_state(policy):
-    assert_array_equal(check_policy(policy, NAMED), [[1, 0], [0, 1], [0, 1]])
+@pytest.mark.parametrize("k", range(len(FORMS)))
+def test_forms_of_one_policy(k):
+    """The dock is terminal: a mapping or a function may leave it out."""
+    last = [0.5, 0.5] if k < 6 else [0, 1]
+    assert_array_equal(check_policy(FORMS[k], NAMED), [[1, 0], [0, 1], last])
 
 
 def test_a_function_without_names_is_given_numbers():
@@ -54,16 +54,6 @@ def test_actions_that_are_called_by_tuples():
     assert_array_equal(check_policy({0: (0, 1), 1: [0, 1]}, mdp)[:2], [[1, 0], [0, 1]])
     far = PLAIN.with_names(None, [("x", 1), ("y", 1)])
     assert_array_equal(check_policy([("x", 1), ("y", 1), ("y", 1)], far), [[1, 0], [0, 1], [0, 1]])
-
-
-def test_twins_are_added():
-    """Of an environment's own number of states, as for arrays."""
-    table = {0: {0: [(0.5, 1, 1.0, False), (0.5, 1, 2.0, True)]}, 1: {0: [(1.0, 1, 0.0, False)]}}
-    env = type("Door", (), {"P": table, "initial_state_distrib": (1.0, 0.0), "state_names": ["in", "door"]})()
-    mdp = FiniteMDP.from_gymnasium(env)
-    assert mdp.state_names == ("in", "door", "door (over)")
-    for policy in ([0, 0], [0, 0, 0], lambda state: {"in": 0, "door": 0}[state], {"in": 0, "door": 0}):
-        assert_array_equal(check_policy(policy, mdp), np.ones((3, 1)))
 
 
 BAD = [
@@ -150,13 +140,22 @@ def test_environments_other_than_ours_take_actions_too():
         record_episodes(env, [0, 4] + [0] * 14, n_episodes=3, seed=0)
 
 
-def test_a_mixture_with_actions():
-    assert_array_equal(oee.mix([0, 1], [[0.5, 0.5]] * 2, 0.5), [[0.75, 0.25], [0.25, 0.75]])
-    assert_array_equal(oee.mix([[0.5, 0.5]] * 2, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]])
-    with pytest.raises(ValueError, match=r"^policy_b\[1\] must be in 0\.\.1; it is 2$"):
-        oee.mix([[0.5, 0.5]] * 2, [0, 2], 0.5)
-    with pytest.raises(ValueError, match=r"^policy_a must have 2 or 3 dimension"):
-        oee.mix([0, 1], [0, 1], 0.5)
+HALVES = [[0.5, 0.5]] * 2
+
+
+def test_mixtures():
+    assert_array_equal(oee.mix([0, 1], HALVES, 0.5), [[0.75, 0.25], [0.25, 0.75]])
+    assert_array_equal(oee.mix(HALVES, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]])
+    for a, b, text in (
+        (HALVES, [0, 2], r"policy_b\[1\] must be in 0\.\.1; it is 2$"),
+        ([0, 1], [0, 1], "policy_a must have 2 or 3 dimension"),
+        (HALVES, np.ones((1, 1, 1, 1)), "policy_b must have 2 or 3 dimension"),
+        (HALVES, [["x"]], "policy_b must be an array of numbers"),
+        (HALVES, [[0.6, 0.6]], r"policy_b\[0\] must sum to 1"),
+        (HALVES, [[1.0, 0.0]], r"policy_a and policy_b must have one shape; they have \(2, 2\) and \(1, 2\)$"),
+    ):
+        with pytest.raises(ValueError, match=f"^{text}"):
+            oee.mix(a, b, 0.5)
 
 
 def test_one_or_several():
