@@ -40,7 +40,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
-from oee_tabular.simulate.sampler import Sampler, sampler
+from oee_tabular.simulate.sampler import Drawn, draw
 
 DATA = ("transitions", "rollouts", "episodes")
 WEIGHTS = ("occupancy", "beta")
@@ -156,8 +156,8 @@ class DoublyRobust(ExactLimit):
         zeta.on(model)  # or an error
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
-        rollouts = sampler(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, name="n_rollouts")
-        values = _rollout_values(rollouts, _to_go(model, policy, problem.horizon, steps))
+        drawn = draw(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=True, name="n_rollouts")
+        values = _rollout_values(model, drawn, _to_go(model, policy, problem.horizon, steps))
         value, error = mean_and_error(values)
         return Estimate(
             value,
@@ -196,12 +196,11 @@ def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> 
     return list(values_to_go(model, policy, steps)[1:])
 
 
-def _rollout_values(rollouts: Sampler, values: list[Array]) -> Array:
+def _rollout_values(model: FiniteMDP, drawn: Drawn, values: list[Array]) -> Array:
     """D_0 of each rollout, backward in time."""
     from oee_tabular.estimators._episodes import control_variates
 
-    model, zeta, drawn = rollouts.mdp, rollouts.ratio, rollouts.draw(record=True)
-    lengths, starts, path = drawn.lengths, drawn.starts, drawn.path
+    zeta, lengths, starts, path = drawn.ratio, drawn.lengths, drawn.starts, drawn.path
     longest = np.argsort(-lengths, kind="stable")
     begin, alive = starts[longest], np.searchsorted(-lengths[longest], -np.arange(len(values)), side="left")
     rows, columns = row_of_entry(model.transitions), model.transitions.indices

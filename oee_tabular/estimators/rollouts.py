@@ -18,7 +18,7 @@ from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_an
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
-from oee_tabular.simulate.sampler import Drawn, Sampler, entry_rewards, sampler
+from oee_tabular.simulate.sampler import Drawn, draw, entry_rewards
 
 WEIGHTINGS = ("per_decision", "trajectory")
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
@@ -60,13 +60,13 @@ def product_estimate(
     """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error
     steps = rollout_horizon(model.discount, horizon)
-    rollouts = sampler(
-        model, policy, n_rollouts, horizon_length(steps, model), seed=seed, zeta=ratio, name="n_rollouts"
-    )
     per_decision = weighting == "per_decision"
-    drawn = rollouts.draw(record=self_normalized and per_decision)
+    drawn = draw(
+        model, policy, n_rollouts, horizon_length(steps, model), seed=seed, zeta=ratio,
+        record=self_normalized and per_decision, name="n_rollouts",
+    )  # fmt: skip
     if self_normalized and per_decision:
-        value, error = _by_step(_weighted(rollouts, drawn), keep_last=True)
+        value, error = _by_step(_weighted(model, drawn), keep_last=True)
     elif self_normalized:
         value, error = _by_episode(drawn.whole, drawn.weights)
     else:
@@ -104,15 +104,14 @@ def weight_status(value: float) -> str:
     return "ok"
 
 
-def _weighted(rollouts: Sampler, drawn: Drawn) -> Weighted:
+def _weighted(mdp: FiniteMDP, drawn: Drawn) -> Weighted:
     """The same episodes, step by step."""
     from oee_tabular.estimators import _episodes as episodes
 
-    mdp = rollouts.mdp
     starts, path = drawn.starts, drawn.path
     weight, reward = np.empty((2, len(path)))
-    by_move = mdp.reward_data is not None
-    episodes.carried(starts, path, rollouts.ratio, entry_rewards(mdp), rollouts.powers, by_move, weight, reward)
+    by_move, powers = mdp.reward_data is not None, mdp.discount ** np.arange(drawn.lengths.max(), dtype=np.float64)
+    episodes.carried(starts, path, drawn.ratio, entry_rewards(mdp), powers, by_move, weight, reward)
     return Weighted(reward, weight, starts, drawn.weights)
 
 

@@ -12,7 +12,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.simulate.sampler import LOG_STREAM, Drawn, draw_bag, entry_rewards, sampler
+from oee_tabular.simulate.sampler import LOG_STREAM, Drawn, draw, draw_bag, entry_rewards
 
 
 def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed) -> Transitions:
@@ -53,7 +53,7 @@ def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon
     if steps > 10**6 / n:  # no log of a million transitions is cut
         steps = max(horizon_length(horizon, mdp), 10**6 // n)
     pi = check_policy(policy, mdp)
-    drawn = sampler(mdp, pi, n, steps, seed=seed, stream=LOG_STREAM).draw(record=True)
+    drawn = draw(mdp, pi, n, steps, seed=seed, stream=LOG_STREAM, record=True)
     return episode_log(mdp, drawn, pi)
 
 

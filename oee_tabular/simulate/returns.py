@@ -13,7 +13,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.simulate.logs import episode_log
-from oee_tabular.simulate.sampler import sampler
+from oee_tabular.simulate.sampler import draw
 
 KINDS = ("per_decision", "trajectory")
 
@@ -136,7 +136,7 @@ def sample_returns(
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
     pi = check_policy(policy, mdp)
-    drawn = sampler(mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta).draw(record=record)
+    drawn = draw(mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta, record=record)
     values = drawn.returns if zeta is None else drawn.weighted if kind == "per_decision" else drawn.whole
     log = episode_log(mdp, drawn, pi) if record else None
     return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, drawn.final_state, log, kind)

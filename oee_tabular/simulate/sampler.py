@@ -52,6 +52,7 @@ class Drawn:
     lengths : steps
     final_state : the state after the last step
     path : the entry of P that each step takes, one episode after the other; empty where it is not recorded
+    ratio : zeta of each entry of P; empty without weights
     """
 
     returns: Array
@@ -61,6 +62,7 @@ class Drawn:
     lengths: IntArray
     final_state: IntArray
     path: IntArray
+    ratio: Array
 
     @property
     def whole(self) -> Array:
@@ -74,76 +76,55 @@ class Drawn:
         return np.concatenate([[0], np.cumsum(self.lengths)])
 
 
-@dataclass(frozen=True, eq=False)
-class Sampler:
-    """Draws the same ``n`` episodes of at most ``horizon`` steps whenever it is asked; see ``sampler``."""
-
-    mdp: FiniteMDP
-    table: AliasTable
-    ratio: Array
-    key: np.uint64
-    stream: np.uint64
-    n: int
-    horizon: int
-
-    @property
-    def powers(self) -> Array:
-        """gamma^t of each step."""
-        return np.asarray(self.mdp.discount ** np.arange(self.horizon, dtype=np.float64))
-
-    def draw(self, *, record: bool = False) -> Drawn:
-        """Sums along each episode, and its path where it is to be recorded."""
-        import numba
-
-        from oee_tabular.simulate._rollout import draw_episodes
-
-        sums, (lengths, last) = np.empty((4, self.n)), np.empty((2, self.n), dtype=np.int64)
-        options = self.key, self.stream, self.horizon, self.mdp.discount, self.mdp.reward_data is not None, self.table
-
-        def run(begin: int, end: int, path: IntArray) -> Any:
-            return draw_episodes(begin, end, *options, sums, lengths, last, path)
-
-        pieces, done, room = [np.empty(0, dtype=np.int64)], 0, min(self.n * self.horizon, N_RECORDED_STEPS)
-        while record and done < self.n:
-            _checks.require_memory(2.0 * room, "n_episodes", self.n)
-            done, used = run(done, self.n, path := np.empty(room, dtype=np.int64))
-            pieces.append(path[:used])
-            room *= 2
-        if not record and self.n * self.horizon < N_THREADED_STEPS:
-            run(0, self.n, pieces[0])
-        elif not record:
-            with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
-                list(pool.map(lambda i: run(i, min(i + CHUNK, self.n), pieces[0]), range(0, self.n, CHUNK)))
-        path = pieces[-1] if len(pieces) <= 2 else np.concatenate(pieces)  # of all transitions: not copied without need
-        returns, weighted, weights, largest = sums
-        final_state = self.mdp.transitions.indices[last].astype(np.int64)
-        return Drawn(returns, weighted, weights, largest, lengths, final_state, path)
-
-
-def sampler(
+def draw(
     mdp: FiniteMDP, policy: Array, n: int, horizon: int, *,
-    seed: Seed, zeta: object = None, stream: np.uint64 = RETURN_STREAM, name: str = "n_episodes",
-) -> Sampler:  # fmt: skip
-    """The engine for a checked policy; ``zeta`` as in ``sample_returns``, None: no weights; ``name``: what n is called."""
+    seed: Seed, zeta: object = None, record: bool = False, stream: np.uint64 = RETURN_STREAM, name: str = "n_episodes",
+) -> Drawn:  # fmt: skip
+    """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given, and its path if it is to be recorded.
+
+    ``name``: what n is called.
+    """
     from oee_tabular.exact.walks import transition_factors  # not at import: logs do without
 
     _checks.require_memory(9.0 * n, name, n)
     terminal = mdp.absorbing()
     ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, terminal)
     table = alias_table(mdp, policy, mdp.initial, terminal, ratio)
-    return Sampler(mdp, table, ratio, stream_key(seed), stream, n, horizon)
+    return _follow(mdp, table, ratio, n, horizon, seed, stream, record)
 
 
 def draw_bag(mdp: FiniteMDP, distribution: Array, n: int, *, seed: Seed) -> IntArray:
     """Entries of P, their rows from ``distribution`` (S*A,): the pairs are the first states of n episodes of one step."""
     every, terminal = np.ones((len(distribution), 1)), np.zeros(len(distribution), dtype=np.bool_)
     table = alias_table(mdp, every, distribution, terminal, np.zeros(0))
-    return Sampler(mdp, table, np.zeros(0), stream_key(seed), BAG_STREAM, n, 1).draw(record=True).path
+    return _follow(mdp, table, np.zeros(0), n, 1, seed, BAG_STREAM, True).path
 
 
-def stream_key(seed: Seed) -> np.uint64:
-    """A key of 64 bits from anything that ``numpy.random.default_rng`` takes."""
-    return np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
+def _follow(
+    mdp: FiniteMDP, table: AliasTable, ratio: Array, n: int, horizon: int, seed: Seed, stream: np.uint64, record: bool
+) -> Drawn:
+    import numba
+
+    from oee_tabular.simulate._rollout import draw_episodes
+
+    key = np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
+    sums, (lengths, last) = np.empty((4, n)), np.empty((2, n), dtype=np.int64)
+    options = key, stream, horizon, mdp.discount, mdp.reward_data is not None, table, sums, lengths, last
+    pieces, done, room = [np.empty(0, dtype=np.int64)], 0, min(n * horizon, N_RECORDED_STEPS)
+    while record and done < n:
+        _checks.require_memory(2.0 * room, "n_episodes", n)
+        done, used = draw_episodes(done, n, *options, path := np.empty(room, dtype=np.int64))
+        pieces.append(path[:used])
+        room *= 2
+    if not record and n * horizon < N_THREADED_STEPS:
+        draw_episodes(0, n, *options, pieces[0])
+    elif not record:
+        with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
+            list(pool.map(lambda i: draw_episodes(i, min(i + CHUNK, n), *options, pieces[0]), range(0, n, CHUNK)))
+    path = pieces[-1] if len(pieces) <= 2 else np.concatenate(pieces)  # of all transitions: not copied without need
+    returns, weighted, weights, largest = sums
+    final_state = mdp.transitions.indices[last].astype(np.int64)
+    return Drawn(returns, weighted, weights, largest, lengths, final_state, path, ratio)
 
 
 def alias_table(mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array) -> AliasTable:
