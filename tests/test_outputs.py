@@ -18,22 +18,20 @@ from oee_tabular.cli import main
 from oee_tabular.experiments.store import LOCK, Store, alone
 
 GRID = "gridworld:3,slip=.3"
-SAMPLE = ("sample", GRID, "--episodes", 2, "--output")
+SAMPLE = f"sample {GRID} --episodes 2 --output"
 
 
-def command(capsys, *arguments):
+def command(capsys, line):
     """(exit code, what was printed, what was said on stderr)."""
     with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
+        main(line.split())
     captured = capsys.readouterr()
     return ended.value.code or 0, captured.out, captured.err
 
 
-def started(*arguments, **options):
-    return subprocess.Popen(
-        [sys.executable, "-m", "oee_tabular", *map(str, arguments)], text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, **options,
-    )  # fmt: skip
+def started(line, **options):
+    command = [sys.executable, "-m", "oee_tabular", *line.split()]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
 # ---- what stands there already
@@ -43,26 +41,32 @@ def started(*arguments, **options):
 def test_a_recorded_log_is_not_overwritten(tmp_path, capsys, name):
     path = tmp_path / name
     path.write_text("hours of work")
-    code, out, said = command(capsys, *SAMPLE, path)
+    code, out, said = command(capsys, f"{SAMPLE} {path}")
     assert (code, out) == (2, "")
     assert said == f"oee: --output must be a new file, or be given with --overwrite; {str(path)!r} exists already\n"
     assert path.read_text() == "hours of work"
-    assert command(capsys, *SAMPLE, path, "--overwrite")[0] == 0
+    assert command(capsys, f"{SAMPLE} {path} --overwrite")[0] == 0
     assert len(oee.Transitions.load(path)) > 0
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("evaluate",), SAMPLE[:-1], ("sample", "cartpole", "--episodes", 1), ("policy", GRID, "uniform"), ("export", GRID),
-        ("counts", "log.csv"), ("plan", "--simulator", GRID, "--log", "log.csv", "--transitions", 9),
-        ("reproduce", "fig1a", "--smoke"), ("bench",),
-    ],
-)  # fmt: skip
-def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, words):
+HYPHENS = f"""
+evaluate
+sample {GRID} --episodes 2
+sample cartpole --episodes 1
+policy {GRID} uniform
+export {GRID}
+counts log.csv
+plan --simulator {GRID} --log log.csv --transitions 9
+reproduce fig1a --smoke
+bench
+"""
+
+
+@pytest.mark.parametrize("line", HYPHENS.strip().splitlines())
+def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, line):
     monkeypatch.chdir(tmp_path)
     oee.sample_episodes(oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25), 2, 9, seed=0).save("log.csv")
-    code, out, said = command(capsys, *words, "--output", "-")
+    code, out, said = command(capsys, f"{line} --output -")
     assert (code, out) == (2, "")
     assert " must be a file; '-', standard input or output, is none (--json prints what a command found)" in said
     assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
@@ -71,53 +75,28 @@ def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, words):
 def test_nor_are_a_log_of_states_and_a_plan_s_policy(tmp_path, capsys):
     for name in ("log.csv", "plan.npy"):
         (tmp_path / name).write_text("hours of work")
-    assert command(capsys, "sample", "cartpole", "--episodes", 1, "--output", tmp_path / "log.csv")[0] == 2
-    assert command(capsys, *SAMPLE, tmp_path / "log.npz")[0] == 0
-    plan = (
-        "plan",
-        "--simulator",
-        GRID,
-        "--log",
-        tmp_path / "log.npz",
-        "--transitions",
-        9,
-        "--output",
-        tmp_path / "plan.npy",
-    )
-    code, _, said = command(capsys, *plan)
+    assert command(capsys, f"sample cartpole --episodes 1 --output {tmp_path}/log.csv")[0] == 2
+    assert command(capsys, f"{SAMPLE} {tmp_path}/log.npz")[0] == 0
+    plan = f"plan --simulator {GRID} --log {tmp_path}/log.npz --transitions 9 --output {tmp_path}/plan.npy"
+    code, _, said = command(capsys, plan)
     assert code == 2
     assert "plan.npy' exists already" in said
     assert [(tmp_path / name).read_text() for name in ("log.csv", "plan.npy")] == ["hours of work"] * 2
-    assert command(capsys, *plan, "--overwrite")[0] == 0
+    assert command(capsys, f"{plan} --overwrite")[0] == 0
     assert np.load(tmp_path / "plan.npy").shape == (9, 4)
 
 
 def test_reports_and_what_can_be_made_again_are_replaced_and_say_so(tmp_path, capsys):
     log, out, page = tmp_path / "log.npz", tmp_path / "out", tmp_path / "page.html"
-    command(capsys, *SAMPLE, log)
-    evaluate = (
-        "evaluate",
-        "--simulator",
-        GRID,
-        "--log",
-        log,
-        "--estimators",
-        "simulator",
-        "--output",
-        out,
-        "--report",
-        page,
-    )
-    assert "(replaced)" not in command(capsys, *evaluate)[1]
-    written = command(capsys, *evaluate)[1].splitlines()[-1]
+    command(capsys, f"{SAMPLE} {log}")
+    evaluate = f"evaluate --simulator {GRID} --log {log} --estimators simulator --output {out} --report {page}"
+    assert "(replaced)" not in command(capsys, evaluate)[1]
+    written = command(capsys, evaluate)[1].splitlines()[-1]
     for path in (out / "report.json", out / "table.csv", out / "values.png", page):
         assert f"{path} (replaced)" in written
-    for arguments in (
-        ("policy", GRID, "uniform", "--output", tmp_path / "p.npy"),
-        ("export", GRID, "--output", tmp_path / "s.npz"),
-    ):
-        assert "(replaced)" not in command(capsys, *arguments)[1]
-        assert f"{arguments[-1]} (replaced): " in command(capsys, *arguments)[1]
+    for line, path in ((f"policy {GRID} uniform", tmp_path / "p.npy"), (f"export {GRID}", tmp_path / "s.npz")):
+        assert "(replaced)" not in command(capsys, f"{line} --output {path}")[1]
+        assert f"{path} (replaced): " in command(capsys, f"{line} --output {path}")[1]
 
 
 def test_a_link_stays_a_link(tmp_path, capsys):
@@ -126,11 +105,10 @@ def test_a_link_stays_a_link(tmp_path, capsys):
     log = kept / "log.npz"
     log.write_text("old")
     (tmp_path / "log.npz").symlink_to(log)
-    assert command(capsys, *SAMPLE, tmp_path / "log.npz", "--overwrite")[0] == 0
+    assert command(capsys, f"{SAMPLE} {tmp_path}/log.npz --overwrite")[0] == 0
     (kept / "report.json").symlink_to(tmp_path / "elsewhere.json")  # leads nowhere yet
-    assert command(
-        capsys, "evaluate", "--simulator", GRID, "--log", log, "--estimators", "simulator", "--output", kept
-    )[0] == 0  # fmt: skip
+    evaluate = f"evaluate --simulator {GRID} --log {log} --estimators simulator --output {kept}"
+    assert command(capsys, evaluate)[0] == 0
     assert (tmp_path / "log.npz").is_symlink()
     assert (kept / "report.json").is_symlink()
     assert len(oee.Transitions.load(log)) > 0
@@ -145,7 +123,7 @@ def test_a_folder_and_a_loop_of_links_are_named(tmp_path, capsys):
         ("folder.npz", "must be a file; it is a folder"),
         ("loop.npz", "must be a file; it is something else"),
     ):
-        code, _, said = command(capsys, *SAMPLE, tmp_path / name, "--overwrite")
+        code, _, said = command(capsys, f"{SAMPLE} {tmp_path / name} --overwrite")
         assert code == 2
         assert said.startswith(f"oee: {tmp_path / name}: {text}")
 
@@ -160,10 +138,10 @@ def test_a_full_disk_names_the_file(tmp_path):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 
-    started(*SAMPLE, tmp_path / "log.npz").communicate(timeout=120)  # what is compiled is written, too
+    started(f"{SAMPLE} {tmp_path}/log.npz").communicate(timeout=120)  # what is compiled is written, too
     for name in ("log.npz", "log.csv", "log.parquet"):
         (tmp_path / name).write_text("old")
-        process = started(*SAMPLE, tmp_path / name, "--overwrite", preexec_fn=small)
+        process = started(f"{SAMPLE} {tmp_path / name} --overwrite", preexec_fn=small)
         said = process.communicate(timeout=120)[1]
         assert process.returncode == 2
         assert said.splitlines()[-1].startswith(f"oee: {tmp_path / name}: cannot be written (")
