@@ -37,41 +37,37 @@ def log_arguments(
 ) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_log`` explains these."""
     require_log(log)
-    n_states, states = _count(sizes[0], names[0], log.state_names, (log.state, log.next_state), "state")
-    n_actions, actions = _count(sizes[1], names[1], log.action_names, (log.action,), "action")
-    numbered: list[IntArray] = []
-    for name, own, called in (
-        ("state", log.state_names, states),
-        ("action", log.action_names, actions),
-        ("next_state", log.state_names, states),
-    ):
-        codes = getattr(log, name)
-        numbered.append(codes if own is None else renumber(codes, own, called, len(called or ()), f"log.{name}"))
-    reward = np.zeros(len(numbered[0])) if log.reward is None else log.reward
+    n_states, states, (state, following) = _resolve(log, "state", ("state", "next_state"), sizes[0], names[0])
+    n_actions, actions, (action,) = _resolve(log, "action", ("action",), sizes[1], names[1])
+    reward = np.zeros(len(state)) if log.reward is None else log.reward
     if rewards is None and (log.reward is None or np.isnan(reward).any()):
         lacking = "the log has none" if log.reward is None else "some rows of the log have none"
         raise ValueError(f"rewards must be given where {lacking}; they are None")
-    samples = Outcomes._make([*numbered, np.ones(len(reward)), np.nan_to_num(reward), log.terminated])
-    starts = samples.state if log.episode_starts is None else samples.state[log.episode_starts[:-1]]
+    samples = Outcomes(state, action, following, np.ones(len(state)), np.nan_to_num(reward), log.terminated)
+    starts = state if log.episode_starts is None else state[log.episode_starts[:-1]]
     law: Array | None = None
     if initial is not None:
         law = _checks.distribution(initial_distribution(initial, states, n_states), "initial", (n_states,))
     return _empirical_arguments(samples, starts, law, Names(states, actions), (n_states, n_actions), rewards, layout)
 
 
-def _count(
-    size: object, names: object, own: tuple[Name, ...] | None, columns: tuple[IntArray, ...], label: str
-) -> tuple[int, tuple[Name, ...] | None]:
-    """Return the number of states or actions, and their names."""
-    largest = max(int(column.max()) for column in columns)
+def _resolve(
+    log: Any, label: str, columns: tuple[str, ...], size: object, names: object
+) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
+    """Return the number of states or actions, their names, and the log's columns of them in these numbers."""
+    own, codes = getattr(log, f"{label}_names"), [getattr(log, column) for column in columns]
     called = own if names is None else _checks.collection(names, f"{label}_names", "a sequence of texts or tuples")
+    largest = max(int(each.max()) for each in codes)
     if size is None:
         size = largest + 1 if called is None else len(called)
     number = _checks.positive_integer(size, f"n_{label}s")
     if own is None and number <= largest:
         rule = f"n_{label}s must be at least {largest + 1}, for the log has {label} {largest}"
         raise ValueError(f"{rule}; it is {number}")
-    return number, None if called is None else check_names(called, f"{label}_names", number)
+    called = None if called is None else check_names(called, f"{label}_names", number)
+    if own is not None:
+        codes = [renumber(each, own, called, number, f"log.{name}") for each, name in zip(codes, columns, strict=True)]
+    return number, called, codes
 
 
 def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: object) -> dict[str, Any]:
@@ -150,9 +146,8 @@ def _empirical_arguments(
     )
     counts, terminal = arguments["transitions"], arguments["terminal_state"]
     frequencies = csr_on_pattern(counts, counts.data / row_sums(counts)[row_of_entry(counts)], own=True)
-    pairs = _count_pairs(samples, terminal, counts.shape)
-    error = _mean_variance(samples, terminal, counts.shape) if rewards is None else None
-    sampling = Sampling(pairs, float(len(starts)) if initial is None else np.inf, error)
+    n_starts = float(len(starts)) if initial is None else np.inf
+    sampling = _count_samples(samples, terminal, counts.shape, n_starts, has_rewards=rewards is None)
     return arguments | {"transitions": frequencies, "sampling": sampling}
 
 
@@ -195,24 +190,25 @@ def _fill_pairs(samples: Outcomes, initial: Array, n_actions: int, names: Names)
     return Outcomes._make(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
-def _count_pairs(samples: Outcomes, terminal: IntArray, shape: tuple[int, int]) -> Array:
-    """Return (S*A,) samples of each (s, a), inf of terminal states."""
+def _count_samples(
+    samples: Outcomes, terminal: IntArray, shape: tuple[int, int], starts: float, *, has_rewards: bool
+) -> Sampling:
+    """Count the samples of each pair, and compute the variance of each transition's mean reward where they have rewards.
+
+    The variance of a mean of k rewards is s^2 / k, s^2 the transition's own, or the pooled one where k = 1.
+    """
     n_rows, n_states = shape
-    n_actions = n_rows // n_states
-    pairs = np.bincount(samples.state * n_actions + samples.action, minlength=n_rows).astype(np.float64)
-    is_terminal = np.bincount(terminal[samples.next_state[samples.terminated]], minlength=n_states) > 0
-    is_terminal[samples.state] = False
-    pairs[np.repeat(is_terminal, n_actions)] = np.inf
-    return pairs
-
-
-def _mean_variance(samples: Outcomes, terminal: IntArray, shape: tuple[int, int]) -> sparse.csr_array:
-    """Return the variance s^2 / k of a transition's mean of k rewards; s^2 is its own, or the pooled one where k = 1."""
-    row = samples.state * (shape[0] // shape[1]) + samples.action
+    row = samples.state * (n_rows // n_states) + samples.action
     to = np.where(samples.terminated, terminal[samples.next_state], samples.next_state)
+    pairs = np.bincount(row, minlength=n_rows).astype(np.float64)
+    is_terminal = np.bincount(to[samples.terminated], minlength=n_states) > 0
+    is_terminal[samples.state] = False
+    pairs[np.repeat(is_terminal, n_rows // n_states)] = np.inf
+    if not has_rewards:
+        return Sampling(pairs, starts, None)
     number, total, squares = (csr_from_entries(row, to, samples.reward**k, shape) for k in range(3))
     deviation = np.maximum(squares.data - total.data**2 / number.data, 0.0)
     freedom = float((number.data - 1.0).sum())
     pooled = float(deviation.sum()) / freedom if freedom else 0.0
     variance = np.where(number.data > 1, deviation / np.maximum(number.data - 1.0, 1.0), pooled) / number.data
-    return csr_on_pattern(number, variance, own=True)
+    return Sampling(pairs, starts, csr_on_pattern(number, variance, own=True))

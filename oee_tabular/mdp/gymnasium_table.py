@@ -105,20 +105,18 @@ def build_arguments(
         table[:n_own] = rewards
         table[terminal] = 0.0
     layout = coordinates(state_names) if layout is None else layout
+    if state_names is not None:  # a twin is its state, over
+        again = [state_names[s] for s in twins]
+        state_names += tuple((*name, "over") if isinstance(name, tuple) else f"{name} (over)" for name in again)
     return {
         "transitions": transitions,
         "rewards": table,
         "initial": np.concatenate([initial, np.zeros(len(twins))]),
         "terminal_state": terminal_state,
         "layout": None if layout is None else np.concatenate([layout, layout[twins]]),
-        "state_names": state_names and (*state_names, *(_twin_name(state_names[s]) for s in twins)),
+        "state_names": state_names,
         "action_names": action_names,
     }
-
-
-def _twin_name(name: Name) -> Name:
-    """Return what the twin of a state is called, in which the episode is over."""
-    return (*name, "over") if isinstance(name, tuple) else f"{name} (over)"
 
 
 def _refuse_changing_wrappers(env: object) -> None:
