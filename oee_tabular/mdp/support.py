@@ -51,19 +51,18 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     table = mdp.transition_rewards
     if table is None:
         return {"transitions": new}
-    own, is_defined = align(table, new)
-    value = mdp.rewards.reshape(-1)[row_of_entry(new)]
+    value = mdp.rewards.reshape(-1)[row]
     if reward is not None:
         has_reward = ~np.isnan(reward)  # some may be missing
         places = rows[has_reward], columns[has_reward]
-        total, _ = align(csr_from_entries(*places, reward[has_reward], matrix.shape), new)
-        count, is_paid = align(csr_from_entries(*places, np.ones(len(places[0])), matrix.shape), new)
-        value = np.where(is_paid, total / np.maximum(count, 1.0), value)
-    beside = np.flatnonzero(~align(new, table)[1])  # defined where P is 0: they stay
+        weights = reward[has_reward], np.ones(len(places[0]))
+        total, count = (align(csr_from_entries(*places, weight, matrix.shape), added)[0] for weight in weights)
+        value = np.where(count > 0, total / np.maximum(count, 1.0), value)
+    is_undefined = ~align(table, added)[1]
     rewards = csr_from_entries(
-        np.concatenate([row_of_entry(new), row_of_entry(table)[beside]]),
-        np.concatenate([new.indices, table.indices[beside]]),
-        np.concatenate([np.where(is_defined, own, value), table.data[beside]]),
+        np.concatenate([row_of_entry(table), row[is_undefined]]),
+        np.concatenate([table.indices, column[is_undefined]]),
+        np.concatenate([table.data, value[is_undefined]]),
         matrix.shape,
     )
     return {"transitions": new, "rewards": rewards}
