@@ -270,6 +270,9 @@ def test_bad_environments(env, options, text):
 
 # ---------------------------------------------------------------- support
 
+BROKEN = sparse.csr_array(np.ones((6, 3)))
+BROKEN.indptr[5] = 10**6  # native code would follow it
+
 
 def still(form):
     rows = np.array([[[1.0, 0, 0], [0, 1, 0]], [[0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
@@ -336,6 +339,7 @@ def test_terminated_transitions_lead_where_termination_leads():
      (Transitions([0], [0], [3]), 0.1, r"log\.next_state\[0\] must be in 0\.\.2, the simulator's; it is 3$"),
      (np.eye(3), 0.1, r"log must be Transitions; got ndarray$"),
      (sparse.csr_array((3, 3)), 0.1, r"log must be of shape \(6, 3\) where it is counts; it has shape \(3, 3\)$"),
+     (BROKEN, 0.1, r"log\.indptr\[6\] must be at least"),
      (Transitions(["x"], [0], ["x"]), 0.1, r"log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names")],
 )  # fmt: skip
 def test_bad_support(log, epsilon, text):
