@@ -1,33 +1,50 @@
-"""Finite horizons, carried out as they stand: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0.
+"""Finite horizons, carried out as they stand.
+
+    V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
 
 Where only J is wanted, T rewards can depend on no more than the states that T - 1 transitions reach: rows of P_pi are made for
 these alone (the light cone of the support of mu_0), and each step backward leaves its outermost ring out.
+
+Rows are read four entries at a time, with unsigned indices: signed ones, which could count from the end, cost twice as much.
+Every sum keeps the order of its row.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.exact._policy_rows import add_entry, average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import Kernel, as_readonly, policy_kernel, policy_system, rows_of
 from oee_tabular.mdp import check_policy
+from oee_tabular.mdp._policies import is_stochastic_matrix
 from oee_tabular.mdp.horizons import limit_horizon
 
-if TYPE_CHECKING:
-    from oee_tabular.exact._finite import Cone
-
 STRICT_TOLERANCE = 1e-9  # of a row's sum: stricter than check_policy, which decides where sums are odd
+CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
+
+
+class Cone(NamedTuple):
+    """States in the order in which they are first reached, with their rows and rewards under these numbers.
+
+    In at most k transitions the first ends[k] of them are reached.
+    """
+
+    states: Any
+    ends: Any
+    kernel: Kernel
+    rewards: Array
+    initial: Array
 
 
 def check_policy_in_place(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    from oee_tabular.mdp._policies import is_stochastic_matrix
-
     shape = (model.n_states, model.n_actions)
     if (
         type(policy) is np.ndarray
@@ -42,12 +59,10 @@ def check_policy_in_place(policy: PolicyLike, model: Model, horizon: int) -> Arr
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     """The states that ``horizon`` rewards of a stationary policy can depend on, with their rows and rewards."""
-    from oee_tabular.exact import _finite
-
     # numpy's zeros cost nothing until they are touched, the kernel's own would be written
     place = np.zeros(model.n_states, np.uint32)
     read = as_readonly(policy), as_readonly(model.rewards), as_readonly(model.initial)
-    cone: Cone = _finite.light_cone(rows_of(model.csr), *read, model.discount, horizon, place)
+    cone: Cone = reach_forward(rows_of(model.csr), *read, model.discount, horizon, place)
     for part in cone.kernel[:3]:
         part.flags.writeable = False  # so that sweeps are compiled for one kind of array
     return cone
@@ -55,59 +70,46 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
 
 def values_by_horizon(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
     """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone unless ``is_each``."""
-    from oee_tabular.exact import _finite
-
     if policy.ndim == 3:
-        return _step_forward(model, policy, np.zeros((0, 0)))
-    return np.asarray(_finite.cone_values(light_cone(model, policy, horizon), is_each))
+        return _sum_forward(model, policy, np.zeros((0, 0)))
+    return np.asarray(sweep_cone(light_cone(model, policy, horizon), is_each))
 
 
 def initial_mean(model: Model, values: Array) -> float:
     """mu_0 . V over the states where episodes start (the others may be infinite)."""
-    from oee_tabular.exact import _finite
-
-    return float(_finite.dot(model.initial, values, len(values)))
+    return float(dot(model.initial, values, len(values)))
 
 
 def visits(model: Model, policy: Array, horizon: int) -> Array:
     """(S, A): sum_{t<T} gamma^t Pr(s_t = s, a_t = a)."""
-    from oee_tabular.exact import _finite
-
     pairs = np.zeros((model.n_states, model.n_actions))
     if policy.ndim == 2:
         cone = light_cone(model, policy, horizon)
-        pairs[cone.states] = _finite.cone_visits(cone)[:, None] * policy[cone.states]
+        pairs[cone.states] = visit_cone(cone)[:, None] * policy[cone.states]
     else:
-        _step_forward(model, policy, pairs)
+        _sum_forward(model, policy, pairs)
     return pairs
 
 
-def _step_forward(model: Model, policy: Array, pairs: Array) -> Array:
-    from oee_tabular.exact import _finite
-
+def _sum_forward(model: Model, policy: Array, pairs: Array) -> Array:
     read = as_readonly(model.rewards), as_readonly(policy), as_readonly(model.initial)
-    return np.asarray(_finite.step_forward(rows_of(model.csr), *read, model.discount, pairs))
+    return np.asarray(step_forward(rows_of(model.csr), *read, model.discount, pairs))
 
 
-def values_to_go(model: Model, policy: Array, horizon: int) -> Array:
-    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to go."""
-    from oee_tabular.exact import _finite, _policy_rows
-
-    out = np.empty((horizon + 1, model.n_states))
-    rewards, _ = _policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)
-    _finite.values_to_go(policy_system(model, policy).kernel, rewards, out)
-    return out
+def values_to_go(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
+    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to go; or V_0 alone, (1, S)."""
+    out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
+    rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
+    sweep(policy_system(model, policy).kernel, rewards, horizon, out)
+    return out if is_each else out[:1]
 
 
 def gradient_to_horizon(model: Model, valued: Model, policy: Array, horizon: int) -> Array:
     """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, on the entries of ``valued``."""
-    from oee_tabular.exact import _finite
-
     back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, policy).T)), 1.0)
     rewards = as_readonly(np.zeros(0) if valued.reward_data is None else valued.reward_data)
     to_go, out = values_to_go(valued, policy, horizon), np.zeros(valued.transitions.nnz)
-    entries = rows_of(valued.csr)
-    _finite.gradient_flows(to_go, valued.discount, back, model.initial, entries, policy, rewards, out)
+    add_flows(to_go, valued.discount, back, model.initial, rows_of(valued.csr), policy, rewards, out)
     return np.asarray(out * np.repeat(policy.reshape(-1), np.diff(valued.transitions.indptr)))
 
 
@@ -146,3 +148,210 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
     length = _checks.positive_integer(horizon, "horizon")
     length = limit_horizon(length, 1.0, work=mdp.transitions.nnz, kept=3)
     return values_by_horizon(mdp, check_policy_in_place(policy, mdp, length), length)
+
+
+@njit(cache=True)
+def backup(kernel, rewards, ahead, out, first, last):
+    """out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
+    indptr, indices, data, gamma = kernel
+    one, four = np.uint64(1), np.uint64(4)
+    x = np.uint64(indptr[first])
+    for s in range(first, last):
+        end = np.uint64(indptr[s + one])
+        total = 0.0
+        while x + four <= end:  # one addition after the other all the same
+            total += data[x] * ahead[indices[x]]
+            total += data[x + one] * ahead[indices[x + one]]
+            total += data[x + np.uint64(2)] * ahead[indices[x + np.uint64(2)]]
+            total += data[x + np.uint64(3)] * ahead[indices[x + np.uint64(3)]]
+            x += four
+        while x < end:
+            total += data[x] * ahead[indices[x]]
+            x += one
+        out[s] = rewards[s] + gamma * total
+
+
+@njit(cache=True)
+def dot(x, y, size):
+    """x . y over the first ``size`` entries; where x is 0, y may be infinite."""
+    total, part, terms = 0.0, 0.0, 0
+    for i in range(size):
+        if x[i] != 0.0:
+            part += x[i] * y[i]
+            terms += 1
+            if terms == CHUNK:
+                total, part, terms = total + part, 0.0, 0
+    return total + part
+
+
+@njit(cache=True)
+def sweep(kernel, rewards, horizon, out):
+    """V_t = r + gamma K V_{t+1}, V_T = 0, in row t % len(out) of ``out``, which begins with zeros."""
+    k = len(out)
+    for t in range(horizon - 1, -1, -1):
+        backup(kernel, rewards, out[(t + 1) % k], out[t % k], np.uint64(0), np.uint64(len(rewards)))
+
+
+@njit(cache=True)
+def enlarge(array, size):
+    """The array, or a copy of twice the length where it is shorter than ``size``."""
+    if size <= len(array):
+        return array
+    longer = np.zeros(2 * size, array.dtype)
+    for i in range(len(array)):  # a slice's copy takes two seconds more to compile
+        longer[i] = array[i]
+    return longer
+
+
+@njit(cache=True)
+def reach_forward(rows, policy, rewards, initial, discount, horizon, place):
+    """What ``horizon`` rewards can depend on: a ``Cone``.
+
+    Rows are there only for states from which a transition still counts; a row's entries are in the order in which its actions
+    have them, as in ``_policy_rows.average_rows``. ``place`` (S,) must be zeros, uint32; what is not reached is not read.
+    """
+    indptr, indices, data = rows
+    n_actions = policy.shape[1]
+    ends = np.zeros(horizon, np.int64)
+    count, n_initial = 0, np.count_nonzero(initial)
+    states = np.zeros(2 * n_initial + 64, np.uint32)
+    last = np.zeros(len(states), np.uint32)  # the last entry that leads to a state
+    for s in range(len(initial)):
+        if count == n_initial:
+            break
+        if initial[s] != 0.0:
+            states[count] = s
+            count += 1
+            place[s] = count
+    ends[0] = count
+    start, column, value = np.zeros(len(states), np.uint32), np.zeros(256, np.uint32), np.zeros(256)
+    n_rows, size = 0, np.uint64(0)
+    for t in range(1, horizon):
+        start = enlarge(start, count + 1)
+        for i in range(n_rows, ends[t - 1]):
+            row, begin = np.int64(states[i]) * n_actions, size
+            n_entries = np.int64(indptr[row + n_actions]) - np.int64(indptr[row])
+            states, last = enlarge(states, count + n_entries), enlarge(last, count + n_entries)
+            column, value = enlarge(column, np.int64(size) + n_entries), enlarge(value, np.int64(size) + n_entries)
+            for a in range(n_actions):
+                share = policy[states[i], a]
+                if share == 0.0:
+                    continue
+                for k in range(indptr[row + a], indptr[row + a + 1]):
+                    if data[k] == 0.0:
+                        continue
+                    j = indices[k]
+                    if place[j] == 0:
+                        states[count] = j
+                        count += 1
+                        place[j] = count
+                    size = add_entry(column, value, last, begin, size, place[j] - np.uint32(1), share * data[k])
+            start[i + 1] = size
+        n_rows = ends[t - 1]
+        ends[t] = count
+    mean = np.zeros(count)
+    for i in range(count):
+        for a in range(n_actions):
+            mean[i] += policy[states[i], a] * rewards[states[i], a]
+    begins = np.zeros(ends[0])
+    for i in range(ends[0]):
+        begins[i] = initial[states[i]]
+    return Cone(states[:count], ends, Kernel(start[: n_rows + 1], column[:size], value[:size], discount), mean, begins)
+
+
+@njit(cache=True)
+def sweep_cone(cone, is_each):
+    """(T + 1,): J of 0 .. T rewards, a ring of the cone left out at each step; the last alone unless ``is_each``."""
+    ends = cone.ends
+    horizon = len(ends)
+    out = np.zeros(horizon + 1)
+    value, other = cone.rewards.copy(), np.zeros(len(cone.rewards))
+    for k in range(1, horizon + 1):
+        if k > 1:
+            backup(cone.kernel, cone.rewards, value, other, np.uint64(0), np.uint64(ends[horizon - k]))
+            value, other = other, value
+        if is_each or k == horizon:
+            out[k] = dot(cone.initial, value, ends[0])
+    return out
+
+
+@njit(cache=True)
+def visit_cone(cone):
+    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states: d_{t+1} = K^T d_t as far as t transitions reach."""
+    ends = cone.ends
+    indptr, indices, data, gamma = cone.kernel
+    size = ends[-1]
+    back = Kernel(*transpose_rows(indptr, indices, data, size), 1.0)
+    nothing = np.zeros(size)
+    here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
+    here[: ends[0]] = cone.initial
+    weight = 1.0
+    for t in range(len(ends)):
+        for i in range(ends[t]):
+            total[i] += weight * here[i]
+        if t + 1 < len(ends):
+            backup(back, nothing, here, there, np.uint64(0), np.uint64(ends[t + 1]))
+            here, there = there, here
+        weight *= gamma
+    return total
+
+
+@njit(cache=True)
+def step_forward(rows, rewards, policy, initial, gamma, pairs):
+    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), which is read as a whole before, so that S a step costs nothing.
+
+    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t d_t . r. Where ``pairs`` (S, A) has
+    room, sum_t gamma^t Pr(s_t = s, a_t = a) is added to it.
+    """
+    indptr, indices, data = rows
+    horizon, n_states, n_actions = policy.shape
+    out, keep = np.zeros(horizon + 1), len(pairs) > 0
+    here, there, mean = initial.copy(), np.zeros(n_states), np.zeros(n_states)
+    weight = 1.0
+    for t in range(horizon):
+        for s in range(n_states):
+            mass, mean[s] = here[s], 0.0
+            if mass == 0.0:
+                continue
+            for a in range(n_actions):
+                share = mass * policy[t, s, a]
+                mean[s] += policy[t, s, a] * rewards[s, a]
+                if keep:
+                    pairs[s, a] += weight * share
+                if share == 0.0 or t + 1 == horizon:
+                    continue
+                row = s * n_actions + a
+                for k in range(indptr[row], indptr[row + 1]):
+                    there[indices[k]] += share * data[k]
+        out[t + 1] = out[t] + weight * dot(here, mean, n_states)
+        weight *= gamma
+        here[:] = 0.0
+        here, there = there, here
+    return out
+
+
+@njit(cache=True)
+def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
+    """out[k] += sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) for the entries k of the actions that are taken.
+
+    ``to_go`` (T + 1, S) is V; ``back`` is the transposed kernel that d is of, with discount 1; ``rows`` (S*A, S) has the
+    entries, ``rewards`` r(s, a, s') is aligned with them or empty.
+    """
+    indptr, columns, _ = rows
+    n_states, n_actions = policy.shape
+    nothing, here, there = np.zeros(n_states), initial.copy(), np.zeros(n_states)
+    weight = 1.0
+    for t in range(len(to_go) - 1):
+        for s in range(n_states):
+            mass = weight * here[s]
+            if mass == 0.0:
+                continue
+            for a in range(n_actions):
+                if policy[s, a] == 0.0:
+                    continue
+                row = s * n_actions + a
+                for k in range(indptr[row], indptr[row + 1]):
+                    out[k] += mass * ((rewards[k] if len(rewards) else 0.0) + gamma * to_go[t + 1, columns[k]])
+        backup(back, nothing, here, there, np.uint64(0), np.uint64(n_states))
+        here, there = there, here
+        weight *= gamma

@@ -15,7 +15,8 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import check_csr
-from oee_tabular.exact.system import DivergentKernelError, System, exponent, scale_back
+from oee_tabular.exact import solvers
+from oee_tabular.exact.system import DivergentKernelError, Kernel, System, exponent, rows_of
 
 __all__ = ["DivergentKernelError", "LinearSolution", "exponent", "solve_policy_system"]
 
@@ -74,23 +75,29 @@ def solve_policy_system(
     >>> solve_policy_system(kernel, np.array([0.5, 0.0]), 0.5, transpose=True).x.round(4).tolist()
     [0.6667, 0.3333]
     """
-    from oee_tabular.exact import solvers
-
     _checks.boolean(transpose, "transpose")
     rows, gamma = _check_kernel(kernel), _checks.number_in(discount, "discount", 0.0, 1.0)
     right = _checks.float_array(b, "b", ndim=1)
     if len(right) != rows.shape[0]:
         raise ValueError(f"b must have {rows.shape[0]} entries, one a state; it has {len(right)}")
     _checks.require_finite(right, "b")
-    system, shift = System.from_csr(rows, gamma, transpose), exponent(right)
-    if shift != 0:  # dot products would leave the range of floats
-        right = np.ldexp(right, -shift)
-    norm = solvers.inverse_norm(system)
-    result = solvers.answer(system, right)
-    x, bound = result.x, float(norm * result.bound)
-    if shift != 0:
-        x, bound = scale_back(x, bound, shift)
-    return LinearSolution(x, bound, result.method)
+    return solve(System(Kernel(*rows_of(rows), gamma), transpose), right)
+
+
+def solve(system: System, b: Array, *, rounding: float = 0.0, near: Array | None = None) -> LinearSolution:
+    """M x = b where every number has been checked; each entry of b is ``rounding`` from what it stands for, at most.
+
+    ``near`` : about x, to begin with.
+    """
+    norm, shift = solvers.inverse_norm(system), exponent(b)
+    if shift == 0:
+        found = solvers.answer(system, b, near)
+        return LinearSolution(found.x, float(norm * (found.bound + rounding)), found.method)
+    found = solvers.answer(system, np.ldexp(b, -shift))  # dot products would leave the range of floats
+    with np.errstate(over="ignore", under="ignore"):
+        x, bound = np.ldexp(found.x, shift), float(np.ldexp(norm * found.bound, shift))
+    bound += norm * rounding + len(x) * 5e-324  # what is subnormal is rounded once more
+    return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, found.method)
 
 
 def _check_kernel(kernel: Any) -> sparse.csr_array:

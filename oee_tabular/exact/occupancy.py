@@ -14,7 +14,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import check_policy_in_place, gradient_to_horizon, visits
-from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.linear import solve
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
     drop_states,
@@ -67,8 +67,6 @@ def occupancy(
     >>> occupancy(coin, [[1.0]] * 2, of="transition").toarray().round(6).tolist()
     [[0.25, 0.25], [0.25, 0.25]]
     """
-    from oee_tabular.exact import solvers
-
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = optional_horizon_length(horizon, mdp, policy)
@@ -76,10 +74,7 @@ def occupancy(
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
     if steps is None:
-        system = replace(policy_system(mdp, pi), transpose=True)
-        solvers.inverse_norm(system)  # an error where the sum does not exist
-        states = solvers.answer(system, (1.0 - mdp.discount) * mdp.initial).x
-        pairs = np.maximum(states, 0.0)[:, None] * pi
+        pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
         pairs = _forward(mdp, pi, steps)
     if of == "state":
@@ -95,14 +90,12 @@ def infinite_visits(model: Model, policy: Array) -> Array:
 
     DivergentKernelError at discount 1 where the policy is not absorbed in states that pay nothing. Cost: one sparse solve.
     """
-    if model.discount < 1.0:
-        return np.asarray(occupancy(model, policy, of="state") / (1.0 - model.discount))
-    system = policy_system(model, policy)
-    over = recurrent_states(system, policy_rewards(model, policy), model.names)
-    if over.all():
-        return np.zeros(len(over))
-    found = solve_policy_system(drop_states(system, over).csr(), model.initial, 1.0, transpose=True).x
-    return np.where(over, 0.0, np.maximum(found, 0.0))
+    system, over = policy_system(model, policy), np.zeros(model.n_states, dtype=np.bool_)
+    if model.discount == 1.0:
+        over = recurrent_states(system, policy_rewards(model, policy), model.names)
+        system = drop_states(system, over)
+    visits = solve(replace(system, transpose=True), model.initial).x
+    return np.where(over, 0.0, np.maximum(visits, 0.0))
 
 
 def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
@@ -14,12 +14,9 @@ from scipy.sparse import csgraph
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular.exact import _graph, _policy_rows
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp.naming import NAMELESS, Names
-
-LARGE = (
-    1 << 20
-)  # entries from which numpy's large pages save time: P_pi of 2000 dense rows in .4 of it (benchmarks/regimes.py)
 
 # entries of a state in the envelope, on average, up to which LU in it is asked (solvers/envelope.py)
 WIDEST = 48.0
@@ -70,7 +67,7 @@ def as_readonly(array: object) -> Any:
     return view
 
 
-NO_ROWS = Csr(np.zeros(1, dtype=np.uint32), np.zeros(0, dtype=np.uint32), np.zeros(0))
+NO_ROWS = Csr(*map(as_readonly, (np.zeros(1, dtype=np.uint32), np.zeros(0, dtype=np.uint32), np.zeros(0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,27 +77,13 @@ class System:
     Attributes
     ----------
     kernel : K and gamma
-    smallest, largest : row sums of K, the latter with its rounding
-    mass : the sum of a row, where all have one: half way between the smallest and the largest, without rounding
     transpose : whether M^T x = b is meant
     n_roundings : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
     """
 
     kernel: Kernel
-    smallest: float
-    largest: float
-    mass: float
     transpose: bool = False
     n_roundings: int = 0
-
-    @classmethod
-    def from_csr(cls, kernel: sparse.csr_array, discount: float, transpose: bool = False) -> System:
-        """Of a CSR matrix."""
-        from oee_tabular.exact._policy_rows import range_of_sums
-
-        rows = Kernel(*rows_of(kernel), discount)
-        smallest, largest, mass = range_of_sums(rows, 0.0)
-        return cls(rows, smallest, largest, mass, transpose)
 
     @property
     def n_states(self) -> int:
@@ -108,76 +91,68 @@ class System:
         return len(self.kernel.indptr) - 1
 
     @cached_property
+    def row_sums(self) -> tuple[float, float, float]:
+        """Of K the smallest, the largest with its rounding, and half way between them, without rounding."""
+        smallest, largest, middle = _policy_rows.range_of_sums(self.kernel, float(self.n_roundings))
+        return smallest, largest, middle
+
+    @property
+    def shared_sum(self) -> float | None:
+        """The sum of each row of K, where all have one and gamma times it is below 1."""
+        smallest, largest, middle = self.row_sums
+        has_one = largest - smallest <= 1e-8 and self.kernel.discount * largest < 1.0 - 1e-9
+        return middle if has_one else None
+
+    @cached_property
     def back(self) -> Csr:
         """K transposed."""
-        from oee_tabular.exact import _policy_rows
-
         return Csr(*map(as_readonly, _policy_rows.transpose_rows(*self.kernel[:3], self.n_states)))
 
     @cached_property
     def order(self) -> tuple[Any, Any]:
         """The states in breadth-first order along the rows, and each one's place."""
-        from oee_tabular.exact.solvers._graph import breadth_first
-
-        return tuple(breadth_first(self.kernel, NO_ROWS, np.inf))
+        return tuple(_graph.breadth_first(self.kernel, NO_ROWS, np.inf))
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:
-        """Places in a breadth-first order, and the envelope of M in the reverse of it, where that is narrow."""
-        from oee_tabular.exact.solvers import _envelope, _graph
+        """Places in a breadth-first order, and the envelope of M in the reverse of it, where that is narrow.
 
-        for ways in range(2):
-            back = self.back if ways else NO_ROWS
-            _, place = _graph.breadth_first(self.kernel, back, WIDEST)
+        Both the order along the rows and the one along the rows and back are tried: the first suits graphs in which all states
+        lead back to one, the second layers. A search ends as soon as it is wider than ``WIDEST`` entries a state.
+        """
+        for along_both in (False, True):
+            _, place = _graph.breadth_first(self.kernel, self.back if along_both else NO_ROWS, WIDEST)
             if len(place):
-                order, first, starts = _envelope.find_envelope(self.kernel, place)
+                order, first, starts = _graph.find_envelope(self.kernel, place)
                 if starts[-1] <= WIDEST * self.n_states:
                     return place, order, first, starts
         return None
 
-    def forward(self) -> System:
-        """The same without the transposition."""
-        return replace(self, transpose=False) if self.transpose else self
-
     def csr(self) -> sparse.csr_array:
-        """K."""
-        indptr, indices = (part.astype(np.int64) for part in self.kernel[:2])
-        return sparse.csr_array((self.kernel.data, indices, indptr), shape=(len(indptr) - 1, len(indptr) - 1))
+        """K, for a library."""
+        kind = np.int32 if len(self.kernel.data) < 2**31 else np.int64
+        indptr, indices = (part.astype(kind) for part in self.kernel[:2])
+        return sparse.csr_array((self.kernel.data, indices, indptr), shape=(self.n_states, self.n_states))
 
-    def matrix(self) -> sparse.csc_array:
-        """M for a library's solver."""
-        kernel = self.csr()
-        matrix = sparse.csr_array(sparse.eye_array(kernel.shape[0], format="csr") - self.kernel.discount * kernel)
-        return sparse.csc_array(matrix.T if self.transpose else matrix)
+
+def average_rows(rows: Csr, policy: Array) -> Csr:
+    """sum_a policy[s, a] K(s' | s, a) of the rows s*A + a, without zeros, a row's entries in the order of its actions."""
+    room = np.empty(len(rows.data), dtype=np.uint32), np.empty(len(rows.data))
+    averaged = Csr(*_policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64), *room))
+    for part in averaged:
+        part.flags.writeable = False
+    return averaged
 
 
 def policy_system(model: Model, policy: Array) -> System:
     """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a)."""
-    from oee_tabular.exact import _policy_rows
-
-    rows = rows_of(model.csr)
-    policy, entries = np.ascontiguousarray(policy, dtype=np.float64), len(rows[2])
-    if entries < LARGE:
-        indptr, indices, data = _policy_rows.average_rows(rows, policy)
-    else:
-        room = np.empty(entries, dtype=np.uint32), np.empty(entries)
-        indptr, indices, data = _policy_rows.fill_average_rows(rows, policy, *room)
-    for part in (indptr, indices, data):
-        part.flags.writeable = False
-    kernel = Kernel(indptr, indices, data, model.discount)
-    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(model.n_actions))
-    return System(kernel, smallest, largest, mass, n_roundings=model.n_actions)
+    rows = average_rows(rows_of(model.csr), policy)
+    return System(Kernel(*rows, model.discount), n_roundings=model.n_actions)
 
 
 def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
     """(S, S): sum_a policy[s, a] K(s' | s, a)."""
-    indptr, columns, values, _ = policy_system(model, policy).kernel  # made for this: nobody else has it
-    for part in (columns, values):
-        part.flags.writeable = True
-    parts = values, columns.view(np.int32), indptr.astype(np.int32)
-    kernel = sparse.csr_array(parts, shape=(model.n_states, model.n_states))
-    kernel.sort_indices()
-    return kernel
+    return policy_system(model, policy).csr().sorted_indices()
 
 
 def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) -> BoolArray:
@@ -200,27 +175,21 @@ def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) ->
     return recurrent
 
 
-def drop_states(system: System, recurrent: BoolArray) -> System:
+def drop_states(system: System, dropped: BoolArray) -> System:
     """The system in which these states lead nowhere."""
-    from oee_tabular.exact import _policy_rows
-
-    dropped = np.repeat(recurrent, np.diff(system.kernel.indptr.astype(np.int64)))
-    kernel = system.kernel._replace(data=as_readonly(np.where(dropped, 0.0, system.kernel.data)))
-    smallest, largest, mass = _policy_rows.range_of_sums(kernel, float(system.n_roundings))
-    return System(kernel, smallest, largest, mass, n_roundings=system.n_roundings)
+    entries = np.repeat(dropped, np.diff(system.kernel.indptr.astype(np.int64)))
+    kernel = system.kernel._replace(data=as_readonly(np.where(entries, 0.0, system.kernel.data)))
+    return System(kernel, system.transpose, system.n_roundings)
 
 
 def exponent(numbers: Array) -> int:
     """That of the largest number, where its square may leave the range of floats; else 0."""
-    largest = float(max(numbers.max(initial=0.0), -numbers.min(initial=0.0)))
+    if (
+        1e-180 < np.vdot(numbers, numbers) < 1e180
+    ):  # a quarter of the time of small values is the search for the largest
+        return 0
+    largest = float(np.abs(numbers).max(initial=0.0))
     return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
-
-
-def scale_back(x: Array, bound: float, shift: int) -> tuple[Array, float]:
-    """2^shift x, and a bound on its error: what becomes subnormal is rounded once more."""
-    with np.errstate(over="ignore", under="ignore"):
-        x, bound = np.ldexp(x, shift), float(np.ldexp(bound, shift))
-    return x, bound + len(x) * 5e-324
 
 
 def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:

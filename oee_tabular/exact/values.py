@@ -7,7 +7,7 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -15,9 +15,10 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.exact import finite
+from oee_tabular.exact import _policy_rows, finite
+from oee_tabular.exact.linear import solve
 from oee_tabular.exact.reweighted import MODELS, Model, require_model
-from oee_tabular.exact.system import drop_states, exponent, policy_system, recurrent_states, rows_of, scale_back
+from oee_tabular.exact.system import Kernel, drop_states, policy_system, recurrent_states, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 
@@ -40,8 +41,6 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """(S,): sum_a policy[s, a] r(s, a)."""
-    from oee_tabular.exact import _policy_rows
-
     return np.asarray(_policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
 
 
@@ -83,41 +82,28 @@ def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = N
     _checks.instance(model, MODELS, "model", "FiniteMDP")
     steps = None if horizon is None else horizon_length(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
-    if steps is not None:
-        values = _backward(model, pi, steps)
-        found = PolicyValues(values, finite.initial_mean(model, values), 0.0, "backward recursion")
-    else:
-        found = infinite_values(model, pi)
-    total = found.values.sum()  # quicker to make than to look at each; it may overflow where no value does
-    return found if isfinite(total) or np.isfinite(found.values).all() else replace(found, error_bound=np.inf)
+    if steps is None:
+        return infinite_values(model, pi)
+    values = _backward(model, pi, steps)
+    bound = 0.0 if np.isfinite(values).all() else np.inf
+    return PolicyValues(values, finite.initial_mean(model, values), bound, "backward recursion")
 
 
-def infinite_values(model: Model, policy: Array, near: Array | None = None, shift: int = 0) -> PolicyValues:
+def infinite_values(model: Model, policy: Array, near: Array | None = None) -> PolicyValues:
     """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
 
-    Rewards so small or large that their products leave the range of floats are first divided by 2^shift. ``near`` (S,): about
-    V, to begin with.
+    ``near`` (S,): about V, to begin with.
     """
-    from oee_tabular.exact import _finite, _policy_rows, solvers
-
-    paid = np.ldexp(model.rewards, -shift) if shift else model.rewards
-    rewards, largest = _policy_rows.average_rewards(policy, paid)
-    if not shift and not 1e-100 < largest < 1e100 and (shift := exponent(model.rewards)):
-        result = infinite_values(model, policy, shift=shift)
-        values, bound = scale_back(result.values, result.error_bound, shift)
-        with np.errstate(over="ignore", under="ignore"):
-            return PolicyValues(values, float(np.ldexp(result.value, shift)), bound, result.method)
+    rewards, largest = _policy_rows.average_rewards(np.ascontiguousarray(policy), model.rewards)
     system = policy_system(model, policy)
     if model.discount == 1.0:
         recurrent = recurrent_states(system, rewards, model.names)
         if recurrent.all():
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
         system = drop_states(system, recurrent)
-    norm = solvers.inverse_norm(system)
-    x, _, _, bound, _, method = solvers.answer(system, rewards, near)
-    value = _finite.dot(model.initial, x, len(x))
-    slack = (model.n_actions + 1) * EPS * largest
-    return PolicyValues(x, float(value), float(norm * (bound + slack)), method)
+    rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
+    found = solve(system, rewards, rounding=rounding, near=near)
+    return PolicyValues(found.x, finite.initial_mean(model, found.x), found.error_bound, found.method)
 
 
 def warn_if_not_finite(values: Any) -> Any:
@@ -129,10 +115,8 @@ def warn_if_not_finite(values: Any) -> Any:
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
-    from oee_tabular.exact import _finite
-
     if policy.ndim == 2:
-        return np.asarray(_finite.sweep(policy_system(model, policy).kernel, policy_rewards(model, policy), steps))
+        return np.asarray(finite.values_to_go(model, policy, steps, is_each=False)[0])
     value = np.zeros(model.n_states)
     for act in policy[len(policy) - steps :][::-1]:
         value = np.einsum("sa,sa->s", act, _backup(model, value))
@@ -140,9 +124,8 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
 
 
 def _backup(model: Model, value: Array) -> Array:
-    from oee_tabular.exact import _policy_rows
-
-    following = _policy_rows.mean_next_values(rows_of(model.csr), value)
+    following = np.empty(model.rewards.size)
+    _policy_rows.multiply(Kernel(*rows_of(model.csr), 1.0), False, value, following)
     return np.asarray(model.rewards + model.discount * following.reshape(model.rewards.shape))
 
 
@@ -172,7 +155,7 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
-        return value if np.isfinite(value) else float(warn_if_not_finite(value))
+        return value if isfinite(value) else float(warn_if_not_finite(value))
     steps = horizon_length(horizon, mdp, policy)
     return float(
         warn_if_not_finite(

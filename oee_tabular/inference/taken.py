@@ -194,7 +194,7 @@ class Taken:
             values = self._dense(p, False)
             return Point(p, float(chain.initial @ values), values, visits, np.zeros(0), None)
         rows, paid = self._kernel(p)
-        found = solvers.correct(_system(rows, False), paid, before, left)
+        found = solvers.answer(System(rows), paid, before, left)
         value = float(chain.initial @ found.x + visits @ found.missed)
         return Point(p, value, found.x, visits, np.zeros(0), rows)
 
@@ -210,14 +210,10 @@ class Taken:
         if point.kernel is None:
             visits = self._dense(point.p, True)
         else:
-            visits = solvers.correct(_system(point.kernel, True), chain.initial, point.visits, left).x
+            visits = solvers.answer(System(point.kernel, True), chain.initial, point.visits, left).x
         ahead -= np.repeat(
             np.add.reduceat(chain.phat * ahead, starts), lengths
         )  # a constant in a row counts for nothing
         weight = np.repeat(np.maximum(visits, 0.0), np.diff(chain.first)) * chain.weight
         gradient = np.repeat(weight, lengths) * ahead
         return point._replace(visits=visits), Direction(sign * gradient, sign * ahead)
-
-
-def _system(kernel: Kernel, transpose: bool) -> System:
-    return System(kernel, 1.0, 1.0 + 1e-12, 1.0, transpose)

@@ -15,7 +15,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact import _finite, _moments, finite, recursions
+from oee_tabular.exact import _moments, finite, recursions
 from oee_tabular.exact.system import as_readonly, policy_kernel, policy_system
 from oee_tabular.exact.values import policy_rewards
 from oee_tabular.exact.walks import walk_of
@@ -138,7 +138,7 @@ def values(size):
     seconds = 0.5 if size < 1000 else 4.0
     calls = {
         "ours": lambda: exact.state_values(grid, policy, horizon=STEPS),
-        "ours, sweeps alone": lambda: _finite.sweep(rows, rewards, STEPS),
+        "ours, sweeps alone": lambda: finite.sweep(rows, rewards, STEPS, np.zeros((2, len(rewards)))),
         "scipy, with its matrices": lambda: scipy_from_mdp(grid, policy),
     }
     scale = np.abs(truth).max()
@@ -214,7 +214,7 @@ def kinds(size=10):
     grid, target = oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
     policy, zeta = oee.uniform_policy(grid), oee.true_ratio(target, grid)
     kernel, pay = policy_system(grid, policy).kernel, policy_rewards(grid, policy)
-    calls = {"a recursion of V": lambda: _finite.sweep(kernel, pay, STEPS)}
+    calls = {"a recursion of V": lambda: finite.sweep(kernel, pay, STEPS, np.zeros((2, len(pay))))}
     for kind in ("per_decision", "trajectory"):
         for options in ({}, {"self_normalized": True}, {"sources": True}):
             calls[f"ours, {kind} {' '.join(options)}".strip()] = lambda kind=kind, options=options: (

@@ -1,7 +1,5 @@
-"""BiCGSTAB for (I - gamma K) x = b, preconditioned by a modified diagonal incomplete LU with Eisenstat's trick.
+"""BiCGSTAB for (I - K) x = b, preconditioned by a modified diagonal incomplete LU with Eisenstat's trick.
 
-States are taken in breadth-first order, so that the sweeps of a wave front do not wait for each other, and the trees of a
-search that starts anew stand before those it had found: a layered kernel is then upper triangular and solved in one step.
 With D~ the modified diagonal, L and U the rest divided by it, the operator (I + L)^-1 (L + D + U) (I + U)^-1 costs one
 backward and one forward sweep, as one product does [1]; all vector updates and dot products ride on the sweeps.
 
@@ -22,32 +20,29 @@ FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller tha
 STEPS = 500
 PROBE_STEPS = 8  # within which a twentieth has to be left, where fewer than STEPS are allowed
 
-# row pointers of L and U, their columns and values, D - 2; D~; the order of the states, and each one's place in it
-Factors = namedtuple("Factors", "lower upper columns values diagonal modified order place")
+# row pointers of L and U, their columns and values, D - 2; D~
+Factors = namedtuple("Factors", "lower upper columns values diagonal modified")
 
 
 @njit(cache=True)
-def modified_diagonal(kernel, weight, order, place):
+def modified_diagonal(kernel, weight):
     """D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the plain diagonal where that is too small.
 
     With weight 1, (D~ + L) D~^-1 (D~ + U) has the row sums of M. The same D~ serves the transposed system.
     """
-    indptr, indices, data, discount = kernel
-    n = len(order)
-    modified = np.empty(n)
-    later = np.empty(n)
+    indptr, indices, data, _ = kernel
+    n = len(indptr) - 1
+    modified, later = np.empty(n), np.empty(n)
     for i in range(n):
-        state = order[i]
         diagonal, dropped, sum_later = 1.0, 0.0, 0.0
-        for k in range(indptr[state], indptr[state + np.uint32(1)]):
-            j = place[indices[k]]
-            value = discount * data[k]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
             if j < i:
-                dropped += value * later[j]
+                dropped += data[k] * later[j]
             elif j > i:
-                sum_later += value
+                sum_later += data[k]
             else:
-                diagonal -= value
+                diagonal -= data[k]
         pivot = diagonal - weight * dropped
         if not pivot > 0.05 * diagonal:
             pivot = diagonal if diagonal > 0.0 else 1.0  # a matrix that is singular or worse has yet to be found out
@@ -57,38 +52,32 @@ def modified_diagonal(kernel, weight, order, place):
 
 
 @njit(cache=True)
-def split(indptr, indices, data, discount, order, place, modified):
-    """L, U and D of D~^-1 (I - discount K) in the new order."""
-    n = len(order)
-    lower = np.empty(n + 1, dtype=np.uint32)
-    upper = np.empty(n + 1, dtype=np.uint32)
-    columns = np.empty(len(indices), dtype=np.uint32)
-    values = np.empty(len(indices))
-    diagonal = np.empty(n)
+def factorise(kernel, transpose, weight):
+    """L, U and D of D~^-1 (I - K), or of the transposed matrix; the discount is in K."""
+    modified = modified_diagonal(kernel, weight)
+    indptr, indices, data, _ = kernel
+    n = len(modified)
+    if transpose:
+        indptr, indices, data = transpose_rows(indptr, indices, data, n)
+    lower, upper = np.empty(n + 1, dtype=np.uint32), np.empty(n + 1, dtype=np.uint32)
+    columns, values, diagonal = np.empty(len(indices), dtype=np.uint32), np.empty(len(indices)), np.empty(n)
     low, high = 0, len(indices)
-    lower[0] = 0
-    upper[0] = high
+    lower[0], upper[0] = low, high
     for i in range(n):
-        state = order[i]
-        scale = 1.0 / modified[i]
-        own = 1.0
-        for k in range(indptr[state], indptr[state + np.uint32(1)]):
-            j = place[indices[k]]
-            value = discount * data[k]
+        scale, own = 1.0 / modified[i], 1.0
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
             if j < i:
-                columns[low] = j
-                values[low] = value * scale
+                columns[low], values[low] = j, data[k] * scale
                 low += 1
             elif j > i:
                 high -= 1
-                columns[high] = j
-                values[high] = value * scale
+                columns[high], values[high] = j, data[k] * scale
             else:
-                own -= value
-        lower[i + 1] = low
-        upper[i + 1] = high
+                own -= data[k]
+        lower[i + 1], upper[i + 1] = low, high
         diagonal[i] = own * scale - 2.0
-    return Factors(lower, upper, columns, values, diagonal, modified, order, place)
+    return Factors(lower, upper, columns, values, diagonal, modified)
 
 
 @njit(cache=True)
@@ -98,7 +87,7 @@ def bicgstab(factors, b, relative, floor, steps):
     It stops where the largest entry of the preconditioned residual is below relative * (its first) or below floor times
     the largest entry of y. Values hold the negated L and U (they are nonnegative).
     """
-    lower, upper, columns, values, diagonal, _, _, _ = factors
+    lower, upper, columns, values, diagonal, _ = factors
     n = len(b)
     r = np.empty(n)
     first = np.empty(n)
@@ -187,19 +176,7 @@ def bicgstab(factors, b, relative, floor, steps):
 
 
 @njit(cache=True)
-def factorise(kernel, transpose, weight, order, place):
-    """The preconditioned system, or that of the transposed one, with the states in the given order."""
-    indptr, indices, data, discount = kernel
-    modified = modified_diagonal(kernel, weight, order, place)
-    if transpose:
-        indptr, indices, data = transpose_rows(indptr, indices, data, len(order))
-    return split(indptr, indices, data, discount, order, place, modified)
-
-
-@njit(cache=True)
 def solve(factors, steps, b, relative):
     """x, its residual below ``relative`` times b's; None where fewer than ``STEPS`` steps are allowed and do not do."""
-    x, n_taken = bicgstab(factors, b[factors.order] / factors.modified, relative, FLOOR, steps)
-    if n_taken == steps < STEPS:
-        return None
-    return x[factors.place]
+    x, n_taken = bicgstab(factors, b / factors.modified, relative, FLOOR, steps)
+    return None if n_taken == steps < STEPS else x

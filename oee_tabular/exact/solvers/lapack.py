@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
+from numba import njit
 from scipy.linalg import lapack
 
-from oee_tabular._checks import Array, IntArray
-from oee_tabular.exact import _policy_rows
+from oee_tabular._checks import Array
 from oee_tabular.exact.system import Solve, System
 
 LAST_RESORT = 3000  # states: 72 MB and a second
@@ -31,17 +30,22 @@ class LAPACK:
         return system.n_states <= self.most
 
     def prepare(self, system: System) -> Solve:
-        """Nan for a singular system."""
-        matrix = _policy_rows.dense_matrix(system.kernel).T  # in the order of Fortran's arrays
-        factors, place, singular = lapack.dgetrf(matrix, overwrite_a=True)
-        return answer_nan if singular else partial(substitute, factors, place, int(not system.transpose))
+        """Gives up on a singular system."""
+        matrix = dense_matrix(system.kernel).T  # in the order of Fortran's arrays
+        factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
+
+        def solve(b: Array, relative: float) -> Array | None:
+            return None if is_singular else np.asarray(lapack.dgetrs(factors, place, b, trans=not system.transpose)[0])
+
+        return solve
 
 
-def substitute(factors: Array, place: IntArray, transposed: int, b: Array, relative: float) -> Array:
-    """Forward and back."""
-    return np.asarray(lapack.dgetrs(factors, place, b, trans=transposed)[0])
-
-
-def answer_nan(b: Array, relative: float) -> Array:
-    """Of a singular system."""
-    return np.full(len(b), np.nan)
+@njit(cache=True)
+def dense_matrix(kernel):
+    """(S, S): I - discount K."""
+    indptr, indices, data, discount = kernel
+    matrix = np.eye(len(indptr) - 1)
+    for i in range(len(matrix)):
+        for k in range(indptr[i], indptr[i + 1]):
+            matrix[i, indices[k]] -= discount * data[k]
+    return matrix

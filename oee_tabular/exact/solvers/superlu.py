@@ -9,18 +9,16 @@ from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array
-from oee_tabular.exact.solvers import _graph
-from oee_tabular.exact.solvers.lapack import answer_nan
-from oee_tabular.exact.system import NO_ROWS, Solve, System
+from oee_tabular.exact import _graph
+from oee_tabular.exact.system import Solve, System
 
 
 @dataclass(frozen=True)
 class SuperLU:
-    """Sparse: in the reverse of a breadth-first order where that fills ``most`` entries a state, else in minimum degree.
+    """Sparse, eliminated in the order of minimum degree.
 
-    ``most`` : None for the last resort, which any graph that does not expand suits. With 8 trees, and rings and bands whose
-    states all lead back to one, are solved as fast as in SuperLU's own orders or faster (benchmarks/graphs.py). The fill is
-    counted first, and the count ends where it is beyond that.
+    ``most`` : entries a state that an elimination in the reverse of a breadth-first order may fill, which is counted first:
+    with 8 trees; None for the last resort, which any graph that does not expand suits.
     """
 
     most: float | None = None
@@ -31,27 +29,19 @@ class SuperLU:
         """By the count; graphs that expand fill up in any order."""
         if self.most is None:
             return not _graph.expands(system.kernel)
-        if _graph.count_fill(system.kernel, NO_ROWS, *system.order, self.most) < 0:
-            return False
-        return bool(_graph.count_fill(system.kernel, system.back, *system.order, self.most) >= 0)
+        return bool(_graph.fills_little(system.kernel, system.back, *system.order, self.most))
 
     def prepare(self, system: System) -> Solve:
-        """Nan for a singular system, as far as SuperLU sees it."""
-        # the transposed matrix, whose columns are the rows of K
-        is_ordered = self.most is not None
-        order, place = system.order if is_ordered else (np.arange(system.n_states, dtype=np.uint32),) * 2
-        parts = _graph.reorder(system.kernel, order, place)
-        order = order[::-1].astype(np.int64)
-        matrix = sparse.csc_array((parts[2], parts[1], parts[0]), shape=(len(order), len(order)))
-        options = {"SymmetricMode": True, "Equil": False}
+        """Gives up on a singular system, as far as SuperLU sees it."""
+        kernel = system.csr()
+        rows = sparse.csr_array(sparse.eye_array(system.n_states, format="csr") - system.kernel.discount * kernel)
+        transposed = sparse.csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
         try:
-            factors = sparse_linalg.splu(matrix, "NATURAL" if is_ordered else "MMD_AT_PLUS_A", options=options)
+            factors = sparse_linalg.splu(transposed, "MMD_AT_PLUS_A", options={"SymmetricMode": True, "Equil": False})
         except RuntimeError:  # singular
-            return answer_nan
+            return lambda b, relative: None
 
         def solve(b: Array, relative: float) -> Array:
-            x = np.empty(len(b))
-            x[order] = factors.solve(b[order], "N" if system.transpose else "T")
-            return x
+            return np.asarray(factors.solve(b, "N" if system.transpose else "T"))
 
         return solve

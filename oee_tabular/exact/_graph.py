@@ -1,7 +1,4 @@
-"""A kernel's graph, before anything is solved: a breadth-first order, whether it expands, how much an elimination fills.
-
-An order is walked along the rows; where ``back``, the transposed rows, is given, along both.
-"""
+"""A kernel's graph, before anything is solved: a breadth-first order, whether it expands, what an elimination fills."""
 
 import numpy as np
 from numba import njit
@@ -13,7 +10,8 @@ N_FREE = 1000  # entries that a count may begin with before it is held to its li
 def breadth_first(kernel, back, widest):
     """The states in breadth-first order, later trees before earlier ones, and each state's place.
 
-    Empty where states stand more than ``widest`` places behind the state that led to them, on average.
+    Along the rows; where ``back``, the transposed rows, has any, along both. Empty where states stand more than ``widest``
+    places behind the state that led to them, on average.
     """
     n = len(kernel.indptr) - 1
     place, queue = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
@@ -91,8 +89,31 @@ def expands(kernel):
 
 
 @njit(cache=True)
-def count_fill(kernel, back, order, place, most):
-    """Entries below the diagonal of the factors of M + M^T, eliminated in the reverse of the order; -1 beyond ``most`` a state.
+def find_envelope(kernel, place):
+    """The order of elimination, the reverse of ``place``; the first linked state of each; where its row begins.
+
+    Row i of the factor L and column i of U begin with the first state that i is linked to, either way; only what lies between
+    is filled [1].
+
+    Reference: [1] George and Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981, chapter 4.
+    """
+    n = len(place)
+    order, first, starts = np.empty(n, dtype=np.int64), np.arange(n), np.zeros(n + 1, dtype=np.int64)
+    for state in range(n):
+        i = n - 1 - np.int64(place[state])
+        order[i] = state
+        for k in range(kernel.indptr[state], kernel.indptr[state + 1]):
+            j = n - 1 - np.int64(place[kernel.indices[k]])
+            first[i] = min(first[i], j)
+            first[j] = min(first[j], i)
+    for i in range(n):
+        starts[i + 1] = starts[i] + i - first[i]
+    return order, first, starts
+
+
+@njit(cache=True)
+def fills_little(kernel, back, order, place, most):
+    """Whether factors of M + M^T have up to ``most`` entries a state below the diagonal, in the reverse of the order.
 
     Row i has an entry in column k where k is on the way from one of its entries to i in the elimination tree [1].
 
@@ -107,8 +128,6 @@ def count_fill(kernel, back, order, place, most):
         for half in range(2):
             rows = kernel.indptr if half == 0 else back.indptr
             columns = kernel.indices if half == 0 else back.indices
-            if len(columns) == 0:
-                continue
             for k in range(rows[state], rows[state + np.uint32(1)]):
                 j = n - 1 - np.int64(place[columns[k]])
                 while j < i and mark[j] != i:
@@ -118,27 +137,5 @@ def count_fill(kernel, back, order, place, most):
                     count += 1
                     j = parent[j]
         if count > most * (i + 1) + N_FREE:
-            return -1
-    return count
-
-
-@njit(cache=True)
-def reorder(kernel, order, place):
-    """The rows of I - gamma K in the reverse of the order, as CSR with indices of 32 bits: as CSC, the transposed matrix."""
-    n = len(order)
-    starts = np.zeros(n + 1, dtype=np.int32)
-    columns, values = np.empty(len(kernel.indices) + n, dtype=np.int32), np.empty(len(kernel.indices) + n)
-    filled = 0
-    for i in range(n):
-        state = order[n - 1 - i]
-        own, filled = filled, filled + 1
-        columns[own], values[own] = i, 1.0
-        for k in range(kernel.indptr[state], kernel.indptr[state + np.uint32(1)]):
-            if kernel.indices[k] == state:
-                values[own] -= kernel.discount * kernel.data[k]
-            else:
-                columns[filled] = n - 1 - np.int64(place[kernel.indices[k]])
-                values[filled] = -kernel.discount * kernel.data[k]
-                filled += 1
-        starts[i + 1] = filled
-    return starts, columns[:filled], values[:filled]
+            return False
+    return True

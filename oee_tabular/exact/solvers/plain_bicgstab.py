@@ -10,13 +10,40 @@ passes; the sum of a vector is taken where it is made.
 Reference: [1] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
 """
 
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 from numba import njit
 
+from oee_tabular.exact import _graph
 from oee_tabular.exact._policy_rows import multiply
+from oee_tabular.exact.system import Solve, System
 
 FLOOR = 4e-16  # of the residual relative to x
 WINDOW = 150  # steps in which the residual is to fall to a tenth: small worlds near discount 1 take 100
+
+
+@dataclass(frozen=True)
+class PlainBiCGStab:
+    """For graphs where a few steps lead everywhere, of whose inverse an incomplete LU has next to nothing.
+
+    Random graphs of 10 000 states that value iteration leaves (2 next states; blocks that seldom meet) take a third of the time
+    of ``BiCGStab``, near discount 1 down to a hundredth. It gives up where the residual does not fall to a tenth in 150 steps.
+    """
+
+    name: str = "BiCGSTAB"
+    is_direct: bool = False
+
+    def suits(self, system: System) -> bool:
+        """By a breadth-first search that ends early."""
+        return bool(_graph.expands(system.kernel))
+
+    def prepare(self, system: System) -> Solve:
+        """Nothing is worked out before."""
+        return partial(solve, system.kernel, system.kernel.discount * (system.shared_sum or 0.0), system.transpose)
 
 
 @njit(cache=True)
