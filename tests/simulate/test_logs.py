@@ -2,26 +2,13 @@
 
 import numpy as np
 import pytest
-from helpers import dense, printed_with_threads, random_mdp, random_policy, rngs, survival_chain
+from helpers import dense, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
 from oee_tabular.simulate.logs import episodes_holding
-
-SCRIPT = """
-import hashlib, numpy as np, oee_tabular as oee
-mdp = oee.tasks.gridworld(7, 0.3)
-a = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 200, 60, seed=11)
-b = oee.sample_transitions(mdp, np.full((49, 4), 1 / 196), 5000, seed=12)
-text = b"".join(np.ascontiguousarray(x).tobytes() for log in (a, b) for x in log.columns().values())
-print(hashlib.sha256(text).hexdigest())
-"""
-
-
-def test_the_same_seed_gives_the_same_bits_for_any_number_of_threads():
-    assert printed_with_threads(SCRIPT, 1) == printed_with_threads(SCRIPT, 2) != ""
 
 
 def test_seeds_are_what_default_rng_takes():
