@@ -35,7 +35,8 @@ by the seed, with a counter of (step, stream, episode). So
 * logs, bags and returns are drawn from different streams: one seed for all three gives independent samples.
 
 Work is shared by Python threads over kernels that release the interpreter (``sampler``); runs of less than a million steps stay
-on the calling thread. A step takes about half of what a plain compiled loop needs (tests/benchmarks/rollouts.py).
+on the calling thread. A step of returns takes less than half of what a plain compiled
+loop needs (tests/benchmarks/rollouts.py).
 """
 
 from oee_tabular.simulate.logs import sample_episodes, sample_transitions
