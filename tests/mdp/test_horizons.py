@@ -34,6 +34,7 @@ def test_far_beyond_the_discount_is_the_infinite_sum(name):
     np.testing.assert_allclose(far, FAR_AND_INFINITE[name](None), rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.large
 def test_a_late_reward_is_not_cut_off():
     n = 12_000  # a corridor: the only reward comes after 12 000 steps, .99^12000 = 4e-53
     rows = sparse.csr_array((np.ones(n), (np.arange(n), np.minimum(np.arange(1, n + 1), n - 1))), shape=(n, n))
