@@ -137,7 +137,7 @@ def _require(fine: BoolArray, array: Array, name: str, rule: str, counted: str =
     raise ValueError(f"{place(name, first) if first else name} must {rule.format(array[first])}{more}")
 
 
-def scaled_if_single(array: Array, given: object) -> Array:
+def scale_if_single(array: Array, given: object) -> Array:
     """The rows of an array that was given in single precision, scaled to sum to 1 where they nearly do."""
     if getattr(given, "dtype", None) != np.float32:
         return array
@@ -153,7 +153,7 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
         raise ValueError(f"{name} must have shape {shape}; it has shape {array.shape}")
     require_nonnegative(array, name)
     if array.ndim == 1:
-        array = scaled_if_single(array, value)
+        array = scale_if_single(array, value)
     require_sums_to_one(np.asarray(array.sum()), name)
     return array
 

@@ -11,7 +11,7 @@ import pytest
 
 import oee_tabular
 
-PARTS = (
+PARTS = [
     "mdp",
     "data",
     "exact",
@@ -26,12 +26,9 @@ PARTS = (
     "report",
     "plots",
     "bench",
-)
+]
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :|$)", re.MULTILINE)
-
-# what names still lack, "sentence", "example" or "parameters" (fields, of a dataclass): an entry must go when it is there
-PENDING: dict[str, set[str]] = {}
 
 
 def public():
@@ -93,15 +90,8 @@ def lacks(value):
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
 def test_public_names_are_explained(name):
-    lack, pending = lacks(PUBLIC[name]), PENDING.get(name, set())
-    new = [words for kind, words in lack.items() if kind not in pending]
-    assert not new, f"{name}: {'; '.join(new)}"
-    assert pending <= set(lack), f"{name} has its {', '.join(pending - set(lack))}: take that out of PENDING"
-
-
-def test_pending_names_are_public():
-    assert set(PENDING) <= set(PUBLIC)
-    assert all(PENDING.values())
+    lack = lacks(PUBLIC[name])
+    assert not lack, f"{name}: {'; '.join(lack.values())}"
 
 
 def test_the_suite_collects_the_examples(request):
@@ -109,9 +99,8 @@ def test_the_suite_collects_the_examples(request):
     assert "--doctest-modules" in request.config.getini("addopts")
     assert "oee_tabular" in request.config.getini("testpaths")
     expected = {}
-    for name, value in PUBLIC.items():
-        if "example" not in PENDING.get(name, ()):
-            expected.setdefault(value.__module__, set()).add(f"{value.__module__}.{value.__qualname__}")
+    for value in PUBLIC.values():
+        expected.setdefault(value.__module__, set()).add(f"{value.__module__}.{value.__qualname__}")
     for module, names in expected.items():
         found = doctest.DocTestFinder(exclude_empty=True).find(importlib.import_module(module), module)
         collected = {test.name for test in found if test.examples}

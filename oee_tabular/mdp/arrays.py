@@ -72,7 +72,7 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
         if dense.ndim != 3 or dense.shape[0] != dense.shape[2] or dense.size == 0:
             raise ValueError(f"transitions must {_SHAPES}; it has shape {dense.shape}")
         _checks.require_nonnegative(dense, "transitions")
-        dense = _checks.scaled_if_single(dense, transitions)
+        dense = _checks.scale_if_single(dense, transitions)
         _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
         csr = CsrArrays.from_dense(dense.reshape(-1, dense.shape[2]))
     n_rows, n_states = csr.shape
