@@ -248,10 +248,10 @@ def test_it_is_written_whole_into_a_folder_that_is_made(report, page, tmp_path, 
     assert [entry.name for entry in path.parent.iterdir()] == ["answer.html"]
     path.write_text("what stood there")
 
-    def fail(self, data):
+    def fail(number):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(_files.Path, "write_bytes", fail)
+    monkeypatch.setattr(_files.os, "fsync", fail)
     with pytest.raises(OSError, match="No space"):
         report.to_html(path)
     assert path.read_text() == "what stood there"
