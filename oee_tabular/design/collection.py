@@ -33,7 +33,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
-from oee_tabular.mdp.policies import is_policy_by_state
+from oee_tabular.mdp.policies import split_policies
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.statements import SolverStatusError
@@ -244,11 +244,12 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
 
 
 def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
-    if not isinstance(policies, Mapping) or is_policy_by_state(policies, mdp):
+    several = split_policies(policies, mdp) if isinstance(policies, Mapping) else None
+    if several is None:
         return {"policy": check_policy(policies, mdp, name="policies")}
-    if not policies:
+    if not several:
         raise ValueError("policies must have at least one policy; it has none")
-    return {str(name): check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in policies.items()}
+    return {name: check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in several.items()}
 
 
 def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple[FiniteMDP, str]:

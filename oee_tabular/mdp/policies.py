@@ -84,11 +84,26 @@ def check_policies(policies: Any, mdp: Any, *, name: str = "policies", alone: st
     A mapping all of whose keys are states is one policy.
     """
     require_sized(mdp)
-    if isinstance(policies, Mapping) and not is_policy_by_state(policies, mdp):
-        return {str(key): check_policy(policy, mdp, name=f"{name} {str(key)!r}") for key, policy in policies.items()}
-    if is_policy_list(policies, mdp):
-        return {f"policy {k}": check_policy(p, mdp, name=f"{name} 'policy {k}'") for k, p in enumerate(policies)}
-    return {alone: check_policy(policies, mdp, name=f"{name} {alone!r}")}
+    several = split_policies(policies, mdp)
+    named = {alone: policies} if several is None else several
+    return {key: check_policy(policy, mdp, name=f"{name} {key!r}") for key, policy in named.items()}
+
+
+def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
+    """Return name -> policy of a mapping of policies, or of a list of them; None for what is one policy."""
+    if isinstance(policies, Mapping):
+        known = numbers_of(names_of(mdp).states or ())
+        are_states = all(to_plain(key) in known or _checks.is_integer(key) for key in policies)
+        are_choices = not any(callable(value) or _ndim(value) >= 2 for value in policies.values())
+        is_one = bool(policies) and are_states and are_choices
+        return None if is_one else {str(key): policy for key, policy in policies.items()}
+    if not isinstance(policies, list | tuple):
+        return None
+    sizes, first = (mdp.n_states, len(mdp.terminal_state)), policies[0] if policies else ()
+    is_row = _ndim(first) == 1 and len(policies) in sizes and len(first) == mdp.n_actions  # of a table (S, A)
+    is_policy = callable(first) or isinstance(first, Mapping) or _ndim(first) >= 2
+    is_policy |= _ndim(first) == 1 and len(first) in sizes and not is_row
+    return {f"policy {k}": policy for k, policy in enumerate(policies)} if is_policy or not policies else None
 
 
 def uniform_policy(mdp: Any) -> Array:
@@ -158,26 +173,6 @@ def require_sized(mdp: object) -> None:
     """Raise a ValueError for what has no states and actions."""
     if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
-
-
-def is_policy_by_state(policies: Mapping[Any, object], mdp: Any) -> bool:
-    """Say whether a mapping is one policy, state -> action or distribution, and not name -> policy."""
-    known = numbers_of(names_of(mdp).states or ())
-    return bool(policies) and all(
-        (to_plain(key) in known or _checks.is_integer(key)) and not (callable(value) or _ndim(value) >= 2)
-        for key, value in policies.items()
-    )
-
-
-def is_policy_list(policies: object, mdp: Any) -> bool:
-    """Say whether a list holds policies, and is not one: an action, or a row, for each state."""
-    if not isinstance(policies, list | tuple) or not policies:
-        return isinstance(policies, list | tuple)
-    first, sizes = policies[0], (mdp.n_states, len(mdp.terminal_state))
-    if callable(first) or isinstance(first, Mapping) or _ndim(first) >= 2:
-        return True
-    is_table = len(policies) in sizes and _ndim(first) == 1 and len(first) == mdp.n_actions
-    return _ndim(first) == 1 and len(first) in sizes and not is_table
 
 
 def is_time_dependent(policy: PolicyLike | None) -> bool:

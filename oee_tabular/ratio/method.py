@@ -18,7 +18,7 @@ from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
-from oee_tabular.mdp.policies import is_policy_list
+from oee_tabular.mdp.policies import split_policies
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
@@ -206,8 +206,8 @@ class Method:
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
-    several = isinstance(values_of, list | tuple) and len(values_of) > 0 and is_policy_list(values_of, simulator)
-    given = list(values_of) if several else [values_of]
+    several = split_policies(values_of, simulator) if isinstance(values_of, list | tuple) else None
+    given = list(several.values()) if several else [values_of]
     names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))
 

@@ -77,7 +77,7 @@ def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
 
 
 class Ledge(gymnasium.Env):
-    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends nowhere else."""
+    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends nowhere, with probability 0."""
 
     observation_space, action_space = gymnasium.spaces.Discrete(4), gymnasium.spaces.Discrete(2)
     initial_state_distrib = np.array([1.0, 0.0, 0.0, 0.0])
@@ -112,25 +112,6 @@ def test_names_and_map_of_an_environment(facts, states, actions, layout):
     own = [0, 0, 1, 1]  # policies of the environment's own states
     for policy in (own, [*own, 0], np.eye(2)[own], dict(enumerate(own))):
         assert_array_equal(oee.mdp.check_policy(policy, mdp)[:4], np.eye(2)[own])
-
-
-class Corridor(gymnasium.Env):
-    """State 2, the last one, is begun in and never entered; an outcome of probability 0 leads there."""
-
-    observation_space, action_space = gymnasium.spaces.Discrete(3), gymnasium.spaces.Discrete(1)
-    initial_state_distrib = np.array([0.0, 0.0, 1.0])
-    P = {
-        0: {0: [(1.0, 0, 0.0, True)]},
-        1: {0: [(0.5, 0, 0.0, True), (0.5, 1, 0.0, False), (0.0, 2, 7.0, False)]},
-        2: {0: [(1.0, 1, 1.0, False)]},
-    }
-
-
-def test_a_table_whose_last_state_is_never_entered():
-    mdp = FiniteMDP.from_gymnasium(Corridor(), discount=0.5)
-    assert_array_equal(mdp.transitions.toarray(), [[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0]])
-    assert_array_equal(mdp.initial, [0, 0, 1])
-    assert_array_equal(oee.state_values(mdp, np.ones((3, 1))), [0, 0, 1])
 
 
 def lake():

@@ -228,10 +228,18 @@ class Once(Table):
         return first
 
 
-def test_pairs_that_cannot_be_reached_again_are_named():
-    text = r"samples_per_pair, 5, .* max_steps, 300, in 2 of the 4 .* pairs that were met: s=1, a=0; s=1, a=1$"
-    with pytest.warns(UserWarning, match=FILLED), pytest.warns(UserWarning, match=text):
-        FiniteMDP.from_env(Once([[0, 0], [0, 0]], starts=(1,)), samples_per_pair=5, seed=0, max_steps=300)
+@pytest.mark.parametrize(
+    ("env", "max_steps", "pairs"),
+    [
+        (Once([[0, 0], [0, 0]], starts=(1,)), 300, "2 of the 4 .* met: s=1, a=0; s=1, a=1$"),
+        (Corridor(), 20, "[1-6] of the 6 .* met: s="),
+    ],
+)
+@pytest.mark.filterwarnings(f"ignore:.*{FILLED}")
+def test_pairs_with_fewer_samples_are_named(env, max_steps, pairs):
+    text = rf"^samples_per_pair, 5, was not reached within max_steps, {max_steps}, in {pairs}"
+    with pytest.warns(UserWarning, match=text):
+        FiniteMDP.from_env(env, samples_per_pair=5, seed=0, max_steps=max_steps)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_others():
@@ -243,12 +251,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_others():
 def test_numbers_that_no_episode_meets_stay():
     mdp = FiniteMDP.from_env(Corridor(int, spaces.Discrete(6)), samples_per_pair=2, seed=0)
     assert mdp.absorbing().tolist() == [False] * 3 + [True] * 3
-
-
-def test_it_stops_where_it_is_told():
-    text = r"^samples_per_pair, 5, was not reached within max_steps, 20, in [1-6] of the 6 state-action .* met: s="
-    with pytest.warns(UserWarning, match=text):
-        FiniteMDP.from_env(Corridor(), samples_per_pair=5, seed=0, max_steps=20)
 
 
 @pytest.mark.parametrize(
