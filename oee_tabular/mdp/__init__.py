@@ -28,7 +28,7 @@ Every array is checked once, when it comes in, with errors that name argument, p
 ``support``           action noise, P_eps = (1 - eps) P + eps mean_b P(. | s, b); support for the transitions of a log
 ``policies``          pi in each form that people have it, as (S, A)
 ``naming``            names of states and actions, and their numbers
-``gymnasium_table``   the P of a toy-text environment
+``gymnasium_table``   outcomes of actions as the arrays of an MDP; the P of a toy-text environment
 ``empirical``         n(s, a, s') / n(s, a) of a log or an environment, how many samples there are of each pair, and the
                       variance of mean rewards; ``explorer`` steps to pairs with few samples
 ``rows``              sums, means and exponential tilts over the rows of P; displacements

@@ -1,6 +1,7 @@
-"""Outcome tables ``P[s][a] = [(probability, s', reward, terminated), ...]`` of Gymnasium's toy texts, as arrays of an MDP.
+"""Outcomes of actions as the arrays of an MDP, and the table of them that a toy text of Gymnasium has.
 
-Gymnasium itself is not imported: the environment that is handed over brings what is needed.
+``P[s][a]`` is a list of (probability, s', reward, terminated). Gymnasium itself is not imported: the environment that is
+handed over brings what is needed.
 """
 
 from __future__ import annotations

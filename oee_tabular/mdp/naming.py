@@ -145,14 +145,12 @@ def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
     return numbers
 
 
-def number_of(
-    item: object, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the simulator's"
-) -> int:
+def number_of(item: object, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the MDP's") -> int:
     """Return the number of a state or an action that is given by name or number; ValueError with the nearest name.
 
     >>> number_of("lefft", ("left", "right"), 2, "action")
     Traceback (most recent call last):
-    ValueError: action must be one of the simulator's names; it is 'lefft' (did you mean 'left'?)
+    ValueError: action must be one of the MDP's names; it is 'lefft' (did you mean 'left'?)
     """
     given = to_plain(item)
     if _checks.is_integer(given):
@@ -190,7 +188,7 @@ def renumber(codes: IntArray, own: tuple[Name, ...], names: tuple[Name, ...] | N
     bad = np.flatnonzero(numbers < 0)
     if bad.size:
         try:
-            number_of(own[int(codes[bad[0]])], names, size, f"{name}[{bad[0]}]")
+            number_of(own[int(codes[bad[0]])], names, size, f"{name}[{bad[0]}]", "the simulator's")
         except ValueError as error:
             missing = len(np.unique(codes[bad]))
             more = f"; {bad.size} such rows, of {missing} name{'s' * (missing > 1)}" if bad.size > 1 else ""
@@ -218,7 +216,7 @@ def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states:
     distribution = np.zeros(n_states)
     if isinstance(initial, Mapping):
         for state, weight in initial.items():
-            number = number_of(state, names, n_states, "initial's state", "the MDP's")
+            number = number_of(state, names, n_states, "initial's state")
             distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
         return distribution
     is_scalar, is_tuple = getattr(initial, "ndim", 1) == 0, isinstance(initial, tuple) and names is not None
@@ -227,6 +225,6 @@ def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states:
         is_numbers = all(isinstance(part, int | float) for part in given)
         is_tuple = len(given) != n_states or not is_numbers or given in numbers_of(names or ())
     if is_tuple or isinstance(given, str) or _checks.is_integer(given):
-        distribution[number_of(given, names, n_states, "initial", "the MDP's")] = 1.0
+        distribution[number_of(given, names, n_states, "initial")] = 1.0
         return distribution
     return initial

@@ -207,7 +207,7 @@ def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
     table = np.full((mdp.n_states, mdp.n_actions), np.nan)
     states = (names.states or range(mdp.n_states))[:n_own]
     for state, choice, place in _list_choices(policy, states, name):
-        s = number_of(state, names.states, mdp.n_states, f"{name}'s state", "the MDP's")
+        s = number_of(state, names.states, mdp.n_states, f"{name}'s state")
         if not np.isnan(table[s, 0]):
             raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
         if choice is not None or not is_free[s]:
@@ -241,10 +241,10 @@ def _choice_row(choice: Any, names: tuple[Name, ...] | None, n_actions: int, nam
     row, given = np.zeros(n_actions), to_plain(choice)
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
-            a = number_of(action, names, n_actions, f"{name}'s action", "the MDP's")
+            a = number_of(action, names, n_actions, f"{name}'s action")
             row[a] += _checks.number_in(probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0)
     elif _checks.is_integer(given) or (isinstance(choice, str | tuple) and _is_action(given, names)):
-        row[number_of(given, names, n_actions, name, "the MDP's")] = 1.0
+        row[number_of(given, names, n_actions, name)] = 1.0
     elif _ndim(choice) == 1 and len(choice) == n_actions:
         row = _checks.float_array(choice, name, ndim=1)
     else:
@@ -268,7 +268,7 @@ def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     if len(actions) not in (mdp.n_states, len(mdp.terminal_state)):
         return policy
     if not are_numbers:
-        array = np.array([number_of(a, names, n_actions, f"{name}[{s}]", "the MDP's") for s, a in enumerate(actions)])
+        array = np.array([number_of(a, names, n_actions, f"{name}[{s}]") for s, a in enumerate(actions)])
     return deterministic_policy(array, n_actions, name)
 
 

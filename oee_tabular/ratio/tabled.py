@@ -144,7 +144,7 @@ class _Column:
         items = [tuple(item) if isinstance(item, list | np.ndarray) else item for item in self.values]
         row = {item: k for k, item in reversed(list(enumerate(items)))}  # of each, the first row
         code = {
-            item: number_of(item, names, size, f"column {self.label!r} of {self.source}, row {k},")
+            item: number_of(item, names, size, f"column {self.label!r} of {self.source}, row {k},", "the simulator's")
             for item, k in sorted(row.items(), key=lambda found: found[1])
         }
         return np.array([code[item] for item in items], dtype=np.int64)

@@ -77,7 +77,7 @@ def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
 
 
 class Ledge(gymnasium.Env):
-    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends nowhere, with probability 0."""
+    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends with probability 0."""
 
     observation_space, action_space = gymnasium.spaces.Discrete(4), gymnasium.spaces.Discrete(2)
     initial_state_distrib = np.array([1.0, 0.0, 0.0, 0.0])

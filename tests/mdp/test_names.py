@@ -109,7 +109,7 @@ def test_a_number_or_a_name():
     for item, text in (
         (True, r"x must be a name or a number; it is True$"),
         (1.0, r"x must be a name or a number; it is 1\.0$"),
-        ("dok", r"x must be one of the simulator's names; it is 'dok' \(did you mean 'dock'\?\)$"),
+        ("dok", r"x must be one of the MDP's names; it is 'dok' \(did you mean 'dock'\?\)$"),
         (("room", 2), r"x must be one of .*\('room', 2\) \(did you mean \('room', 1\)\?\)$"),
     ):
         with pytest.raises(ValueError, match=f"^{text}"):
