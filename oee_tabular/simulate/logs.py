@@ -57,13 +57,13 @@ def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon
     return episode_log(mdp, drawn, pi)
 
 
-def episodes_holding(
-    mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed, first: int | None = None
-) -> Transitions:
-    """Whole episodes that together have at least n transitions: ``first`` of them, or as many as would do if none ended early,
-    and more where they do. A Generator draws afresh at each try; of any other seed the episodes tried before stay.
+def episodes_holding(mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed) -> Transitions:
+    """Whole episodes that together have at least n transitions.
+
+    As many as would do if none ended early, and more where they do. A Generator draws afresh at each try;
+    of any other seed the episodes tried before stay.
     """
-    count = max(1, -(-n // horizon)) if first is None else first
+    count = max(1, -(-n // horizon))
     while len(log := sample_episodes(mdp, policy, count, horizon, seed=seed)) < n:
         count = int(np.ceil(1.2 * count * n / len(log))) + 1
     return log
