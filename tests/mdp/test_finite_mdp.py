@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
+from oee_tabular import FiniteMDP, _files
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.estimators import ModelBased
 from oee_tabular.exact import reweight
@@ -125,6 +125,34 @@ def test_a_last_state_that_nothing_leads_to_survives_files_pickles_and_copies(fo
     for other in (*copies, mdp.with_rewards(mdp.rewards if form == 2 else mdp.transition_rewards)):
         assert other.transitions.shape == (3, 3)
         assert_same_bits(mdp, other)
+
+
+def test_a_file_without_names_and_layout_has_none(tmp_path):
+    loaded = make_loaded(make_unentered(), tmp_path)
+    assert not {"state_names", "action_names", "layout"} & set(np.load(tmp_path / "mdp.npz").files)
+    assert (loaded.layout, loaded.names) == (None, Names())
+
+
+@pytest.mark.parametrize(
+    ("broken", "text"),
+    [
+        ({"layout": np.zeros((2, 2))}, r"layout must have shape \(3,\) or \(3, c\).*; it has shape \(2, 2\)$"),
+        ({"layout": np.array([0.0, np.inf, 1.0])}, r"layout\[1\] must be finite; it is inf$"),
+        ({"layout": np.array(["a", "b", "c"])}, r"layout must be an array of numbers"),
+        ({"state_names": np.arange(3)}, r"state_names must be texts; it has int64 of shape \(3,\)$"),
+        ({"state_names": np.array(["hall", "x", "y"])}, r"state_names must be names as JSON; it has 'hall'$"),
+        (
+            {"state_names": np.array(['"a"', '"a"', '"b"'])},
+            r"state_names must differ; state_names\[1\] is 'a', as state",
+        ),
+        ({"state_names": np.array(['"a"', '"b"'])}, r"state_names must have 3 names, one for each; it has 2$"),
+    ],
+)
+def test_broken_files_are_named_with_the_part(broken, text, tmp_path):
+    path = tmp_path / "mdp.npz"
+    _files.save_npz(path, "finite_mdp", make_unentered().arrays() | broken)
+    with pytest.raises(ValueError, match=rf"'.*mdp\.npz': {text}"):
+        FiniteMDP.load(path)
 
 
 # ---------------------------------------------------------------- rewards and dynamics

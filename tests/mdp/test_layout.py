@@ -11,7 +11,7 @@ from hypothesis import given
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, _files
+from oee_tabular import FiniteMDP
 from oee_tabular.mdp import displacements
 from oee_tabular.testing import case
 
@@ -84,21 +84,6 @@ def test_other_numbers_of_the_states_take_layout_and_names_along():
     assert_array_equal(renamed.simulator.layout[order], simulator.layout)
     assert [renamed.simulator.state_names[k] for k in order] == names
     assert renamed.target.layout is None
-
-
-def test_files_without_it_load_and_broken_ones_name_it(tmp_path):
-    path = tmp_path / "mdp.npz"
-    three(layout=None).save(path)
-    assert "layout" not in np.load(path).files
-    assert FiniteMDP.load(path).layout is None
-    for broken, text in (
-        (np.zeros((2, 2)), r"layout must have shape \(3,\) or \(3, c\).*; it has shape \(2, 2\)$"),
-        (np.array([0.0, np.inf, 1.0]), r"layout\[1\] must be finite; it is inf$"),
-        (np.array(["a", "b", "c"]), r"layout must be an array of numbers"),
-    ):
-        _files.save_npz(path, "finite_mdp", three(layout=None).arrays() | {"layout": broken})
-        with pytest.raises(ValueError, match=f"'.*mdp.npz': {text}"):
-            FiniteMDP.load(path)
 
 
 # ---------------------------------------------------------------- displacements
