@@ -196,15 +196,15 @@ behavior_probability[0] must be in [0, 1]; it is 1.2
 >>> Transitions([0], [0], [1], terminated=[2])
 terminated[0] must be a boolean ... it is 2
 >>> log(next_state=[2, 2, 0])
-next_state[0] must be the state of row 1, the next of episode 0; it is 2, and state[1] is 1
+next_state[0] must be the state of the next row of its episode, which is 1; it is 2
 >>> log(episode=[0, 1, 0])
 episode must keep the rows of an episode together; 0 begins again in row 2
 >>> log(timestep=[0, 2, 1])
-timestep[1] must be 1 (steps of an episode in order from 0); it is 2 in episode 0
+timestep[1] must be 1 (steps of an episode in order from 0); it is 2
 >>> log(terminated=[1, 0, 0])
-terminated[0] must be False: episode 0 goes on in row 1
+terminated[0] must be False: its episode goes on in the next row
 >>> log(truncated=[0, 1, 0])
-truncated[1] must be False: episode 0 goes on in row 2
+truncated[1] must be False: its episode goes on in the next row
 >>> Transitions([0], [0], [1]).counts(2, 1, discount=0.9)
 log must have timesteps (or episodes) to be counted with a discount
 >>> LOG.draw(10**6, seed=0)

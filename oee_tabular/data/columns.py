@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -15,6 +15,7 @@ from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
 from oee_tabular.data.labels import COLUMNS
 from oee_tabular.data.reader import LogFile
+from oee_tabular.data.rules import Fault, check_flags, check_integers, check_numbers, count_others, find_order_faults
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -47,49 +48,56 @@ class Log:
         behavior_probability: ArrayLike | None = None,
         truncated: ArrayLike | None = None,
     ) -> None:
-        rest = {
-            "reward": reward,
-            "terminated": terminated,
-            "truncated": truncated,
-            "episode": episode,
-            "timestep": timestep,
-            "behavior_probability": behavior_probability,
-        }
-        readers: dict[str, Callable[[Any, str], Column | None]] = {
-            "reward": self._check_reward,
-            "terminated": booleans,
-            "truncated": booleans,
-            "episode": lambda value, name: integers(_numbered(value), name, low=None),
-            "timestep": integers,
-            "behavior_probability": lambda value, name: _checks.float_array(value, name, ndim=1),
-        }
         columns: dict[str, Column | None] = self._moves(state, action, next_state)
-        columns |= {name: None if rest[name] is None else read(rest[name], name) for name, read in readers.items()}
+        columns |= {
+            "reward": None if reward is None else self._check_reward(reward),
+            "terminated": None if terminated is None else booleans(terminated, "terminated"),
+            "truncated": None if truncated is None else booleans(truncated, "truncated"),
+            "episode": None if episode is None else integers(number_episodes(episode), "episode", low=None),
+            "timestep": None if timestep is None else integers(timestep, "timestep"),
+            "behavior_probability": None if behavior_probability is None else probabilities(behavior_probability),
+        }
         lengths = {name: len(column) for name, column in columns.items() if column is not None}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns must have equal lengths; they have {lengths}")
         n = lengths["state"]
         if n == 0:
             raise ValueError("state must have at least one row; the log is empty")
-        _check_probability(columns["behavior_probability"])
         if columns["terminated"] is None:
             columns["terminated"] = np.zeros(n, dtype=np.bool_)
         if columns["episode"] is not None:
-            _check_episodes(columns, _episode_starts(columns["episode"]), self)
+            self._check_episodes(columns)
         elif columns["truncated"] is None:
             columns["truncated"] = np.zeros(n, dtype=np.bool_)
         for name, column in columns.items():
             object.__setattr__(self, name, None if column is None else freeze(column))
 
     @classmethod
-    def _check_reward(cls, value: Any, name: str) -> Array | None:
+    def _check_reward(cls, value: Any) -> Array | None:
         """Finite numbers; nan is a missing one, where that is allowed, and None a column without any."""
-        reward = _checks.float_array(value, name, ndim=1)
-        if not cls.ALLOWS_MISSING_REWARDS:
-            _checks.require_finite(reward, name)
-            return reward
-        _checks.require_finite(np.where(np.isnan(reward), 0.0, reward), name)
-        return None if reward.size and np.isnan(reward).all() else reward
+        reward = _checks.float_array(value, "reward", ndim=1)
+        missing = np.isnan(reward) & cls.ALLOWS_MISSING_REWARDS
+        _checks.require_finite(np.where(missing, 0.0, reward), "reward")
+        return None if reward.size and missing.all() else reward
+
+    def _check_episodes(self, columns: dict[str, Any]) -> None:
+        """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
+        episode = columns["episode"]
+        starts = _episode_starts(episode)
+        names = episode[starts[:-1]]
+        repeated = find_repeated(names)
+        if repeated is not None:
+            raise ValueError(together(names[repeated], starts[repeated]))
+        is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
+        is_first[starts[:-1]], is_last[starts[1:] - 1] = True, True
+        if columns["timestep"] is None:
+            columns["timestep"] = np.arange(len(episode)) - np.repeat(starts[:-1], np.diff(starts))
+        given = {name: column for name, column in columns.items() if column is not None}
+        before = {name: np.concatenate([column[:1], column[:-1]]) for name, column in given.items()}
+        for fault in find_order_faults(given, before, is_first, ~is_first, self._apart, self._shown):
+            raise ValueError(fault.describe() + count_others(fault))
+        if columns["truncated"] is None:
+            columns["truncated"] = is_last & ~columns["terminated"]
 
     @staticmethod
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
@@ -223,26 +231,50 @@ def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
     if array.dtype.kind not in "iuf":
         texts = " (numbers written as text? .astype(int))" if array.dtype.kind in "UO" else ""
         raise ValueError(f"{name} must hold integers; it holds {array.dtype}{texts}")
-    if array.dtype.kind == "f":
-        bad = np.flatnonzero(~((np.abs(array) <= 2.0**53) & (array == np.floor(array))))
-        if bad.size:
-            raise ValueError(f"{name}[{bad[0]}] must be an integer; it is {array[bad[0]]}")
-    if array.dtype.kind == "u" and (bad := np.flatnonzero(array > np.iinfo(np.int64).max)).size:
-        raise ValueError(f"{name}[{bad[0]}] must be below 2**63; it is {array[bad[0]]}")
-    whole: IntArray = array.astype(np.int64)
-    if low is not None and (bad := np.flatnonzero(whole < low)).size:
-        raise ValueError(f"{name}[{bad[0]}] must be at least {low}; it is {whole[bad[0]]}")
-    return whole
+    return accept(*check_integers(array, name, low=low))
 
 
-def _numbered(episode: Any) -> Any:
+def booleans(value: object, name: str) -> BoolArray:
+    """A column of booleans, of 0 and 1, or of their words; ValueError with the row and the value found."""
+    array = _checks.as_array(value, name)
+    if array.ndim != 1:
+        raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
+    return accept(*check_flags(array.astype(np.bool_) if array.size == 0 else array, name))
+
+
+def probabilities(value: object) -> Array:
+    """The column of behaviour probabilities."""
+    array = _checks.float_array(value, "behavior_probability", ndim=1)
+    return accept(*check_numbers(array, "behavior_probability", low=0.0, high=1.0))
+
+
+def accept(values: Any, fault: Fault | None) -> Any:
+    """The values of a column that has no fault; ValueError for the first row of one."""
+    if fault is not None:
+        raise ValueError(fault.describe())
+    return values
+
+
+def number_episodes(episode: Any) -> Any:
     """Episodes that have texts for numbers, in the order of their first rows."""
-    row = isinstance(episode, list | tuple) or (isinstance(episode, np.ndarray) and episode.ndim == 1)
-    items = list(episode) if row else []
+    is_row = isinstance(episode, list | tuple) or (isinstance(episode, np.ndarray) and episode.ndim == 1)
+    items = list(episode) if is_row and not (isinstance(episode, np.ndarray) and episode.dtype.kind in "biuf") else []
     if not items or not all(isinstance(item, str) for item in items):
         return episode
     first: dict[str, int] = {}
     return np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64)
+
+
+def find_repeated(names: Any) -> int | None:
+    """The first episode whose name an earlier one has."""
+    unique, index = np.unique(names, return_index=True)
+    return None if len(unique) == len(names) else int(np.setdiff1d(np.arange(len(names)), index)[0])
+
+
+def together(name: Any, row: int) -> str:
+    """The words for an episode that begins again."""
+    shown = _checks.show(name.item() if hasattr(name, "item") else name)
+    return f"episode must keep the rows of an episode together; {shown} begins again in row {row}"
 
 
 def spans(episodes: int, shortest: int, longest: int) -> str:
@@ -251,72 +283,6 @@ def spans(episodes: int, shortest: int, longest: int) -> str:
     return f"{episodes} episode{'s' * (episodes > 1)} of {steps}"
 
 
-def booleans(value: object, name: str) -> BoolArray:
-    """A column of booleans, of 0 and 1, or of their words; ValueError with the row and the value found."""
-    array = _checks.as_array(value, name)
-    if array.ndim != 1:
-        raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
-    if array.dtype.kind == "b" or array.size == 0:
-        return array.astype(np.bool_)
-    words = np.char.lower(array.astype(str))
-    true, false = (np.isin(words, (word, digit, f"{digit}.0")) for word, digit in (("true", "1"), ("false", "0")))
-    bad = np.flatnonzero(~(true | false))
-    if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be a boolean (or 0 or 1); it is {array.tolist()[bad[0]]!r}")
-    return true
-
-
-def _check_probability(probability: Array | None) -> None:
-    if probability is not None:
-        bad = np.flatnonzero(~((probability >= 0) & (probability <= 1)))
-        if bad.size:
-            raise ValueError(f"behavior_probability[{bad[0]}] must be in [0, 1]; it is {probability[bad[0]]}")
-
-
 def _episode_starts(episode: IntArray) -> IntArray:
     changes = np.flatnonzero(np.diff(episode)) + 1
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)
-
-
-def _check_episodes(columns: dict[str, Column | None], starts: IntArray, log: Log) -> None:
-    """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
-    episode, state, next_state = columns["episode"], columns["state"], columns["next_state"]
-    terminated, truncated, timestep = columns["terminated"], columns["truncated"], columns["timestep"]
-    assert episode is not None
-    assert state is not None
-    assert next_state is not None
-    assert terminated is not None
-    first, n = starts[:-1], len(state)
-    names = episode[first]
-    unique, index = np.unique(names, return_index=True)
-    if len(unique) < len(names):
-        again = int(np.setdiff1d(np.arange(len(names)), index)[0])
-        raise ValueError(
-            f"episode must keep the rows of an episode together; {names[again]} begins again in row {first[again]}"
-        )
-    position = np.arange(n) - np.repeat(first, np.diff(starts))
-    if timestep is None:
-        columns["timestep"] = position.astype(np.int64)
-    elif (bad := np.flatnonzero(timestep != position)).size:
-        row = int(bad[0])
-        raise ValueError(
-            f"timestep[{row}] must be {position[row]} (steps of an episode in order from 0); it is {timestep[row]} "
-            f"in episode {episode[row]}"
-        )
-    last = np.zeros(n, dtype=np.bool_)
-    last[starts[1:] - 1] = True
-    broken = np.flatnonzero(~last[:-1] & log._apart(next_state[:-1], state[1:]))
-    if broken.size:
-        row = int(broken[0])
-        raise ValueError(
-            f"next_state[{row}] must be the state of row {row + 1}, the next of episode {episode[row]}; "
-            f"it is {log._shown(next_state[row])}, and state[{row + 1}] is {log._shown(state[row + 1])} "
-            f"({broken.size} such rows in all)"
-        )
-    for name, flags in (("terminated", terminated), ("truncated", truncated)):
-        if flags is not None and (early := np.flatnonzero(flags & ~last)).size:
-            raise ValueError(
-                f"{name}[{early[0]}] must be False: episode {episode[early[0]]} goes on in row {early[0] + 1}"
-            )
-    if truncated is None:
-        columns["truncated"] = last & ~terminated

@@ -20,7 +20,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
 from oee_tabular.data.digests import write_parquet
 from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
-from oee_tabular.data.reader import LogFile, csv_labels, read_columns
+from oee_tabular.data.reader import LogFile, csv_labels, read_columns, read_csv
 from oee_tabular.mdp.naming import Name, from_text, to_text
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
@@ -195,18 +195,12 @@ def require_module(module: str, extra: str) -> None:
 
 def csv_frame(path: str) -> Any:
     """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError for another file."""
-    import pandas as pd
-
     name = _files.local(path)
     csv_labels(name)
-    old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # later ones need no option
-    options: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     try:
-        with open(name, "rb") as handle, warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # more fields than the header names
-            warnings.simplefilter("ignore", pd.errors.DtypeWarning)
-            return pd.read_csv(handle, index_col=False, **options)
-    except (pd.errors.ParserWarning, ValueError, OverflowError) as error:
+        with open(name, "rb") as handle:
+            return read_csv(handle)
+    except (ValueError, OverflowError, Warning) as error:
         raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
 
 

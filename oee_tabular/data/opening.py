@@ -6,18 +6,17 @@ So one process, several, and a cluster give the same bits.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks, _workers
-from oee_tabular._checks import Column
-from oee_tabular.data.counting import LARGEST, N_REASONS, FileCounts, Limits, Sample, add, choose, count_file
+from oee_tabular.data.counting import LARGEST, N_REASONS, FileCounts, Limits, Sample, choose, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.labels import COLUMNS, warn_left_out
 from oee_tabular.data.reader import LogFile
+from oee_tabular.data.sums import Sums
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.mdp import FiniteMDP
 
@@ -83,11 +82,15 @@ def open_log(
     limits = limits._replace(drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves"))
     if jobs != -1:
         _checks.positive_integer(jobs, "jobs")
+    from tqdm import tqdm
+
     files = find_log_files(path, tables_only=True)
-    total = _Total(limits.kept)
-    calls = ((file, plain_name(file, files), limits, total.limit) for file in files)
+    calls = ((file, plain_name(file, files), limits) for file in files)
     results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
-    for file, counts in zip(files, _with_bar(results, len(files), progress), strict=True):
+    total = _Total(limits.kept)
+    for file, counts in zip(
+        files, tqdm(results, "counting", len(files), unit="file", disable=not progress), strict=True
+    ):
         total.add(file, counts)
     result = total.result()
     if output is not None:
@@ -107,28 +110,19 @@ def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | 
     return Limits((states, actions))
 
 
-def _with_bar(results: Iterator[Any], total: int, progress: bool) -> Iterator[Any]:
-    from tqdm import tqdm
-
-    return iter(tqdm(results, total=total, desc="counting", unit="file", disable=not progress))
-
-
 class _Total:
     """The sums of the files so far."""
 
     def __init__(self, kept: int) -> None:
-        self.kept, self.limit = kept, 2**64 - 1
-        self.key, self.sums = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 5))
+        self.kept, self.sums = kept, Sums()
         self.recording = Recording(by_episodes=False)
-        self.samples: Sample | None = None
+        self.sample = Sample(np.zeros(0, dtype=np.uint64), np.zeros(0, dtype=np.int64), {})
         self.first: tuple[LogFile, FileCounts] | None = None
-        self.rewarded = False
 
     def add(self, file: LogFile, counts: FileCounts) -> None:
         """One more file."""
         self._check_columns(file, counts)
-        self.key, self.sums = add(np.concatenate([self.key, counts.key]), np.concatenate([self.sums, counts.sums]))
-        self.rewarded |= "reward" in counts.known
+        self.sums.add(counts.key, counts.sums)
         one, two = self.recording, counts.recording
         shortest = [length for length in (one.shortest, two.shortest) if length]
         self.recording = Recording(
@@ -137,13 +131,13 @@ class _Total:
             (*one.reasons, *two.reasons)[:N_REASONS],
         )  # fmt: skip
         if counts.sample is not None:
-            self._add_sample(counts.sample)
+            self.sample = join_samples(self.sample, counts.sample, self.kept)
 
     def _check_columns(self, file: LogFile, counts: FileCounts) -> None:
         """All files have the same of a log's columns; rewards alone may be missing in some."""
         if self.first is None:
             self.first = file, counts
-            warn_left_out(file.path, counts.unknown, COLUMNS, level=5)
+            warn_left_out(file.path, counts.unknown, COLUMNS, level=4)
             return
         other, before = self.first
         differ = sorted((before.known ^ counts.known) - {"reward"})
@@ -153,49 +147,29 @@ class _Total:
                 f"all files must have the same columns; {has.path!r} has {differ[0]!r}, and {lacks.path!r} does not"
             )
 
-    def _add_sample(self, more: Sample) -> None:
-        """Those first in the draw of all."""
-        if self.samples is None:
-            rows, place, length = more.rows, more.place, more.length
-        else:
-            place = np.concatenate([self.samples.place, more.place])
-            length = np.concatenate([self.samples.length, more.length])
-            rows = _join_rows(self.samples, more)
-        limit = min(self.limit, more.limit)
-        chosen, self.limit = choose(place, length, np.ones(len(place), dtype=np.bool_), limit, self.kept)
-        if len(chosen) < len(place):
-            is_chosen = np.zeros(len(place), dtype=np.bool_)
-            is_chosen[chosen] = True
-            rows = {label: column[np.repeat(is_chosen, length)] for label, column in rows.items()}
-        self.samples = Sample(place[chosen], length[chosen], rows)
-
     def result(self) -> TransitionCounts:
         """The counts of all files."""
-        if not len(self.key):
+        key, sums = self.sums.sorted()
+        if not len(key):
             raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has")
-        rewards: dict[str, Any] = {}
-        if self.rewarded and self.sums[:, 1].any():
-            rewards = {"reward_sum": self.sums[:, 2], "reward_min": self.sums[:, 3], "reward_max": self.sums[:, 4],
-                       "reward_count": self.sums[:, 1]}  # fmt: skip
-        sample = None
-        if self.samples is not None and len(self.samples.place):
-            episode = np.repeat(np.arange(len(self.samples.place)), self.samples.length)
-            sample = Transitions(**self.samples.rows, episode=episode)
-        state, action, next_state, ended = (column.copy() for column in self.key.T)
-        columns: dict[str, Any] = {"state": state, "action": action, "next_state": next_state, "terminated": ended == 1}
-        columns |= {"count": self.sums[:, 0].copy(), "recording": self.recording, "sample": sample}
-        return TransitionCounts(**columns, **rewards)
+        columns: dict[str, Any] = dict(zip(("state", "action", "next_state"), key.T.copy(), strict=False))
+        if sums[:, 1].any():
+            names = ("reward_count", "reward_sum", "reward_min", "reward_max")
+            columns |= dict(zip(names, sums.T[1:].copy(), strict=True))
+        if len(self.sample.place):
+            episode = np.repeat(np.arange(len(self.sample.place)), self.sample.length)
+            columns["sample"] = Transitions(**self.sample.rows, episode=episode)
+        return TransitionCounts(**columns, count=sums[:, 0].copy(), terminated=key[:, 3] == 1, recording=self.recording)
 
 
-def _join_rows(one: Sample, two: Sample) -> dict[str, Column]:
-    """The rows of two samples; a reward that only one has is nan in the other."""
-    if not one.rows or not two.rows:
-        return one.rows or two.rows
-    n_one, n_two = (int(sample.length.sum()) for sample in (one, two))
-    labels = dict.fromkeys([*one.rows, *two.rows])
-    return {
-        label: np.concatenate(
-            [one.rows.get(label, np.full(n_one, np.nan)), two.rows.get(label, np.full(n_two, np.nan))]
-        )
-        for label in labels
-    }
+def join_samples(one: Sample, two: Sample, kept: int) -> Sample:
+    """The episodes first in the draw of both; a reward that only one has is nan in the other."""
+    place, length = np.concatenate([one.place, two.place]), np.concatenate([one.length, two.length])
+    chosen, limit = choose(place, length, np.ones(len(place), dtype=np.bool_), min(one.limit, two.limit), kept)
+    is_kept = np.repeat(np.isin(np.arange(len(place)), chosen), length)
+    n_one, n_two = int(one.length.sum()), int(two.length.sum())
+    rows = {}
+    for label in dict.fromkeys([*one.rows, *two.rows]):
+        parts = [sample.rows.get(label, np.full(n, np.nan)) for sample, n in ((one, n_one), (two, n_two)) if n]
+        rows[label] = np.concatenate([*parts, np.zeros(0, dtype=two.rows.get(label, np.zeros(0)).dtype)])[is_kept]
+    return Sample(place[chosen], length[chosen], rows, limit)

@@ -1,46 +1,46 @@
-"""CSV and parquet files of a log, read by DuckDB: one table of checked values for all that is made of a file.
+"""CSV and parquet files of a log, read in pieces: the raw values of some thousand rows at a time, in the order of the file.
 
-Each column of a file becomes an expression in SQL whose value is that of the log's column, and NULL where the file's value
-is none of it. Whoever reads the table asks ``Table.describe`` for the words to a row that has such a NULL.
-
-DuckDB reads one file in one thread, in the order of its rows: the same file gives the same bits. It may open that file alone,
-loads no extension, and sees no column of a CSV file by its name.
+pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.19 s of CPU, 0.34 s). DuckDB reads parquet
+in one thread, so that the same file gives the same bits; it may open that file alone and loads no extension.
+``rules.py`` says which values are those of a log.
 """
 
 from __future__ import annotations
 
 import csv
 import gzip
-import math
+import itertools
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Column
+from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.digests import check_digest, quote_text
 from oee_tabular.data.labels import MOVE
-from oee_tabular.data.values import (
+from oee_tabular.data.rules import (
     HELD,
-    INTEGER_TYPES,
     KINDS,
     NAMES_HINT,
-    RULES,
-    has_kind,
+    check_column,
+    check_names,
+    count_others,
+    holds_names,
+    is_missing,
     is_number,
-    show_value,
-    sql_value,
 )
 
-Result = TypeVar("Result")
-
-MOST_COLUMNS = 10_000  # of a CSV table, which DuckDB reads in 1 s; of 10^5 it would be 8 s
+N_VECTORS = 64  # of 2048 rows, which DuckDB hands over at once
+N_ROWS = 2048 * N_VECTORS  # of a piece
+MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 
 
 class LogFile(NamedTuple):
@@ -56,347 +56,304 @@ class LogFile(NamedTuple):
         return Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
 
 
-class NotPlain(Exception):
-    """A CSV file that was read as numbers has something else: it is to be read as texts."""
+class Piece(NamedTuple):
+    """Rows that follow each other: the raw values by label, and the numbers of the rows in the file."""
+
+    columns: dict[str, Column]
+    rows: IntArray
 
 
 @dataclass
 class Table:
-    """A file as DuckDB sees it: ``columns``: label -> (type, expression, kind), ``labels``: all that the file has.
+    """A file as a table: ``labels``: of all its columns; ``known``: those of a log among them and in ``file.fixed``.
 
-    ``is_plain``: a CSV file whose numbers DuckDB makes itself, in half of the time; whatever is odd raises ``NotPlain``.
+    ``lost``: the lines of a CSV file that have another number of fields than its header, in words, by the number of the row.
     """
 
-    connection: Any
     file: LogFile
-    source: str
-    row: str
-    parameters: dict[str, Any]
-    columns: dict[str, tuple[str, str, str]]
     labels: list[str]
-    is_plain: bool = False
-    lost: list[tuple[int, str]] = field(default_factory=list)  # rows of other lengths, by their number, in words
+    is_known: Callable[[str], bool]
+    encoding: str = "utf-8"
+    texts: frozenset[str] = frozenset()  # columns of a CSV file whose first value is no number
+    lost: dict[int, str] = field(default_factory=dict)
 
     @property
-    def rows(self) -> str:
-        """The SQL of the checked values, in the order of the file, with ``row``, their number."""
-        values = [f"{sql_value(*column)} AS {_quoted(label)}" for label, column in self.columns.items()]
-        return f"(SELECT {self.row} AS row, {', '.join(values)} FROM {self.source})"
+    def known(self) -> list[str]:
+        """The labels of the columns that are read."""
+        fixed = (label for label, _ in self.file.fixed)
+        return [label for label in dict.fromkeys([*self.labels, *fixed]) if self.is_known(label)]
 
-    def fetch(self, query: str, **parameters: Any) -> dict[str, Any]:
-        """The columns of a query's result; errors in this package's words."""
-        return self._run(query, parameters).fetchnumpy()  # type: ignore[no-any-return]
+    def pieces(self) -> Iterator[Piece]:
+        """The rows of the file; errors of the libraries in this package's words."""
+        read = _parquet_frames if self.file.suffix == ".parquet" else _text_frames if self.lost else _csv_frames
+        fixed = {label: float(value) if is_number(value) else value for label, value in self.file.fixed}
+        lost, rows = list(self.lost), np.arange(0)
+        for frame in read(self, [label for label in self.known if label in self.labels]):
+            rows = (rows[-1] + 1 if len(rows) else 0) + np.arange(len(frame) + len(lost))
+            rows = rows[~np.isin(rows, lost)][: len(frame)]
+            columns = {label: np.full(len(frame), value) for label, value in fixed.items() if label in self.known}
+            yield Piece(columns | {str(label): to_raw(frame[label]) for label in frame}, rows)
 
-    def value(self, label: str, row: int) -> Any:
-        """What the file has in a row of a column."""
-        if self.is_plain:
-            raise NotPlain
-        raw = f"(SELECT {self.row} AS row, {self.columns[label][1]} AS raw FROM {self.source})"
-        result = self._run(f"SELECT raw FROM {raw} WHERE row = $wanted LIMIT 1", {"wanted": row}).fetchone()
-        return None if result is None else result[0]
-
-    def file_row(self, row: int) -> int:
-        """The number in the file of a row of the table, which lacks the lost ones."""
-        for lost, _ in self.lost:
-            row += lost <= row
-        return row
-
-    def describe(self, label: str, row: int, rule: str = "", hint: str = "") -> str:
-        """The place, the rule that a value breaks, and the value; ``rule``: of a value of the column's kind."""
-        raw, kind = self.value(label, row), self.columns[label][2]
-        place = f"{label}[{self.file_row(row)}]"
-        if raw is None or (isinstance(raw, float) and math.isnan(raw)):
-            return f"{place} must have a value; it has none"
-        if not rule or not has_kind(raw, kind):
-            rule = RULES.get(kind, "must be a value")
-            if kind == "number" and isinstance(raw, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", raw):
-                hint = " (write a decimal point, not a comma)"
-        return f"{place} {rule}; it is {show_value(raw)}{hint}"
-
-    def _run(self, query: str, parameters: Mapping[str, Any]) -> Any:
-        import duckdb
-
-        used = {name: value for name, value in (self.parameters | dict(parameters)).items() if f"${name}" in query}
-        try:
-            return self.connection.execute(query, used)
-        except duckdb.OutOfMemoryException:
-            raise MemoryError(f"{self.file.path!r} has more different transitions than memory holds") from None
-        except duckdb.Error as error:
-            if self.is_plain:
-                raise NotPlain from None
-            raise ValueError(_words(self, error)) from None
+    def require_type(self, label: str, raw: Column, *, allow_names: bool) -> None:
+        """ValueError where the type of a column is none of a log's."""
+        kind, is_csv = KINDS.get(label, "number"), self.file.suffix == ".csv"
+        held, hint = str(raw.dtype), ""
+        if raw.dtype.hasobject:
+            first = next((item for item in raw.tolist() if not is_missing(item)), None)
+            held = "texts" if isinstance(first, str) else type(first).__name__
+            hint = NAMES_HINT if label in MOVE else ""
+            is_allowed = first is None or is_csv or (isinstance(first, str) and allow_names and not is_number(first))
+            is_allowed |= kind == "flag" and isinstance(first, bool)
+        else:
+            is_allowed = raw.dtype.kind in "iufU" or (raw.dtype.kind == "b" and (kind == "flag" or is_csv))
+        if not is_allowed:
+            raise ValueError(f"column {label!r} of {self.file.path!r} must hold {HELD[kind]}; it holds {held}{hint}")
 
 
-def use_table(use: Callable[[Table], Result], file: LogFile, is_known: Callable[[str], bool], **options: Any) -> Result:
-    """``use(table)`` of a file, whose CSV is read as numbers first, and as texts where something in it is none."""
-    try:
-        with open_table(file, is_known, is_plain=True, **options) as table:
-            return use(table)
-    except NotPlain:
-        with open_table(file, is_known, **options) as table:
-            return use(table)
+def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = False) -> Table:
+    """The table in a file, its header read; ``drop``: whether to leave out lines of other lengths.
+
+    Raises ValueError that names the file, for what is no table, or has a known column twice.
+    """
+    if file.suffix == ".parquet":
+        check_digest(file.path)
+        table = Table(file, _parquet_labels(file.path), is_known)
+    else:
+        labels, first, encoding = _csv_header(_files.local(file.path))
+        if len(labels) > MOST_COLUMNS:
+            raise ValueError(
+                f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep those that a log has)"
+            )
+        texts = frozenset(label for label, value in zip(labels, first, strict=False) if not is_number(value or "0"))
+        table = Table(file, labels, is_known, encoding, texts)
+        if _may_have_odd_lines(table):
+            table.lost = _find_odd_lines(table)
+        if table.lost and not drop:
+            row, words = next(iter(table.lost.items()))
+            raise ValueError(f"{file.path!r}: row {row} {words}")
+    first_of: dict[str, str] = {}
+    for label in table.labels:  # also for who does not tell capitals, as DuckDB does not
+        lower = label.lower()
+        if is_known(lower) and lower in first_of:
+            twice = f"{label!r} twice" if first_of[lower] == label else f"{first_of[lower]!r} and {label!r}"
+            raise ValueError(f"{file.path!r} must have columns that differ; it has {twice}")
+        first_of.setdefault(lower, label)
+    return table
+
+
+def to_raw(series: Any) -> Column:
+    """A column of a frame: numbers and booleans as they are, others as objects; nan or None where a value is missing."""
+    if isinstance(series.dtype, np.dtype):
+        return np.asarray(series)
+    if series.dtype.kind in "iuf":
+        return np.asarray(series.to_numpy(dtype=np.float64, na_value=np.nan))
+    return np.asarray(series.to_numpy(dtype=object, na_value=None))
+
+
+def read_columns(
+    file: LogFile, is_known: Callable[[str], bool], require: Callable[[Sequence[str]], None]
+) -> tuple[dict[str, Column], list[str]]:
+    """The known columns of a file, whole, and all its labels; ValueError for the first value that is none of a log's.
+
+    ``require`` raises where the labels are those of no log. Names stay texts.
+    """
+    table = open_table(file, is_known)
+    require(list(dict.fromkeys([*table.labels, *table.known])))
+    if file.suffix == ".parquet":
+        with open_duckdb(file.path) as run:
+            n_rows = run("SELECT count(*) FROM read_parquet($path)").fetchone()[0]
+        _checks.require_memory(n_rows * len(table.known), repr(file.path))
+    pieces = list(table.pieces())
+    columns = {}
+    for label in table.known:
+        raw = np.concatenate([piece.columns[label] for piece in pieces]) if pieces else np.zeros(0)
+        table.require_type(label, raw, allow_names=label in (*MOVE, "episode"))
+        holds_texts = raw.dtype.hasobject and label in (*MOVE, "episode") and holds_names(raw)
+        columns[label], fault = check_names(raw, label) if holds_texts else check_column(label, raw)
+        if fault is not None:
+            raise ValueError(f"{file.path!r}: {fault.describe()}{count_others(fault)}")
+    return columns, table.labels
+
+
+# ---- parquet
 
 
 @contextmanager
-def open_table(
-    file: LogFile,
-    is_known: Callable[[str], bool],
-    *,
-    named: Sequence[str] = (),
-    drop: bool = False,
-    columns: Mapping[str, Column] | None = None,
-    is_plain: bool = False,
-) -> Iterator[Table]:
-    """The table of a file's known columns.
-
-    Parameters
-    ----------
-    named : columns that may hold names: they are texts where the first value is no number
-    drop : whether to leave rows out that have another number of fields than the header (they are in ``lost``)
-    columns : of a log that is in memory, in place of the file's
-
-    Raises
-    ------
-    ValueError
-        Names the file, for what is no table, has a column twice or of another type.
-    """
+def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
+    """``run(query)`` in which ``$path`` is the file."""
     import duckdb
 
-    path = os.path.abspath(_files.local(file.path))  # "://" cannot stand in it
-    pattern = re.sub(r"([*?\[])", r"[\1]", path)  # a name is no pattern
+    name = os.path.abspath(_files.local(path))  # "://" cannot stand in it
+    pattern = re.sub(r"([*?\[])", r"[\1]", name)  # a name is no pattern
     settings: dict[str, Any] = {
         "threads": 1, "preserve_insertion_order": True, "autoinstall_known_extensions": False,
         "autoload_known_extensions": False, "temp_directory": "",
     }  # fmt: skip
-    with duckdb.connect(":memory:", config=settings) as connection:
-        connection.execute(f"SET allowed_paths = [{quote_text(path)}, {quote_text(pattern)}]")
-        connection.execute("SET enable_external_access = false")
-        connection.execute("SET lock_configuration = true")
-        fixed = {f"fixed_{k}": value for k, (_, value) in enumerate(file.fixed)}
-        table = Table(connection, file, "", "row_number() OVER () - 1", {"path": pattern} | fixed, {}, [])
-        if columns is not None:
-            found = _memory_columns(table, columns)
-        else:
-            is_csv = file.suffix != ".parquet"
-            found = _csv_columns(table, is_known, is_plain) if is_csv else _parquet_columns(table)
-        _refuse_twice(table, is_known)
-        found = {label: column for label, column in found.items() if is_known(label)}
-        for k, (label, _) in enumerate(file.fixed):
-            found.setdefault(label, ("VARCHAR", f"$fixed_{k}::VARCHAR"))
-        if drop and columns is None and file.suffix == ".csv" and not table.is_plain:
-            _find_lost_rows(table)
-        for label, (kind, raw) in found.items():
-            table.columns[label] = (kind, raw, _kind(table, label, kind, raw, label in named or label == "episode"))
-        yield table
+    try:
+        with duckdb.connect(":memory:", config=settings) as connection:
+            connection.execute(f"SET allowed_paths = [{quote_text(name)}, {quote_text(pattern)}]")
+            connection.execute("SET enable_external_access = false")
+            connection.execute("SET lock_configuration = true")
+            yield lambda query: connection.execute(query, {"path": pattern} if "$path" in query else {})
+    except duckdb.OutOfMemoryException:
+        raise MemoryError(f"{path!r} has more rows than memory holds") from None
+    except duckdb.Error as error:
+        text = str(error).splitlines()[0]
+        raise ValueError(f"{path!r} must be a parquet table; it is not, or is damaged ({text:.200})") from None
 
 
-def _memory_columns(table: Table, columns: Mapping[str, Column]) -> dict[str, tuple[str, str]]:
-    import pandas as pd
-
-    table.connection.register("log_in_memory", pd.DataFrame(dict(columns)))
-    table.source, table.labels = "log_in_memory", list(columns)
-    return {label: (kind, _quoted(label)) for label, kind in _types(table)}
-
-
-def _parquet_columns(table: Table) -> dict[str, tuple[str, str]]:
-    check_digest(table.file.path)
-    table.source = "read_parquet($path, file_row_number = true, hive_partitioning = false, union_by_name = false)"
-    table.row = "file_row_number"
-    schema = table._run("SELECT name, num_children FROM parquet_schema($path)", {}).fetchall()
-    table.labels = _top_level(schema)
-    types = _types(table)[: len(table.labels)]
-    return {label: (kind, _quoted(name)) for label, (name, kind) in zip(table.labels, types, strict=True)}
-
-
-def _types(table: Table) -> list[tuple[str, str]]:
-    return [(name, kind) for name, kind, *_ in table._run(f"DESCRIBE SELECT * FROM {table.source}", {}).fetchall()]
-
-
-def _top_level(schema: list[tuple[str, int | None]]) -> list[str]:
+def _parquet_labels(path: str) -> list[str]:
     """The names of the columns, without those inside of others: parquet lists a tree in depth-first order."""
-    labels, open_children = [], [(schema[0][1] or 0) if schema else 0]
+    with open_duckdb(path) as run:
+        schema = run("SELECT name, num_children FROM parquet_schema($path)").fetchall()
+    labels, n_inside = [], 0
     for name, children in schema[1:]:
-        if len(open_children) == 1:
+        if n_inside == 0:
             labels.append(name)
-        open_children[-1] -= 1
-        if children:
-            open_children.append(children)
-        while len(open_children) > 1 and open_children[-1] == 0:
-            open_children.pop()
+        n_inside += (children or 0) - (n_inside > 0)
     return labels
 
 
-def _csv_columns(table: Table, is_known: Callable[[str], bool], is_plain: bool) -> dict[str, tuple[str, str]]:
-    skipped, labels, encoding = _csv_header(table.file.path)
-    table.is_plain = is_plain and encoding == "utf-8" and _has_plain_numbers(table.file.path)
-    if len(labels) > MOST_COLUMNS:
-        raise ValueError(
-            f"{table.file.path!r} must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep those that a log has)"
-        )
-    table.labels = labels
-    table.parameters |= {
-        "encoding": encoding, "skipped": skipped, "packed": "gzip" if table.file.path.lower().endswith(".gz") else "none",
-    }  # fmt: skip
-    types = [_csv_type(label, is_number=table.is_plain and is_known(label)) for label in labels]
-    table.source = _csv_source(types, is_strict=True)
-    return {label: (held, f"c{k}") for k, (label, held) in enumerate(zip(labels, types, strict=True))}
+def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
+    """The different (s, a, s', ended) of a parquet file and, of the other columns, number, sum, least and largest in each.
+
+    None where DuckDB cannot sum them, which a look at their values will explain.
+    """
+    import duckdb
+
+    key = [label for label in labels if label in (*MOVE, "terminated")]
+    parts = [*key, "count(*) AS n"]
+    for label in labels:
+        if label not in key:
+            value = "nullif(reward, 'nan'::DOUBLE)" if label == "reward" else label
+            parts += [
+                f"min({value}) AS least_{label}",
+                f"max({value}) AS largest_{label}",
+                f"count({value}) AS n_{label}",
+            ]
+            parts += [f"coalesce(sum({value}::DOUBLE), 0) AS total_{label}"]
+    if not set(labels) <= set(table.labels):
+        return None
+    with open_duckdb(table.file.path) as run:
+        try:
+            frame = run(f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY {', '.join(key)}").df()
+        except (duckdb.ConversionException, duckdb.BinderException):
+            return None
+    return {label: to_raw(frame[label]) for label in frame}
 
 
-def _csv_type(label: str, *, is_number: bool) -> str:
-    """What DuckDB is to make of a field: of episodes, which may be large integers, and of flags it makes too much."""
-    return "DOUBLE" if is_number and label != "episode" and KINDS.get(label, "number") != "flag" else "VARCHAR"
+def _parquet_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+    columns = ", ".join('"' + label.replace('"', '""') + '"' for label in labels)
+    with open_duckdb(table.file.path) as run:
+        result = run(f"SELECT {columns} FROM read_parquet($path, hive_partitioning = false, union_by_name = false)")
+        while len(frame := result.fetch_df_chunk(N_VECTORS)):
+            yield frame
 
 
-def _has_plain_numbers(path: str) -> bool:
-    """Whether no line of a file but its first has an underscore, which DuckDB would overlook in a number."""
-    if path.lower().endswith(".gz"):
-        return False
-    with open(path, "rb") as handle:
-        handle.readline()
-        return not any(b"_" in block for block in iter(lambda: handle.read(2**20), b""))
+# ---- CSV
 
 
-def _csv_source(types: Sequence[str], *, is_strict: bool) -> str:
-    names = ", ".join(f"c{k}: '{held}'" for k, held in enumerate(types))
-    lenient = "" if is_strict else ", ignore_errors = true, store_rejects = true"
-    return (
-        f"read_csv($path, auto_detect = false, header = true, delim = ',', quote = '\"', escape = '\"', nullstr = '', "
-        f"skip = $skipped, compression = $packed, encoding = $encoding, columns = {{{names}}}{lenient})"
-    )
+def _open_csv(path: str, encoding: str | None = None) -> Any:
+    """A file, or what is compressed in it: bytes, or text of an encoding."""
+    opener: Any = gzip.open if path.lower().endswith(".gz") else open
+    return opener(path, "rb") if encoding is None else opener(path, "rt", encoding=encoding, newline="")
 
 
-def csv_labels(path: str) -> list[str]:
-    """The labels of a CSV file's header: its first line that is not empty."""
-    return _csv_header(_files.local(path))[1]
-
-
-def _csv_header(name: str) -> tuple[int, list[str], str]:
-    """How many empty lines stand before the header, its labels, and the encoding."""
-    opened: Any = gzip.open if name.lower().endswith(".gz") else open
+@contextmanager
+def _csv_errors(path: str) -> Iterator[None]:
+    """ValueError that names the file, of whatever cannot be read."""
     try:
-        with opened(name, "rb") as handle:
-            mark = handle.read(2)
-        if mark == b"\xfe\xff":
-            raise ValueError("it is UTF-16 of the order that few programs write (save it as UTF-8)")
-        encoding = "utf-16" if mark == b"\xff\xfe" else "utf-8"
-        with opened(name, "rt", encoding="utf-16" if encoding == "utf-16" else "utf-8-sig", newline="") as handle:
-            reader = csv.reader(handle)
-            for skipped, row in enumerate(reader):
-                if row:
-                    return skipped, row, encoding
+        yield
     except UnicodeDecodeError:
-        raise ValueError(f"{name!r} must be a CSV table with a header, in UTF-8; its header is not") from None
-    except (csv.Error, EOFError, ValueError, gzip.BadGzipFile) as error:
-        raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
-    return 0, [], "utf-8"
+        raise ValueError(f"{path!r} must be a CSV table with a header, in UTF-8; it is not") from None
+    except (csv.Error, EOFError, gzip.BadGzipFile, zlib.error, ValueError, OverflowError, Warning) as error:
+        raise ValueError(f"{path!r} must be a CSV table with a header; {error}") from None
 
 
 def parquet_labels(path: str) -> list[str]:
     """The names of a parquet table's columns; ValueError for another file."""
-    with open_table(LogFile(path), lambda label: False) as table:
-        return table.labels
+    return open_table(LogFile(path), lambda label: False).labels
 
 
-def _find_lost_rows(table: Table) -> None:
-    """Read once for the rows that have another number of fields than the header, and leave them out from then on."""
-    table.source = _csv_source(["VARCHAR"] * len(table.labels), is_strict=False)
-    table.fetch(f"SELECT count(c0) AS n FROM {table.source}")
-    rejected = table._run("SELECT line, error_message FROM reject_errors ORDER BY line", {}).fetchall()
-    first = table.parameters["skipped"] + 2  # line of the first row
-    lost = {int(line): message for line, message in reversed(rejected)}
-    table.lost = [(line - first, _fields(message)) for line, message in sorted(lost.items())]
+def csv_labels(path: str) -> list[str]:
+    """The labels of a CSV file's header: its first line that is not empty."""
+    return _csv_header(_files.local(path))[0]
 
 
-def _fields(message: str) -> str:
-    """What is wrong with a line of CSV, from what DuckDB says of it."""
-    numbers = re.search(r"Expected Number of Columns: (\d+) Found: (\d+)", message)
-    if numbers:
-        expected, found = int(numbers[1]), int(numbers[2])
-        more = " or more" if found > expected else ""
-        return f"must have {expected} fields, as the header has; it has {found}{more}"
-    if "unicode" in message or "utf-8" in message:
-        return "must be UTF-8; it is not"
-    if "quote" in message:
-        return "must close its quotes; it does not"
-    return "must be a line of CSV; it is not"
+def _csv_header(path: str) -> tuple[list[str], list[str], str]:
+    """The labels, the first values and the encoding."""
+    with _csv_errors(path):
+        with _open_csv(path) as handle:
+            mark = handle.read(3)
+        if mark[:2] == b"\xfe\xff":
+            raise ValueError("it is UTF-16 of the order that few programs write (save it as UTF-8)")
+        encoding = "utf-16" if mark[:2] == b"\xff\xfe" else "utf-8-sig" if mark == b"\xef\xbb\xbf" else "utf-8"
+        with _open_csv(path, encoding) as handle:
+            lines = (line for line in csv.reader(handle) if line)
+            return next(lines, []), next(lines, []), encoding
 
 
-def _words(table: Table, error: Exception) -> str:
-    """DuckDB's error in this package's words: the file, the line, what is wrong."""
-    text, name = str(error), table.file.path
-    if table.file.suffix == ".csv":
-        line = re.search(r"Line: (\d+)", text)
-        if line:
-            row = int(line[1]) - table.parameters["skipped"] - 2
-            return f"{name!r}: row {row} (line {line[1]}) {_fields(text)}"
-        return f"{name!r} must be a CSV table with a header, whose lines all end alike; it is not, or is damaged"
-    return f"{name!r} must be a parquet table; it is not, or is damaged ({text.splitlines()[0]:.200})"
+def _may_have_odd_lines(table: Table) -> bool:
+    """Whether a file has quotes or empty lines, or on the average another number of commas a line than its header."""
+    n_commas, n_lines, last = 0, 0, 0
+    with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
+        while block := handle.read(2**20):
+            if b'"' in block or b"\0" in block:
+                return True
+            codes = np.frombuffer(block, dtype=np.uint8)
+            n_commas += np.count_nonzero(codes == ord(","))
+            n_lines += np.count_nonzero(codes == ord("\n"))
+            last = block[-1]
+    return n_commas != (len(table.labels) - 1) * (n_lines + (last != ord("\n")))
 
 
-def _refuse_twice(table: Table, is_known: Callable[[str], bool]) -> None:
-    """A known column stands once, also for who does not tell capitals (DuckDB does not)."""
-    first: dict[str, str] = {}
-    for label in table.labels:
-        lower = label.lower()
-        if is_known(lower) and lower in first:
-            twice = f"it has {label!r} twice" if first[lower] == label else f"it has {first[lower]!r} and {label!r}"
-            raise ValueError(f"{table.file.path!r} must have columns that differ; {twice}")
-        first.setdefault(lower, label)
+def _csv_lines(table: Table) -> Iterator[tuple[int, list[str]]]:
+    """The fields of each line below the header that is not empty, and the number of its line."""
+    with _csv_errors(table.file.path), _open_csv(table.file.path, table.encoding) as handle:
+        reader = csv.reader(handle)
+        is_header, line = True, 1
+        for fields in reader:
+            if fields and not is_header:
+                yield line, fields
+            is_header, line = is_header and not fields, reader.line_num + 1
 
 
-def _kind(table: Table, label: str, held: str, raw: str, may_be_text: bool) -> str:
-    """integer, number, flag or text; ValueError for a column of a type that is none of it."""
-    kind = KINDS.get(label, "number")
-    if held == "VARCHAR" and may_be_text:
-        first = table._run(f"SELECT {raw} FROM {table.source} WHERE {raw} IS NOT NULL LIMIT 1", {}).fetchone()
-        if first is not None and not is_number(first[0]):
-            return "text"
-    is_numeric = re.fullmatch(f"{INTEGER_TYPES}|FLOAT|DOUBLE|U?HUGEINT|DECIMAL.*", held)
-    is_text = held == "VARCHAR" and (table.file.suffix == ".csv" or table.source == "log_in_memory")
-    is_fixed = raw.startswith("$")
-    if not (is_numeric or is_text or is_fixed or (kind == "flag" and held == "BOOLEAN")):
-        hint = NAMES_HINT if held == "VARCHAR" and label in MOVE else ""
-        raise ValueError(
-            f"column {label!r} of {table.file.path!r} must hold {HELD[kind]}; it holds {held.replace('VARCHAR', 'texts')}{hint}"
-        )
-    return kind
+def _find_odd_lines(table: Table) -> dict[int, str]:
+    """The rows that have another number of fields than the header, in words."""
+    n = len(table.labels)
+    return {
+        row: f"(line {line}) must have {n} fields, as the header has; it has {len(fields)}"
+        for row, (line, fields) in enumerate(_csv_lines(table))
+        if len(fields) != n
+    }
 
 
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'
+def _text_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+    """The rows that have as many fields as the header, as texts."""
+    import pandas as pd
+
+    places = [table.labels.index(label) for label in labels]
+    lines = (fields for row, (_, fields) in enumerate(_csv_lines(table)) if row not in table.lost)
+    while rows := [[fields[k] or None for k in places] for fields in itertools.islice(lines, N_ROWS)]:
+        yield pd.DataFrame(rows, columns=labels, dtype=object)
 
 
-def read_columns(
-    file: LogFile, is_known: Callable[[str], bool], required: Callable[[Sequence[str]], None]
-) -> tuple[dict[str, Column], list[str]]:
-    """The known columns of a file, whole, and all its labels; a reward that is missing is nan.
-
-    ``required`` raises where the labels are those of no log.
-    """
-
-    def read(table: Table) -> tuple[dict[str, Column], list[str]]:
-        required([*table.labels, *(label for label, _ in file.fixed)])
-        if file.suffix == ".parquet":
-            rows = int(table.fetch(f"SELECT count(*) AS n FROM {table.source}")["n"][0])
-            _checks.require_memory(rows * len(table.columns), repr(file.path))
-        names = ", ".join(map(_quoted, table.columns))
-        columns = table.fetch(f"SELECT {names} FROM {table.rows}")
-        return {label: _whole_column(table, label, column) for label, column in columns.items()}, table.labels
-
-    return use_table(read, file, is_known, named=MOVE)
+def _csv_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+    with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
+        places = {table.labels.index(label): label for label in labels}
+        texts = {k: str for k, label in places.items() if label in table.texts and label in (*MOVE, "episode")}
+        options = {"names": range(len(table.labels)), "header": 0, "dtype": texts, "encoding": table.encoding}
+        for frame in read_csv(handle, chunksize=N_ROWS, keep_default_na=False, na_values=[""], **options):
+            yield frame[list(places)].rename(columns=places)
 
 
-def _whole_column(table: Table, label: str, column: Any) -> Column:
-    """A column with a value in every row, but for rewards; ValueError for the first row without one."""
-    absent = np.ma.getmaskarray(column)
-    values = np.ma.getdata(column)
-    if label == "reward":
-        values = np.where(absent, np.nan, values)
-        absent = np.isinf(values)
-    elif values.dtype.kind == "f":
-        absent = absent | ~np.isfinite(values)
-    rows = np.flatnonzero(absent)
-    if rows.size:
-        more = f" ({rows.size} such rows in all)" if rows.size > 1 else ""
-        raise ValueError(f"{table.file.path!r}: {table.describe(label, int(rows[0]))}{more}")
-    return np.asarray(values)
+def read_csv(handle: IO[bytes], **options: Any) -> Any:
+    """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has more fields than its header names."""
+    import pandas as pd
+
+    if tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1):  # later ones need no option
+        options["float_precision"] = "round_trip"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        warnings.simplefilter("ignore", pd.errors.DtypeWarning)
+        return pd.read_csv(handle, index_col=False, **options)

@@ -123,11 +123,11 @@ BAD = {
     "half an action": ({"action": [0, 0.5, 0, 0]}, r"action\[1\] must be an integer; it is 0.5"),
     "a broken chain": (
         {"next_state": [[0.25, 0.3], *FOLLOWING[1:]]},
-        r"next_state\[0\] must be the state of row 1, the next of episode 4; it is \[0.25, 0.3\], and state\[1\] is",
+        r"next_state\[0\] must be the state of the next row of its episode, which is \[0.2, 0.3\]; it is \[0.25, 0.3\]",
     ),
     "termination in the middle": (
         {"terminated": [1, 0, 1, 0]},
-        r"terminated\[0\] must be False: episode 4 goes on in row 1",
+        r"terminated\[0\] must be False: its episode goes on in the next row",
     ),
     "a nan reward": ({"reward": [0.0, np.nan, 0.0, 0.0]}, r"reward\[1\] must be finite; it is nan"),
 }

@@ -223,17 +223,13 @@ def test_names_of_files_and_columns_are_never_sql(tmp_path, name):
 
 
 def test_duckdb_reads_one_file_and_loads_nothing(tmp_path):
-    import duckdb
+    from oee_tabular.data.reader import open_duckdb
 
-    from oee_tabular.data.reader import LogFile, open_table
-
-    logs()["episodes"].save(tmp_path / "log.csv")
+    logs()["episodes"].save(tmp_path / "log.parquet")
     (tmp_path / "other.csv").write_text("a\n1\n")
-    with open_table(LogFile(str(tmp_path / "log.csv")), lambda label: True) as table:
-        with pytest.raises(duckdb.Error, match="Permission"):
-            table.connection.execute(f"SELECT * FROM read_csv('{tmp_path}/other.csv')")
-        with pytest.raises(duckdb.Error):
-            table.connection.execute("LOAD httpfs")
+    for query in (f"SELECT * FROM read_csv('{tmp_path}/other.csv')", "LOAD httpfs"):
+        with pytest.raises(ValueError, match=r"Permission|extension"), open_duckdb(str(tmp_path / "log.parquet")) as run:
+            run(query)
 
 
 WITHOUT = """

@@ -218,7 +218,7 @@ def test_names_that_the_simulator_has_not():
 
 def test_episodes_that_do_not_follow_are_told_by_name():
     with pytest.raises(
-        ValueError, match=r"^next_state\[0\] must be the state of row 1, .*; it is b, and state\[1\] is a "
+        ValueError, match=r"^next_state\[0\] must be the state of the next row of its episode, which is a; it is .b."
     ):
         Transitions(["a", "a"], [0, 0], ["b", "a"], episode=[0, 0])
 
@@ -390,7 +390,7 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
         ([["hall", "go"]], r"episodes\[0\]\[0\] must be a step, \(state, action, reward\), .*; got str$"),
         ([[(0, 0), (1, 0, 1.0), (2,)]], r"episodes\[0\]\[0\] must be a step, .*; it has 2 parts$"),
         ([[(0, 0, 1.0, 1, False, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 7 parts$"),
-        ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of row 1"),
+        ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of the next row"),
         ([[(0, 0, "x"), (1,)]], r"episodes\[0\]\[0\] must be a step, .*; its reward is 'x'$"),
         ([[(0, 0, 1.0), (1, "yes")]], r"episodes\[0\]\[1\] must be \(state,\) or .*; it is \(1, 'yes'\)$"),
     ],
