@@ -11,7 +11,7 @@ import csv
 import os
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data.columns import Log, integers
-from oee_tabular.data.files import Columns, Format, is_minari, minari_episodes
+from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.labels import COLUMNS, suggest_columns
+from oee_tabular.data.minari import is_minari, minari_episodes
 from oee_tabular.data.reader import csv_labels, parquet_labels
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
@@ -34,12 +35,13 @@ class VectorFormat(Format):
 
     kind = "continuous_transitions"
     endings = ".npz, .csv, .parquet"
+    writes_minari = False
 
-    def known(self, label: str) -> bool:
+    def is_known(self, label: str) -> bool:
         """A log's column, or one coordinate of a vector."""
         return label in COLUMNS or NUMBERED.fullmatch(label) is not None
 
-    def flat(self, columns: Columns) -> Columns:
+    def to_table(self, columns: Columns) -> Columns:
         """One column for each coordinate."""
         flat: Columns = {}
         for name, column in columns.items():
@@ -49,7 +51,7 @@ class VectorFormat(Format):
                 flat |= {f"{name}_{k}": column[:, k] for k in range(column.shape[1])}
         return flat
 
-    def gathered(self, flat: Columns, name: str) -> Columns:
+    def from_table(self, flat: Columns, name: str) -> Columns:
         """state_0, state_1, ... as one (n, d) column, whatever their order in the file."""
         columns: Columns = {}
         parts: dict[str, dict[int, NDArray[Any]]] = {}
@@ -72,28 +74,17 @@ class VectorFormat(Format):
                 columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
         return columns
 
-    def require_labels(self, labels: Sequence[str], name: str) -> None:
-        """The vectors of a move are there, before their numbers are looked at."""
-        whole = [label for label in labels if label in COLUMNS]
-        whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
-        self._require_move(whole, labels, name)
-
-    def require(self, columns: Columns, labels: Sequence[str], name: str) -> None:
-        """The three of a move, and not of a move between numbered states."""
-        self._require_move(list(columns), labels, name)
-        if columns["state"].ndim == 1 and columns["next_state"].ndim == 1:
-            raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered "
-                "states"
-            )
-
-    def _require_move(self, columns: Sequence[str], labels: Sequence[str], name: str) -> None:
-        absent = [column for column in self.required if column not in columns]
+    def require(self, labels: Iterable[str], name: str) -> None:
+        """The three of a move, whole or by their coordinates."""
+        given = list(labels)
+        whole = [label for label in given if label in COLUMNS]
+        whole += [match[1] for match in map(NUMBERED.fullmatch, given) if match]
+        absent = [column for column in self.required if column not in whole]
         if absent:
             raise ValueError(
                 f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
-                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
-                + suggest_columns(("state_0", "next_state_0", *self.required), labels)
+                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(given[:1000])[:300]) or 'nothing'}"
+                + suggest_columns(("state_0", "next_state_0", *self.required), given)
             )
 
     def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
@@ -103,10 +94,6 @@ class VectorFormat(Format):
                 f"{name!r} must have observations that are vectors, and actions that are numbers or vectors; they have shapes "
                 f"{observations.shape} of {observations.dtype} and {actions.shape} of {actions.dtype}"
             )
-
-    def save_data_set(self, log: object, name: str) -> None:
-        """Refused."""
-        raise self.refuse(name)
 
 
 VECTORS = VectorFormat()
@@ -252,7 +239,8 @@ class ContinuousTransitions(Log):
 def _vectors(value: object, name: str) -> Array:
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
-        raise ValueError(f"{name} must have shape (n, d); it has shape {array.shape}")
+        hint = " (a log of numbered states: Transitions)" * (array.ndim == 1)
+        raise ValueError(f"{name} must have shape (n, d); it has shape {array.shape}{hint}")
     if len(array) == 0:
         raise ValueError(f"{name} must have at least one row; the log is empty")
     _checks.require_finite(array, name)

@@ -277,12 +277,6 @@ def together(name: Any, row: int) -> str:
     return f"episode must keep the rows of an episode together; {shown} begins again in row {row}"
 
 
-def spans(episodes: int, shortest: int, longest: int) -> str:
-    """So many episodes of such lengths, in words."""
-    steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
-    return f"{episodes} episode{'s' * (episodes > 1)} of {steps}"
-
-
 def _episode_starts(episode: IntArray) -> IntArray:
     changes = np.flatnonzero(np.diff(episode)) + 1
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)

@@ -16,8 +16,8 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.data.columns import booleans, integers, spans
-from oee_tabular.data.moves import Moves, counts_of
+from oee_tabular.data.columns import booleans, integers
+from oee_tabular.data.moves import Moves, counts_of, describe_facts
 from oee_tabular.data.transitions import Transitions
 
 KIND = "transition_counts"
@@ -188,15 +188,7 @@ class TransitionCounts:
     def describe(self) -> str:
         """The summary in one line."""
         facts = self.summary()
-        text = f"{facts['transitions']} transitions, {facts['different']} different"
-        if facts["files"]:
-            text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
-        if facts["episodes"]:
-            text += f" in {spans(facts['episodes'], facts['episode_length_min'], facts['episode_length_max'])}"
-        text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
-        text += f"; states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}"
-        if self.reward_sum is not None:
-            text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
+        text = describe_facts(facts, f"states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}")
         if self.sample is not None:
             text += f"; {facts['sampled_episodes']} whole episodes kept"
         if facts["rows_dropped"]:

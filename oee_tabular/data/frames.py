@@ -11,7 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Column
-from oee_tabular.data.labels import COLUMNS, MOVE, SEPARATORS, suggest_columns
+from oee_tabular.data.labels import COLUMNS, MOVE, suggest, suggest_columns
 from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
@@ -37,34 +37,35 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     """
     for field in column_names:
         if field not in COLUMNS:
-            close = difflib.get_close_matches(field[:80], COLUMNS, n=1)
-            hint = f" (did you mean {close[0]}?)" if close else ""
-            raise ValueError(f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{hint}")
+            raise ValueError(
+                f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{suggest(field, COLUMNS)}"
+            )
     table = eager(frame)
-    asked = _asked([str(label) for label in table.columns], column_names)
-    parts = {field: [_values(table, label, field) for label in group] for field, group in asked.items()}
-    return {  # several as tuples
-        field: several[0] if len(several) == 1 else list(zip(*(part.tolist() for part in several), strict=True))
-        for field, several in parts.items()
-    }
-
-
-def _asked(labels: list[str], column_names: Mapping[str, object]) -> dict[str, list[str]]:
-    """Which of the frame's labels make each column."""
-    taken = {field: _labels(field, given, labels) for field, given in column_names.items() if given is not None}
-    asked = {field: taken.get(field, [field]) for field in COLUMNS if field in taken or field in labels}
-    missing = [field for field in MOVE if field not in asked]
+    labels = [str(label) for label in table.columns]
+    given = {field: _find_labels(field, names, labels) for field, names in column_names.items() if names is not None}
+    taken = {field: given.get(field, [field]) for field in COLUMNS if field in given or field in labels}
+    missing = [field for field in MOVE if field not in taken]
     if missing:
-        shown = f"{', '.join(labels):.300}" or "none"
+        hint = "" if len(labels) == 1 else suggest_columns(missing, labels)
         raise ValueError(
-            f"frame must have the columns {', '.join(MOVE)}; it has {shown}{_suggest(missing, labels)} "
+            f"frame must have the columns {', '.join(MOVE)}; it has {', '.join(labels) or 'none':.300}{hint} "
             f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
-    used = {label for group in asked.values() for label in group}
-    _warn_resembling(
-        [label for label in labels if label not in used], [field for field in COLUMNS if field not in asked]
-    )
-    return asked
+    used = {label for group in taken.values() for label in group}
+    near = []
+    for label in labels:  # those that look like a column that was not found
+        close = difflib.get_close_matches(
+            label[:80].lower(), [field for field in COLUMNS if field not in taken], 1, 0.8
+        )
+        if close and label not in used:
+            near.append(f"{label!r:.80} (is it {close[0]}? Then {close[0]}={label!r:.80})")
+    if near:
+        _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
+    columns = {}
+    for field, group in taken.items():
+        parts = [_values(table, label, field) for label in group]
+        columns[field] = parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
+    return columns
 
 
 def eager(frame: Any) -> Any:
@@ -81,47 +82,29 @@ def eager(frame: Any) -> Any:
         raise ValueError(f"frame must have columns that differ; {error}") from None
 
 
-def _labels(field: str, given: object, labels: list[str]) -> list[str]:
+def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     """The frame's labels of one field: one, or several of which a name is made."""
     group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
     for label in group:
-        if not isinstance(label, str) or label not in labels:
-            close = difflib.get_close_matches(_checks.show(label).strip("'")[:80], labels, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            shown = f"{', '.join(labels):.300}"
+        if label not in labels:
             raise ValueError(
-                f"{field} must be the name of a column of the frame, {shown}; it is {_checks.show(label)}{hint}"
+                f"{field} must be the name of a column of the frame, {', '.join(labels):.300}; it is "
+                f"{_checks.show(label)}{suggest(label, labels, quotes=True)}"
             )
     if not group or (len(group) > 1 and field not in MOVE):
         raise ValueError(f"{field} must be the name of one column; it is {_checks.show(given)}")
     return group
 
 
-def _suggest(missing: list[str], labels: list[str]) -> str:
-    return "" if any(mark in labels[0] for mark in SEPARATORS if len(labels) == 1) else suggest_columns(missing, labels)
-
-
 def _values(table: Any, label: str, field: str) -> Column:
     """A column's values; ValueError for a row that has none, but for a reward, which is nan."""
     series = table[label]
-    absent = series.is_null().to_numpy()
     values = np.asarray(series.to_numpy())
-    if values.dtype.kind == "f":
-        absent = absent | np.isnan(values)
+    absent = series.is_null().to_numpy() | (np.isnan(values) if values.dtype.kind == "f" else False)
     rows = np.flatnonzero(absent)
-    if rows.size and field == "reward":
-        return np.array([np.nan if none else value for none, value in zip(absent, values, strict=True)])
-    if rows.size:
+    if rows.size and field != "reward":
         raise ValueError(f"column {label!r} of the frame must have a value in every row; row {rows[0]} has none")
-    return values
-
-
-def _warn_resembling(rest: list[str], free: list[str]) -> None:
-    """Columns that are left out and look like one of a log's that was not found."""
-    pairs = [(label, difflib.get_close_matches(label[:80].lower(), free, n=1, cutoff=0.8)) for label in rest]
-    near = [f"{label!r:.80} (is it {close[0]}? Then {close[0]}={label!r:.80})" for label, close in pairs if close]
-    if near:
-        _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
+    return np.where(absent, np.nan, values) if rows.size else values
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:

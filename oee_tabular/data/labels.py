@@ -51,7 +51,7 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str], *, le
     """Name the columns that are not read, the first of many, each with the known one that it resembles."""
     if not unknown:
         return
-    named = [_with_nearest(label, known) for label in unknown[:N_SHOWN]]
+    named = [_checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8) for label in unknown[:N_SHOWN]]
     if len(unknown) > N_SHOWN:
         named.append(f"and {len(unknown) - N_SHOWN} more")
     warnings.warn(
@@ -59,7 +59,7 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str], *, le
     )
 
 
-def _with_nearest(column: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(column[:80], known, n=1, cutoff=0.8)
-    shown = _checks.escape_controls(column[:80])
-    return f"{shown} (did you mean {near[0]}?)" if near else shown
+def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6) -> str:
+    """What was probably meant, in words; empty where nothing is near."""
+    near = difflib.get_close_matches(str(label)[:80], known, n=1, cutoff=likeness)
+    return f" (did you mean {near[0]!r}?)" if near and quotes else f" (did you mean {near[0]}?)" if near else ""

@@ -18,9 +18,9 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
-from oee_tabular.data.columns import Log, integers, spans
+from oee_tabular.data.columns import Log, integers
 from oee_tabular.data.frames import coded, episode_columns, frame_columns, is_frame
-from oee_tabular.data.moves import Moves, counts_of, distinct, numbered_pairs
+from oee_tabular.data.moves import Moves, counts_of, describe_facts
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, name_text, renumber
 
@@ -244,13 +244,15 @@ class Transitions(Log):
         return self.episode is not None
 
     def summary(self) -> dict[str, Any]:
-        """What the log holds, as plain numbers. Cost: O(n), or O(n log n) where the numbers are far above n."""
-        states = np.concatenate([self.state, self.next_state])
-        pairs = numbered_pairs(self.state, self.action)
-        return self._printed() | {"states_seen": distinct(states), "state_action_pairs_seen": distinct(pairs)}
+        """What the log holds, as plain numbers. Cost: O(n)."""
+        import pandas as pd
 
-    def _printed(self) -> dict[str, Any]:
-        """The part of the summary that one line prints: a pass over each column, no sort."""
+        states = pd.unique(np.concatenate([self.state, self.next_state]))
+        pairs = pd.DataFrame({"state": self.state, "action": self.action}).drop_duplicates()
+        return self._facts() | {"states_seen": len(states), "state_action_pairs_seen": len(pairs)}
+
+    def _facts(self) -> dict[str, Any]:
+        """The part of the summary that one line prints."""
         starts = self.episode_starts
         lengths = None if starts is None else np.diff(starts)
         return {
@@ -271,40 +273,33 @@ class Transitions(Log):
 
     def describe(self) -> str:
         """The summary in one line."""
-        facts = self._printed()
-        text = f"{facts['transitions']} transitions"
-        if facts["episodes"] is not None:
-            text += f" in {spans(facts['episodes'], facts['episode_length_min'], facts['episode_length_max'])}"
-        text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
-        called = (("states", self.state_names, "largest_state"), ("actions", self.action_names, "largest_action"))
-        text += "; " + ", ".join(
+        facts = self._facts()
+        named = (("states", self.state_names, "largest_state"), ("actions", self.action_names, "largest_action"))
+        places = ", ".join(
             f"{word} 0..{facts[largest]}" if names is None else f"{len(names)} named {word}"
-            for word, names, largest in called
+            for word, names, largest in named
         )
-        if self.reward is not None:
-            text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
-        return text + ("; behaviour probabilities" if facts["behavior_probability"] else "")
+        return describe_facts(facts, places) + "; behaviour probabilities" * facts["behavior_probability"]
 
 
 def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
-    """A log in the simulator's numbers: Transitions, a path, a data frame, or episodes; ValueError for anything else."""
-    are_paths = isinstance(value, list | tuple) and value and all(isinstance(item, str | os.PathLike) for item in value)
-    if are_paths or isinstance(value, str | os.PathLike):
-        return _loaded(value, name).numbered(simulator, name)
-    if isinstance(value, list | tuple):
-        return Transitions.from_episodes(value, simulator=simulator)
-    if not isinstance(value, Transitions) and is_frame(value):
-        return Transitions.from_frame(value, simulator=simulator)
+    """A log in the simulator's numbers: Transitions, paths, a data frame, or episodes; ValueError for anything else."""
+    is_list = isinstance(value, list | tuple)
+    if isinstance(value, str | os.PathLike) or (
+        is_list and value and all(isinstance(x, str | os.PathLike) for x in value)
+    ):
+        try:
+            value = Transitions.load(value)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    elif is_list:
+        value = Transitions.from_episodes(value)
+        name = "episodes"
+    elif not isinstance(value, Transitions) and is_frame(value):
+        value = Transitions.from_frame(value)
+        name = "frame"
     if not isinstance(value, Transitions):
         hint = " (a mapping of columns: Transitions(**log))" if isinstance(value, Mapping) else ""
         hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(value, "ndim", 0) == 2)
         raise ValueError(f"{name} must be Transitions; got {type(value).__name__}{hint}")
     return value.numbered(simulator, name)
-
-
-def _loaded(path: Any, name: str) -> Transitions:
-    """The log in a file; a ValueError names the argument that the path was."""
-    try:
-        return Transitions.load(path)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
