@@ -162,7 +162,7 @@ class _FileCount:
         elif label == "timestep":
             size = 2**63
         self.table.require_type(label, raw, allow_names=names is not None or label == "episode")
-        if raw.dtype.hasobject and names is not None:
+        if names is not None and raw.dtype.hasobject and holds_names(raw):
             return _match_names(label, raw, names)
         if label == "episode" and raw.dtype.hasobject and holds_names(raw):
             absent = np.array([is_missing(item) for item in raw.tolist()])
@@ -278,13 +278,8 @@ class _FileCount:
 
 def _match_names(label: str, raw: Column, names: tuple[Name, ...]) -> tuple[IntArray, Fault | None]:
     """Names as the simulator's numbers; numbers as texts are none of its names."""
-    import pandas as pd
-
     known = numbers_of(names)
-    codes, unique = pd.factorize(
-        np.array([None if is_missing(item) else str(item) for item in raw.tolist()], dtype=object)
-    )
-    numbers = np.array([*(known.get(text, -1) for text in unique), -1], dtype=np.int64)[codes]
+    numbers = np.array([-1 if is_missing(item) else known.get(str(item), -1) for item in raw.tolist()], dtype=np.int64)
     fault = find_fault(label, raw, numbers < 0, lambda row: "must be one of the simulator's names")
     if fault is not None and not is_missing(fault.value):
         fault = fault._replace(hint=suggest_name(fault.value, names))

@@ -1,7 +1,8 @@
 """CSV and parquet files of a log, read in pieces: the raw values of some thousand rows at a time, in the order of the file.
 
-pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.19 s of CPU, 0.34 s). DuckDB reads parquet
-in one thread, so that the same file gives the same bits; it may open that file alone and loads no extension.
+pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.19 s of CPU, 0.34 s), and Python what is
+small. DuckDB reads parquet in one thread, so that the same file gives the same bits; it may open that file alone and loads no
+extension.
 ``rules.py`` says which values are those of a log.
 """
 
@@ -38,8 +39,8 @@ from oee_tabular.data.rules import (
     is_number,
 )
 
-N_VECTORS = 64  # of 2048 rows, which DuckDB hands over at once
-N_ROWS = 2048 * N_VECTORS  # of a piece
+N_PARQUET, N_CSV = 2**20, 2**17  # rows of a piece
+SMALL = 2**21  # bytes of a CSV file, which Python reads in the time in which pandas is imported
 MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 
 
@@ -78,6 +79,11 @@ class Table:
     lost: dict[int, str] = field(default_factory=dict)
 
     @property
+    def is_small(self) -> bool:
+        """Whether Python reads a CSV file sooner than pandas is imported."""
+        return os.path.getsize(self.file.path) < SMALL
+
+    @property
     def known(self) -> list[str]:
         """The labels of the columns that are read."""
         fixed = (label for label, _ in self.file.fixed)
@@ -85,14 +91,20 @@ class Table:
 
     def pieces(self) -> Iterator[Piece]:
         """The rows of the file; errors of the libraries in this package's words."""
-        read = _parquet_frames if self.file.suffix == ".parquet" else _text_frames if self.lost else _csv_frames
+        read = (
+            _read_parquet
+            if self.file.suffix == ".parquet"
+            else _read_texts
+            if self.is_small or self.lost
+            else _read_csv
+        )
         fixed = {label: float(value) if is_number(value) else value for label, value in self.file.fixed}
         lost, rows = list(self.lost), np.arange(0)
-        for frame in read(self, [label for label in self.known if label in self.labels]):
-            rows = (rows[-1] + 1 if len(rows) else 0) + np.arange(len(frame) + len(lost))
-            rows = rows[~np.isin(rows, lost)][: len(frame)]
-            columns = {label: np.full(len(frame), value) for label, value in fixed.items() if label in self.known}
-            yield Piece(columns | {str(label): to_raw(frame[label]) for label in frame}, rows)
+        for columns in read(self, [label for label in self.known if label in self.labels]):
+            n = len(next(iter(columns.values())))
+            rows = (rows[-1] + 1 if len(rows) else 0) + np.arange(n + len(lost))
+            rows = rows[~np.isin(rows, lost)][:n]
+            yield Piece({label: np.full(n, fixed[label]) for label in self.known if label in fixed} | columns, rows)
 
     def require_type(self, label: str, raw: Column, *, allow_names: bool) -> None:
         """ValueError where the type of a column is none of a log's."""
@@ -139,15 +151,6 @@ def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = F
             raise ValueError(f"{file.path!r} must have columns that differ; it has {twice}")
         first_of.setdefault(lower, label)
     return table
-
-
-def to_raw(series: Any) -> Column:
-    """A column of a frame: numbers and booleans as they are, others as objects; nan or None where a value is missing."""
-    if isinstance(series.dtype, np.dtype):
-        return np.asarray(series)
-    if series.dtype.kind in "iuf":
-        return np.asarray(series.to_numpy(dtype=np.float64, na_value=np.nan))
-    return np.asarray(series.to_numpy(dtype=object, na_value=None))
 
 
 def read_columns(
@@ -236,18 +239,28 @@ def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
         return None
     with open_duckdb(table.file.path) as run:
         try:
-            frame = run(f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY {', '.join(key)}").df()
+            groups = run(f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY {', '.join(key)}").fetchnumpy()
         except (duckdb.ConversionException, duckdb.BinderException):
             return None
-    return {label: to_raw(frame[label]) for label in frame}
+    return {label: fill_missing(column) for label, column in groups.items()}
 
 
-def _parquet_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+def _read_parquet(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
     columns = ", ".join('"' + label.replace('"', '""') + '"' for label in labels)
+    source = "read_parquet($path, file_row_number = true, hive_partitioning = false, union_by_name = false)"
     with open_duckdb(table.file.path) as run:
-        result = run(f"SELECT {columns} FROM read_parquet($path, hive_partitioning = false, union_by_name = false)")
-        while len(frame := result.fetch_df_chunk(N_VECTORS)):
-            yield frame
+        for start in range(0, run("SELECT count(*) FROM read_parquet($path)").fetchone()[0], N_PARQUET):
+            rows = f"file_row_number >= {start} AND file_row_number < {start + N_PARQUET}"
+            piece = run(f"SELECT {columns} FROM {source} WHERE {rows}").fetchnumpy()
+            yield {label: fill_missing(column) for label, column in piece.items()}
+
+
+def fill_missing(column: Any) -> Column:
+    """A column of DuckDB's: nan, or None among objects, where a value is missing."""
+    if not np.ma.is_masked(column):
+        return np.asarray(np.ma.getdata(column))
+    is_number = column.dtype.kind in "iuf"
+    return np.asarray(column.astype(np.float64 if is_number else object).filled(np.nan if is_number else None))
 
 
 # ---- CSV
@@ -328,23 +341,26 @@ def _find_odd_lines(table: Table) -> dict[int, str]:
     }
 
 
-def _text_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+def _read_texts(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
     """The rows that have as many fields as the header, as texts."""
-    import pandas as pd
-
     places = [table.labels.index(label) for label in labels]
     lines = (fields for row, (_, fields) in enumerate(_csv_lines(table)) if row not in table.lost)
-    while rows := [[fields[k] or None for k in places] for fields in itertools.islice(lines, N_ROWS)]:
-        yield pd.DataFrame(rows, columns=labels, dtype=object)
+    while rows := [[fields[k] or None for k in places] for fields in itertools.islice(lines, N_CSV)]:
+        yield {
+            label: np.array(column, dtype=object) for label, column in zip(labels, zip(*rows, strict=True), strict=True)
+        }
 
 
-def _csv_frames(table: Table, labels: list[str]) -> Iterator[Any]:
+def _read_csv(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
     with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
-        places = {table.labels.index(label): label for label in labels}
-        texts = {k: str for k, label in places.items() if label in table.texts and label in (*MOVE, "episode")}
+        places = {label: table.labels.index(label) for label in labels}
+        texts = {k: str for label, k in places.items() if label in table.texts and label in (*MOVE, "episode")}
         options = {"names": range(len(table.labels)), "header": 0, "dtype": texts, "encoding": table.encoding}
-        for frame in read_csv(handle, chunksize=N_ROWS, keep_default_na=False, na_values=[""], **options):
-            yield frame[list(places)].rename(columns=places)
+        for frame in read_csv(handle, chunksize=N_CSV, keep_default_na=False, na_values=[""], **options):
+            series = {label: frame[k] for label, k in places.items()}
+            yield {
+                label: column.to_numpy(object if column.dtype == "str" else None) for label, column in series.items()
+            }
 
 
 def read_csv(handle: IO[bytes], **options: Any) -> Any:

@@ -88,16 +88,18 @@ def to_numbers(raw: Column) -> Column:
     """Numbers; of texts those that they write, and nan for a text that writes none."""
     if raw.dtype.kind in "iuf":
         return raw
-    import pandas as pd
+    numbers = np.array([_parse_number(item) for item in raw.tolist()])
+    return numbers.astype(np.float64) if numbers.dtype.hasobject or not numbers.size else numbers
 
-    texts = np.array(
-        [
-            item if isinstance(item, str | int | float) and not isinstance(item, bool) else math.nan
-            for item in raw.tolist()
-        ],
-        dtype=object,
-    )
-    return np.asarray(pd.to_numeric(pd.Series(texts, dtype=object), errors="coerce"))
+
+def _parse_number(item: Any) -> int | float:
+    """An int where it is written as one, for a float does not hold it from 2**53 on."""
+    if not isinstance(item, str):
+        return item if isinstance(item, int | float) and not isinstance(item, bool) else math.nan
+    try:
+        return math.nan if "_" in item else int(item) if item.isdecimal() else float(item)
+    except ValueError:
+        return math.nan
 
 
 def check_integers(raw: Column, label: str, *, low: int | None = 0, high: int = 2**63) -> tuple[IntArray, Fault | None]:
