@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,9 @@ from oee_tabular.data import files
 from oee_tabular.data.labels import COLUMNS
 from oee_tabular.data.reader import LogFile
 from oee_tabular.data.rules import Fault, check_flags, check_integers, check_numbers, count_others, find_order_faults
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -248,7 +251,7 @@ def probabilities(value: object) -> Array:
     return accept(*check_numbers(array, "behavior_probability", low=0.0, high=1.0))
 
 
-def accept(values: Any, fault: Fault | None) -> Any:
+def accept(values: T, fault: Fault | None) -> T:
     """The values of a column that has no fault; ValueError for the first row of one."""
     if fault is not None:
         raise ValueError(fault.describe())

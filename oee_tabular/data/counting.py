@@ -70,11 +70,9 @@ class FileCounts(NamedTuple):
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; ``name`` is hashed for the sample."""
     if file.suffix == ".npz":
-        columns = Transitions.load(file.path).columns()
-        table, pieces = (
-            Table(file, list(columns), COLUMNS.__contains__),
-            [Piece(columns, np.arange(len(columns["state"])))],
-        )
+        columns = Transitions.FILES.to_table(Transitions.load(file.path).columns())
+        table = Table(file, list(columns), COLUMNS.__contains__)
+        pieces = iter([Piece(columns, np.arange(len(columns["state"])))])
     else:
         table = open_table(file, COLUMNS.__contains__, drop=limits.drop)
         pieces = table.pieces()

@@ -314,8 +314,8 @@ def _may_have_odd_lines(table: Table) -> bool:
             if b'"' in block or b"\0" in block:
                 return True
             codes = np.frombuffer(block, dtype=np.uint8)
-            n_commas += np.count_nonzero(codes == ord(","))
-            n_lines += np.count_nonzero(codes == ord("\n"))
+            n_commas += int(np.count_nonzero(codes == ord(",")))
+            n_lines += int(np.count_nonzero(codes == ord("\n")))
             last = block[-1]
     return n_commas != (len(table.labels) - 1) * (n_lines + (last != ord("\n")))
 

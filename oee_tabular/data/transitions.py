@@ -279,10 +279,10 @@ class Transitions(Log):
             f"{word} 0..{facts[largest]}" if names is None else f"{len(names)} named {word}"
             for word, names, largest in named
         )
-        return describe_facts(facts, places) + "; behaviour probabilities" * facts["behavior_probability"]
+        return describe_facts(facts, places) + "; behaviour probabilities" * int(facts["behavior_probability"])
 
 
-def as_log(value: object, simulator: FiniteMDP, name: str) -> Transitions:
+def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
     """A log in the simulator's numbers: Transitions, paths, a data frame, or episodes; ValueError for anything else."""
     is_list = isinstance(value, list | tuple)
     if isinstance(value, str | os.PathLike) or (
