@@ -17,7 +17,6 @@ from oee_tabular.data.labels import COLUMNS
 from oee_tabular.data.reader import LogFile
 from oee_tabular.data.rules import Fault, check_flags, check_integers, check_numbers, count_others, find_order_faults
 
-
 T = TypeVar("T")
 
 

@@ -39,7 +39,7 @@ from oee_tabular.data.rules import (
     is_number,
 )
 
-N_PARQUET, N_CSV = 2**20, 2**17  # rows of a piece
+N_PARQUET, N_CSV = 2**18, 2**17  # rows of a piece
 SMALL = 2**21  # bytes of a CSV file, which Python reads in the time in which pandas is imported
 MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 
@@ -195,6 +195,7 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
     try:
         with duckdb.connect(":memory:", config=settings) as connection:
             connection.execute(f"SET allowed_paths = [{quote_text(name)}, {quote_text(pattern)}]")
+            connection.execute("SET enable_progress_bar = false")
             connection.execute("SET enable_external_access = false")
             connection.execute("SET lock_configuration = true")
             yield lambda query: connection.execute(query, {"path": pattern} if "$path" in query else {})
