@@ -21,9 +21,10 @@ memory of the counts, with a sample of whole episodes for importance sampling.
 
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has; ``moves.py``: sums over transitions
 - ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names
-- ``files.py``: npz, Minari, and which files a path, a pattern or a folder names; ``labels.py``: labels of columns
-- ``reader.py``, ``values.py``: CSV and parquet by DuckDB, whole or to be summed; ``digests.py``: parquet of our own
-- ``counts.py``: the class ``TransitionCounts``; ``counting.py``: one file as counts; ``opening.py``: several
+- ``rules.py``: what each column must hold, for arrays, files and counts; ``labels.py``: labels of columns
+- ``files.py``: npz, and which files a path, a pattern or a folder names; ``minari.py``: Minari data sets
+- ``reader.py``: CSV and parquet in pieces; ``digests.py``: parquet files of our own
+- ``counts.py``: the class ``TransitionCounts``; ``counting.py``, ``sums.py``: one file as counts; ``opening.py``: several
 
 Guaranteed: a file is read by one thread in the order of its rows, and files are added in the order of their names, so that
 one process, several and a cluster give the same bits. An npz or a parquet file that was saved here carries a digest, and is

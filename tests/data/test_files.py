@@ -228,7 +228,10 @@ def test_duckdb_reads_one_file_and_loads_nothing(tmp_path):
     logs()["episodes"].save(tmp_path / "log.parquet")
     (tmp_path / "other.csv").write_text("a\n1\n")
     for query in (f"SELECT * FROM read_csv('{tmp_path}/other.csv')", "LOAD httpfs"):
-        with pytest.raises(ValueError, match=r"Permission|extension"), open_duckdb(str(tmp_path / "log.parquet")) as run:
+        with (
+            pytest.raises(ValueError, match=r"Permission|extension"),
+            open_duckdb(str(tmp_path / "log.parquet")) as run,
+        ):
             run(query)
 
 
