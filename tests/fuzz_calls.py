@@ -28,6 +28,7 @@ from scipy import sparse
 import oee_tabular as oee
 
 LIMIT = 5.0  # seconds of CPU of a call
+START = 300.0  # seconds for a child to import and compile
 LONGEST = 1500  # characters of a message
 ROOMS = ("mdp", "exact", "data", "simulate", "top")  # of these no name is left out
 OURS = (ValueError, OSError, ImportError, MemoryError)
@@ -247,7 +248,7 @@ def fuzz(seed, seconds, calls=None, rooms=None):
             other.close()
         said, kind, text = "", "death", ""
         try:
-            if not pipe.poll(120):
+            if not pipe.poll(START):
                 kind = "hang"
                 raise EOFError
             _, k, said = pipe.recv()

@@ -392,9 +392,10 @@ class Reader:
         self.process.stdin.write(json.dumps([str(path), kind]) + "\n")
         self.process.stdin.flush()
         if not select.select([self.process.stdout], [], [], self.wait)[0]:
+            hung = f"hung: more than {self.wait:g} s"
             self.end()
             self.start()
-            return {"process": [f"hung: more than {self.wait:g} s", ""]}
+            return {"process": [hung, ""]}
         line = self.process.stdout.readline()
         if not line:
             code = self.process.wait()
