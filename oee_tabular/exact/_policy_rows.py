@@ -54,6 +54,16 @@ def average_rewards(policy, rewards):
 
 
 @njit(cache=True)
+def largest_magnitude(numbers):
+    """The largest absolute value, 0 of nothing; numpy's needs several passes, which few states feel."""
+    largest = 0.0
+    for i in range(len(numbers)):
+        if not abs(numbers[i]) <= largest:  # nan as well
+            largest = abs(numbers[i])
+    return largest
+
+
+@njit(cache=True)
 def range_of_sums(kernel, n_roundings):
     """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an entry, the middle of the two."""
     indptr, data = kernel.indptr, kernel.data

@@ -16,6 +16,7 @@ from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot
+from oee_tabular.exact import _moments, _strips
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
 from oee_tabular.exact.system import Csr, as_readonly, average_rows, exponent
 from oee_tabular.exact.walks import Walk, radius_of
@@ -113,8 +114,6 @@ def per_decision_moments(
     start: Array | float = 0.0,
 ) -> Moments:
     """Of q X_0 + start(s_0), X_t = u r + w (gamma_t X_{t+1} - k_t), k_t the ``offsets`` (1 or T, 1 or S)."""
-    from oee_tabular.exact import _moments
-
     if len(walk.act) == len(walk.rewards) == 1:
         out, local = _merged_backward(walk, discounts, offsets, sources)
     else:
@@ -127,8 +126,6 @@ def per_decision_moments(
 
 def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: bool) -> tuple[Array, Array]:
     """``_moments.backward`` by strips."""
-    from oee_tabular.exact import _strips
-
     n = walk.n_states
     starts, successors, _ = average_rows(Csr(*walk[:3]), walk.act[0].reshape(n, -1))
     strips = _strips.merge(walk, starts, successors.copy())
@@ -144,8 +141,6 @@ def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: 
 
 def trajectory_moments(walk: Walk, discounts: Array, self_normalized: bool, sources: bool) -> Moments:
     """X = W G, or W (G - its mean) / E W where it is self-normalised."""
-    from oee_tabular.exact import _moments
-
     out, local = _moments.backward(walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources)
     if not self_normalized:
         return _combine(walk, discounts, out, local, 0.0, 1.0)

@@ -109,6 +109,11 @@ class System:
         return Csr(*map(as_readonly, _policy_rows.transpose_rows(*self.kernel[:3], self.n_states)))
 
     @cached_property
+    def expands(self) -> bool:
+        """Whether a few steps lead almost everywhere in the graph."""
+        return bool(_graph.expands(self.kernel))
+
+    @cached_property
     def order(self) -> tuple[Any, Any]:
         """The states in breadth-first order along the rows, and each one's place."""
         return tuple(_graph.breadth_first(self.kernel, NO_ROWS, np.inf))
@@ -118,10 +123,12 @@ class System:
         """Places in a breadth-first order, and the envelope of M in the reverse of it, where that is narrow.
 
         Both the order along the rows and the one along the rows and back are tried: the first suits graphs in which all states
-        lead back to one, the second layers. A search ends as soon as it is wider than ``WIDEST`` entries a state.
+        lead back to one, the second layers. The latter ends as soon as it is wider than ``WIDEST`` entries a state.
         """
+        if len(self.kernel.indices) > (2.0 * WIDEST + 1.0) * self.n_states:  # an envelope has half of them at least
+            return None
         for along_both in (False, True):
-            _, place = _graph.breadth_first(self.kernel, self.back if along_both else NO_ROWS, WIDEST)
+            _, place = _graph.breadth_first(self.kernel, self.back, WIDEST) if along_both else self.order
             if len(place):
                 order, first, starts = _graph.find_envelope(self.kernel, place)
                 if starts[-1] <= WIDEST * self.n_states:
@@ -184,11 +191,7 @@ def drop_states(system: System, dropped: BoolArray) -> System:
 
 def exponent(numbers: Array) -> int:
     """That of the largest number, where its square may leave the range of floats; else 0."""
-    if (
-        1e-180 < np.vdot(numbers, numbers) < 1e180
-    ):  # a quarter of the time of small values is the search for the largest
-        return 0
-    largest = float(np.abs(numbers).max(initial=0.0))
+    largest = float(_policy_rows.largest_magnitude(np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)))
     return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
 
 

@@ -119,11 +119,12 @@ def _backward(model: Model, policy: Array, steps: int) -> Array:
         return np.asarray(finite.values_to_go(model, policy, steps, is_each=False)[0])
     value = np.zeros(model.n_states)
     for act in policy[len(policy) - steps :][::-1]:
-        value = np.einsum("sa,sa->s", act, _backup(model, value))
+        value = np.einsum("sa,sa->s", act, backup(model, value))
     return value
 
 
-def _backup(model: Model, value: Array) -> Array:
+def backup(model: Model, value: Array) -> Array:
+    """(S, A): r(s, a) + gamma sum_s' K(s' | s, a) V(s')."""
     following = np.empty(model.rewards.size)
     _policy_rows.multiply(Kernel(*rows_of(model.csr), 1.0), False, value, following)
     return np.asarray(model.rewards + model.discount * following.reshape(model.rewards.shape))
@@ -202,7 +203,7 @@ def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None)
     require_model(mdp)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
-        return _backup(mdp, state_values(mdp, policy))
+        return backup(mdp, state_values(mdp, policy))
     return np.asarray(
-        warn_if_not_finite(_backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1)))
+        warn_if_not_finite(backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1)))
     )

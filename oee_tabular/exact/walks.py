@@ -10,6 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
 from oee_tabular._threads import one_thread
+from oee_tabular.exact import _moments
 from oee_tabular.exact.reweighted import entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -74,8 +75,6 @@ class Walk(NamedTuple):
 
     def weights_by_state(self, horizon: int, *, power: int, with_returns: bool = False) -> Array:
         """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0 alone."""
-        from oee_tabular.exact import _moments
-
         return np.asarray(_moments.forward(self, horizon, power, with_returns))
 
     def reachable_states(self, horizon: int | None = None) -> BoolArray:

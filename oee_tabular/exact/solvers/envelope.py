@@ -35,7 +35,7 @@ class EnvelopeLU:
 
     def suits(self, system: System) -> bool:
         """Graphs that a breadth-first search walks through in narrow fronts."""
-        if system.envelope is None:
+        if (self.is_narrow and system.expands) or system.envelope is None:
             return False
         n_filled, n_entries = system.envelope[-1][-1], len(system.kernel.indices)
         return not self.is_narrow or bool(n_filled <= max(10 * system.n_states, 2 * n_entries))

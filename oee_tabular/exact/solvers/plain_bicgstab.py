@@ -18,7 +18,6 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact import _graph
 from oee_tabular.exact._policy_rows import multiply
 from oee_tabular.exact.system import Solve, System
 
@@ -39,7 +38,7 @@ class PlainBiCGStab:
 
     def suits(self, system: System) -> bool:
         """By a breadth-first search that ends early."""
-        return bool(_graph.expands(system.kernel))
+        return system.expands
 
     def prepare(self, system: System) -> Solve:
         """Nothing is worked out before."""

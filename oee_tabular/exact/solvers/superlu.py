@@ -28,7 +28,7 @@ class SuperLU:
     def suits(self, system: System) -> bool:
         """By the count; graphs that expand fill up in any order."""
         if self.most is None:
-            return not _graph.expands(system.kernel)
+            return not system.expands
         return bool(_graph.fills_little(system.kernel, system.back, *system.order, self.most))
 
     def prepare(self, system: System) -> Solve:
