@@ -130,16 +130,18 @@ def _empirical_arguments(
     """
     n_states, n_actions = shape
     law = np.bincount(starts, minlength=n_states) / len(starts) if initial is None else initial
-    outcomes, table = _fill_pairs(samples, law, n_actions, names), None
+    outcomes, by_pair = _fill_pairs(samples, law, n_actions, names), None
     if rewards is not None:
         table = _check_rewards(rewards, n_states, n_actions)
-        if table.ndim == 3:
+        if table.ndim < 3:
+            by_pair = table.reshape(n_states, -1)
+        else:
             outcomes = outcomes._replace(reward=table[outcomes.state, outcomes.action, outcomes.next_state])
     arguments = build_arguments(
         outcomes,
         law,
         n_actions,
-        rewards=None if table is None or table.ndim == 3 else table.reshape(n_states, -1),
+        rewards=by_pair,
         layout=None if layout is None else check_layout(layout, n_states),
         state_names=names.states,
         action_names=names.actions,

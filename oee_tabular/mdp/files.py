@@ -44,27 +44,27 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"shape must be two positive integers, states and actions; it is {sizes.tolist()!r:.80}")
     n_states, n_actions = sizes.tolist()
     shape = n_states * n_actions, n_states
-    rewards = arrays["rewards"] if "rewards" in arrays else _stored_csr(arrays, "rewards", shape)
+    rewards = arrays["rewards"] if "rewards" in arrays else _read_csr(arrays, "rewards", shape)
     return {
-        "transitions": _stored_csr(arrays, "transitions", shape),
+        "transitions": _read_csr(arrays, "transitions", shape),
         "rewards": rewards,
         "initial": arrays["initial"],
         "discount": float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
         "terminal_state": arrays["terminal_state"],
         "layout": arrays.get("layout"),
-        "sampling": _stored_sampling(arrays, shape) if "sampling_pairs" in arrays else None,
+        "sampling": _read_sampling(arrays, shape) if "sampling_pairs" in arrays else None,
     } | {name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays}
 
 
-def _stored_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> sparse.csr_array:
+def _read_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> sparse.csr_array:
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in _PARTS)
     return csr_from_parts(data, indices, indptr, shape, name)
 
 
-def _stored_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling:
+def _read_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling:
     pairs = _checks.float_array(arrays["sampling_pairs"], "sampling_pairs", ndim=1)
     starts = float(_checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0))
     if pairs.shape != shape[:1] or not (pairs >= 0).all() or not starts > 0:
         raise ValueError(f"sampling_pairs must be {shape[0]} numbers of samples, and sampling_starts positive")
-    error = _stored_csr(arrays, "sampling_error", shape) if "sampling_error_data" in arrays else None
+    error = _read_csr(arrays, "sampling_error", shape) if "sampling_error_data" in arrays else None
     return Sampling(pairs, starts, error)

@@ -37,7 +37,7 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
 def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     """Return the arguments that change where an MDP is to allow the log's transitions (``FiniteMDP.with_support_of``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
-    rows, columns, reward = _observed_transitions(mdp, log)
+    rows, columns, reward = _read_transitions(mdp, log)
     matrix = mdp.transitions
     observed = csr_from_entries(rows, columns, np.ones(len(rows)), matrix.shape)
     is_impossible = align(matrix, observed)[0] < SMALLEST_PROBABILITY
@@ -68,7 +68,7 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     return {"transitions": new, "rewards": rewards}
 
 
-def _observed_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
+def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
     """Rows, next states and rewards of a log's transitions, terminated ones led to where that leads; or of counts."""
     shape = mdp.csr.shape
     if sparse.issparse(log):
