@@ -22,6 +22,7 @@ from oee_tabular.data.rules import (
     NAMES_HINT,
     Fault,
     check_column,
+    check_names,
     find_fault,
     find_order_faults,
     holds_names,
@@ -100,9 +101,7 @@ class _FileCount:
         self.is_named: list[BoolArray] = []
         self.broken: list[IntArray] = []
         self.n_runs = 0
-        self.kept: list[
-            tuple[IntArray, dict[str, Column]]
-        ] = []  # of rows that may be in the sample: the run, the columns
+        self.kept: list[dict[str, Column]] = []  # the rows that may be in the sample, with their run
         self.limit = 2**64 - 1
         for row, words in list(table.lost.items())[:1]:
             self.faults["fields"] = row, f"row {row} {words}", len(table.lost)
@@ -115,13 +114,9 @@ class _FileCount:
             return False
         columns = {}
         for label in labels:
-            raw = (
-                groups[label]
-                if label in KEY
-                else np.concatenate([groups[f"least_{label}"], groups[f"largest_{label}"]])
-            )
-            columns[label], fault = self._check(label, raw)
-            is_complete = label in KEY or label == "reward" or (groups[f"n_{label}"] == groups["n"]).all()
+            parts = [label] if label in KEY else [f"least_{label}", f"largest_{label}"]
+            columns[label], fault = self._check(label, np.concatenate([groups[part] for part in parts]))
+            is_complete = label in (*KEY, "reward") or (groups[f"n_{label}"] == groups["n"]).all()
             if fault is not None or not is_complete:
                 return False
         n, zeros = groups["n"], np.zeros(len(groups["n"]))
@@ -153,19 +148,14 @@ class _FileCount:
 
     def _check(self, label: str, raw: Column) -> tuple[Column, Fault | None]:
         """The values of a column, names as the simulator's numbers, and what is wrong with it."""
-        size, names = LARGEST, None
+        size, names = 2**63, None
         if label in MOVE:
             is_action = label == "action"
             size, names = self.limits.sizes[is_action], self.limits.names[is_action]
-        elif label == "timestep":
-            size = 2**63
         self.table.require_type(label, raw, allow_names=names is not None or label == "episode")
-        if names is not None and raw.dtype.hasobject and holds_names(raw):
-            return _match_names(label, raw, names)
-        if label == "episode" and raw.dtype.hasobject and holds_names(raw):
-            absent = np.array([is_missing(item) for item in raw.tolist()])
-            return raw, find_fault(label, raw, absent, lambda row: "must have a value")
-        values, fault = check_column(label, raw, high=size if label != "episode" else 2**63)
+        if (names is not None or label == "episode") and raw.dtype.hasobject and holds_names(raw):
+            return check_names(raw, label) if names is None else _match_names(label, raw, names)
+        values, fault = check_column(label, raw, high=size)
         if fault is not None and label in MOVE and isinstance(fault.value, str) and fault.value.strip()[:1].isalpha():
             fault = fault._replace(hint=NAMES_HINT)
         return values, fault
@@ -201,28 +191,24 @@ class _FileCount:
         self.is_named.append(is_named[is_first])
         self.n_runs = int(run[-1]) + 1
         self.last, self.last_row = {label: column[-1:] for label, column in tied.items()}, int(rows[-1])
-        may = (
-            hash_places(run, self.name) < np.uint64(self.limit)
-            if self.limit < 2**64 - 1
-            else np.ones(n, dtype=np.bool_)
-        )
-        labels = [label for label in COLUMNS if label in columns and label != "episode"]
-        self.kept.append((run[may], {label: columns[label][may] for label in labels}))
-        if sum(len(kept) for kept, _ in self.kept) > N_SPARE * self.limits.kept:
+        is_kept = hash_places(run, self.name) < np.uint64(self.limit)
+        rows_kept = {"run": run} | {
+            label: columns[label] for label in COLUMNS if label in columns and label != "episode"
+        }
+        self.kept.append({label: column[is_kept] for label, column in rows_kept.items()})
+        if sum(len(kept["run"]) for kept in self.kept) > N_SPARE * self.limits.kept:
             self._cut_sample()
 
     def _cut_sample(self) -> Sample:
         """The episodes first in the draw, of those that are not broken so far."""
-        run = np.concatenate([kept for kept, _ in self.kept])
-        columns = {label: np.concatenate([kept[label] for _, kept in self.kept]) for label in self.kept[0][1]}
-        runs, length = np.unique(run, return_counts=True)
-        broken = np.concatenate(self.broken)
-        place = hash_places(runs, self.name)
-        chosen, self.limit = choose(place, length, ~np.isin(runs, broken), self.limit, self.limits.kept)
-        is_kept = np.isin(run, runs[chosen])
-        columns = {label: column[is_kept] for label, column in columns.items()}
-        self.kept = [(run[is_kept], columns)]
-        return Sample(place[chosen], length[chosen], columns, self.limit)
+        columns = {label: np.concatenate([kept[label] for kept in self.kept]) for label in self.kept[0]}
+        runs, length = np.unique(columns["run"], return_counts=True)
+        place, is_whole = hash_places(runs, self.name), ~np.isin(runs, np.concatenate(self.broken))
+        chosen, self.limit = choose(place, length, is_whole, self.limit, self.limits.kept)
+        is_kept = np.isin(columns["run"], runs[chosen])
+        self.kept = [{label: column[is_kept] for label, column in columns.items()}]
+        rows = {label: column for label, column in self.kept[0].items() if label != "run"}
+        return Sample(place[chosen], length[chosen], rows, self.limit)
 
     def result(self) -> FileCounts:
         """What was counted."""
