@@ -108,17 +108,6 @@ def test_a_minari_data_set_made_by_minari_itself(tmp_path, monkeypatch):
     assert_array_equal(log.terminated, np.concatenate([b.terminations for b in buffers]))
 
 
-def test_a_csv_written_by_hand(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(
-        "state,action,next_state,reward,terminated,episode\n0,1,2,0.5,False,0\n2,0,3,1,True,0\n1,1,1,0,0,1\n"
-    )
-    log = Transitions.load(path)
-    assert_array_equal(log.reward, [0.5, 1, 0])
-    assert_array_equal(log.terminated, [False, True, False])
-    assert_array_equal(log.truncated, [False, False, True])
-
-
 HEAD = "state,action,next_state,reward,terminated\n"
 
 
@@ -287,14 +276,6 @@ def test_a_file_of_ours_that_another_program_wrote_anew_names_the_way_out(tmp_pa
     assert len(Transitions.load(tmp_path / "log.parquet")) == len(table)
 
 
-def test_pyarrow_reads_what_is_saved(tmp_path):
-    parquet, log = pytest.importorskip("pyarrow.parquet"), logs()["episodes"]
-    log.save(tmp_path / "log.parquet")
-    table = parquet.read_table(tmp_path / "log.parquet")
-    for name, column in log.columns().items():
-        assert_array_equal(table[name].to_numpy(), column)
-
-
 def test_unknown_members_of_an_npz_are_refused(tmp_path):
     save_npz(tmp_path / "log.npz", "transitions", logs()["bare"].columns() | {"rewards": np.zeros(2)})
     with pytest.raises(ValueError, match=r"log\.npz' must hold the columns of a log alone; it has 'rewards'"):
@@ -348,14 +329,6 @@ def test_missing_rewards_are_missing(tmp_path):
     assert_array_equal(oee.Problem(mdp, log).rewards_of(log), [4, 1, -1, 1, 2])
 
 
-def test_columns_that_a_log_does_not_know_are_named(tmp_path):
-    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_csv(
-        tmp_path / "l.csv", index=False
-    )
-    with pytest.warns(UserWarning, match="left out: battery"):
-        Transitions.load(tmp_path / "l.csv")
-
-
 @pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
 def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch, name):
     """The disk fills up at the last moment: the old file stands, no temporary file is left."""
@@ -371,13 +344,6 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch, name):
         log.save(tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_bytes() == before
-
-
-def test_npz_files_never_are_pickles(tmp_path):
-    path = tmp_path / "evil.npz"
-    np.savez(path, state=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(ValueError, match="must be an npz or npy file of plain arrays"):
-        Transitions.load(path)
 
 
 def test_arrays_of_objects_are_not_saved(tmp_path):

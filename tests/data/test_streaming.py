@@ -127,22 +127,24 @@ def test_folders_name_columns_as_hive_does(tmp_path):
     assert found.sample is None
 
 
-def test_columns_that_a_log_does_not_know_are_named(tmp_path):
-    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "battery": [0.7]}).to_parquet(tmp_path / "l.parquet")
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
+    """By columns that a log does not know, a warning; by rows that break a rule, the first and the number of the others."""
+    columns = {"state": [0, 0, 0, -1, 9, -2], "action": 0, "next_state": 1, "terminated": [0, 0, 1, 0, 0, 0]}
+    frame = pd.DataFrame(columns | {"reward": [1.0, -2.0, 5.0, 0, 0, 0], "battery": 0.7})
+    path = tmp_path / f"l{ending}"
+    (frame.to_csv if ending == ".csv" else frame.to_parquet)(path, index=False)
+    for read in (Transitions.open, Transitions.load):
+        with pytest.raises(ValueError, match=r"state\[3\] must be at least 0; it is -1"):
+            read(path)
     with pytest.warns(UserWarning, match="left out: battery"):
-        Transitions.open(tmp_path)
-
-
-def test_one_move_ended_and_not_and_rewards_that_vary(tmp_path):
-    pd.DataFrame(
-        {"state": [0, 0, 0], "action": 0, "next_state": 1, "reward": [1.0, -2.0, 5.0], "terminated": [0, 0, 1]}
-    ).to_csv(tmp_path / "l.csv", index=False)
-    found = Transitions.open(tmp_path / "l.csv")
-    assert_array_equal(found.count, [2, 1])
-    assert_array_equal(found.terminated, [False, True])
-    assert_array_equal(found.reward_sum, [-1.0, 5.0])
-    assert_array_equal(found.reward_min, [-2.0, 5.0])
-    assert_array_equal(found.reward_max, [1.0, 5.0])
+        found = Transitions.open(path, n_states=9, bad_rows="drop")
+    (reason,) = found.recording.reasons
+    assert reason.endswith("state[3] must be at least 0; it is -1; 2 other rows break the same rule")
+    assert found.recording.dropped == 3
+    sums = {"count": [2, 1], "terminated": [0, 1], "reward_sum": [-1, 5], "reward_min": [-2, 5], "reward_max": [1, 5]}
+    for name, expected in sums.items():
+        assert_array_equal(getattr(found, name), expected)
 
 
 # ---- rows that are none of a log
@@ -262,15 +264,6 @@ def test_a_bad_row_behind_a_lost_line_and_a_lost_line_at_the_end(tmp_path):
     assert "state[2] must be at least 0; it is -4" in found.recording.reasons[1]
     assert (found.recording.dropped, found.recording.broken) == (3, 2)
     assert np.diff(found.sample.episode_starts).tolist() == [2]
-
-
-def test_several_faults_of_one_column_are_all_counted(tmp_path):
-    frame = frame_of().assign(state=[0, -1, 9, 0, -2, 0, 1])
-    frame.to_parquet(tmp_path / "a.parquet", index=False)
-    found = Transitions.open(tmp_path, n_states=9, bad_rows="drop")
-    assert (found.recording.dropped, len(found)) == (3, 4)
-    (reason,) = found.recording.reasons
-    assert reason.endswith("state[1] must be at least 0; it is -1; 2 other rows break the same rule")
 
 
 ORDER = {

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import random_mdp, rngs
+from helpers import rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -111,13 +111,6 @@ def test_it_prints_as_a_summary():
     assert small_log().summary()["state_action_pairs_seen"] == 4
 
 
-def test_episode_identities_on_samples():
-    mdp = random_mdp(np.random.default_rng(5), n_states=6, n_actions=2)
-    log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 30, 7, seed=1)
-    assert log.n_episodes == 30
-    assert (np.diff(log.episode_starts) <= 7).all()
-
-
 @pytest.mark.parametrize("largest", [5, 10**4, 2**62, 2**63 - 1])
 @given(rngs)
 def test_what_was_seen_is_counted_whatever_the_numbers(largest, rng):
@@ -127,10 +120,3 @@ def test_what_was_seen_is_counted_whatever_the_numbers(largest, rng):
     assert facts["states_seen"] == len({*state.tolist(), *following.tolist()})
     assert facts["state_action_pairs_seen"] == len({*zip(state.tolist(), action.tolist(), strict=True)})
     assert facts["largest_state"] == max(state.max(), following.max())
-
-
-def test_one_line_sorts_nothing(monkeypatch):
-    """At 10^7 moves the sorts were 57% of an evaluation, for figures that the line does not print."""
-    log = small_log()
-    monkeypatch.setattr(np, "unique", None)
-    assert "4 transitions in 2 episodes" in log.describe()
