@@ -120,14 +120,7 @@ def merge(walk, starts, successors):
     order[:n_states] = np.arange(n_states)
     offsets = strip_offsets(starts, order, n_states)
     if offsets[n_strips] * LANES > 1.25 * len(successors):  # too much padding: states of one length go together
-        position = np.zeros(longest + 2, np.int64)
-        for s in range(n_states):
-            position[lengths[s] + 1] += 1
-        for size in range(1, longest + 2):
-            position[size] += position[size - 1]
-        for s in range(n_states):
-            order[position[lengths[s]]] = s
-            position[lengths[s]] += 1
+        order[:n_states] = np.argsort(lengths, kind="mergesort")
         offsets = strip_offsets(starts, order, n_states)
     lane_of = np.zeros(n_states, np.uint32)
     for i in range(n_states):

@@ -207,17 +207,6 @@ def test_the_four_quotients_against_a_delta_method(rng):
             assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
-def test_separate_samples_add_nothing_once_rows_are_normalised():
-    """A row's sum cancels the (s, a) ratio; as the rows are it matters (403.67, once returned for both)."""
-    pair = oee.FiniteMDP([[[0.9, 0.1]], [[0.5, 0.5]]], [0.0, 1.0], [1.0, 0.0], 0.9)
-    arguments = (pair, pair, [[1.0]] * 2, [[0.5], [0.5]], [[0.5], [0.5]])
-    together, apart = (
-        ratio_of_ratios_variance(*arguments, rows="normalised", independent_samples=x) for x in (False, True)
-    )
-    assert together == apart
-    assert_allclose(apart, 56.49, atol=0.005)
-
-
 def fisher_bound(mdp, behavior, policy, horizon):
     """g' I^-1 g: I the information of all paths in the rows' free coordinates (moves with probability, less one a row)."""
     transitions, rewards = dense(mdp)

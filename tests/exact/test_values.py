@@ -10,7 +10,6 @@ from helpers import (
     dense_occupancy,
     dense_values,
     environments,
-    paths,
     random_mdp,
     random_policy,
     rngs,
@@ -44,24 +43,6 @@ def test_values_and_occupancies_agree_with_dense_linear_algebra(seed):
     assert_allclose(oee.occupancy(mdp, policy, of="state"), pairs.sum(axis=1), rtol=0, atol=1e-9)
     moves = oee.occupancy(mdp, policy, of="transition").toarray().reshape(transitions.shape)
     assert_allclose(moves, pairs[:, :, None] * transitions, rtol=0, atol=1e-9)
-
-
-@given(rngs, st.integers(1, 3), st.booleans())
-def test_finite_horizon_is_the_sum_over_all_paths(rng, horizon, stationary):
-    mdp = random_mdp(rng, n_states=2, n_actions=2, discount=float(rng.choice([0.0, 0.5, 1.0])))
-    policy = random_policy(rng, mdp)
-    if not stationary:
-        policy = np.stack([random_policy(rng, mdp) for _ in range(horizon)])
-    value, time = 0.0, np.zeros((2, 2))
-    weights = mdp.discount ** np.arange(horizon)
-    for probability, steps in paths(mdp, policy, horizon):
-        for t, (s, a, _, reward) in enumerate(steps):
-            value += probability * weights[t] * reward
-            time[s, a] += probability * weights[t]
-    assert_allclose(oee.policy_value(mdp, policy, horizon=horizon), value, rtol=0, atol=1e-12)
-    assert_allclose(oee.occupancy(mdp, policy, horizon=horizon), time / weights.sum(), rtol=0, atol=1e-12)
-    assert_allclose(mdp.initial @ np.einsum("sa,sa->s", policy if stationary else policy[0],
-                    oee.action_values(mdp, policy, horizon=horizon)), value, rtol=0, atol=1e-12)  # fmt: skip
 
 
 @given(rngs, st.sampled_from([None, 1, 7]))
@@ -117,29 +98,6 @@ def test_discount_one_without_absorption_says_so():
     transitions = np.array([[[0.0, 1.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]]])
     mdp = FiniteMDP(transitions, np.array([[2.0, 0.0], [0.0, 0.0]]), [1, 0], 1.0)
     assert oee.policy_value(mdp, np.array([[0.5, 0.5], [1.0, 0.0]])) == pytest.approx(2.0, rel=1e-14)
-
-
-def test_the_error_bound_is_one():
-    """|V - V*| <= bound, also of the iterative solver; of small models ``test_linear`` has it in exact arithmetic."""
-    rng = np.random.default_rng(0)
-    for n, discount in ((600, 0.99), (900, 0.9999)):
-        grid = oee.tasks.gridworld(int(n**0.5) + 1, 0.3, discount=discount)
-        policy = random_policy(rng, grid)
-        found = exact.evaluate_policy(grid, policy)
-        difference = np.abs(found.values - dense_values(grid, policy)).max()
-        assert found.method == "BiCGSTAB"
-        assert difference <= found.error_bound + 1e-12 * np.abs(found.values).max()
-        assert found.error_bound < 1e-8 * np.abs(found.values).max()
-
-
-def test_an_expander_is_not_given_to_a_direct_solver():
-    n, rng = 4000, np.random.default_rng(1)
-    rows = np.repeat(np.arange(n), 6)
-    matrix = sparse.csr_array((np.full(6 * n, 1 / 6), (rows, rng.integers(0, n, 6 * n))), shape=(n, n))
-    mdp = FiniteMDP(matrix, rng.random(n), np.full(n, 1 / n), 0.99)
-    found = exact.evaluate_policy(mdp, np.ones((n, 1)))
-    assert found.method == "value iteration"
-    assert found.error_bound < 1e-9 * np.abs(found.values).max()
 
 
 @given(rngs)
