@@ -170,7 +170,7 @@ class ContinuousTransitions(Log):
         return {"state": states, "action": _actions(action), "next_state": following}
 
     @staticmethod
-    def _apart(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
+    def _differs(following: NDArray[Any], state: NDArray[Any]) -> BoolArray:
         """Differ by more than a float32 copy does."""
         far = np.abs(following - state) > CHAIN_TOLERANCE * (1.0 + np.abs(state))
         return np.asarray(far.any(axis=1))

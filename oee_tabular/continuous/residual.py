@@ -149,7 +149,7 @@ class ResidualSimulator(DerivedTask):
         used = rows.used
         for _ in range(ROUNDS):
             left = self.residuals - self._correction(log.state, actions, displacement)
-            smooth = ~self._apart(left) & ~self._ended
+            smooth = ~self._differs(left) & ~self._ended
             if np.array_equal(smooth, used):
                 break
             used = smooth
@@ -165,7 +165,7 @@ class ResidualSimulator(DerivedTask):
         self.left_over[self._ended, : self.n_state] = apart
         self.group = group
 
-    def _apart(self, left: Array) -> BoolArray:
+    def _differs(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * np.sqrt((self.residuals**2).mean(axis=0))

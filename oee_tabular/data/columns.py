@@ -96,7 +96,7 @@ class Log:
             columns["timestep"] = np.arange(len(episode)) - np.repeat(starts[:-1], np.diff(starts))
         given = {name: column for name, column in columns.items() if column is not None}
         before = {name: np.concatenate([column[:1], column[:-1]]) for name, column in given.items()}
-        for fault in find_order_faults(given, before, is_first, ~is_first, self._apart, self._shown):
+        for fault in find_order_faults(given, before, is_first, ~is_first, self._differs, self._show):
             raise ValueError(fault.describe() + count_others(fault))
         if columns["truncated"] is None:
             columns["truncated"] = is_last & ~columns["terminated"]
@@ -107,11 +107,11 @@ class Log:
         raise NotImplementedError
 
     @staticmethod
-    def _apart(following: Column, state: Column) -> BoolArray:
+    def _differs(following: Column, state: Column) -> BoolArray:
         """Row by row, whether a next state and the state that follows it differ."""
         raise NotImplementedError
 
-    def _shown(self, state: Column) -> Any:
+    def _show(self, state: Column) -> Any:
         """One row's state, as errors show it."""
         return state.tolist()
 

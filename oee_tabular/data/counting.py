@@ -234,7 +234,7 @@ class _FileCount:
             reasons=reasons, **facts,
         )  # fmt: skip
         unknown = tuple(label for label in self.table.labels if label not in COLUMNS)
-        return FileCounts(*self.sums.sorted(), recording, sample, frozenset(self.table.known), unknown)
+        return FileCounts(*self.sums.entries(), recording, sample, frozenset(self.table.known), unknown)
 
     def _find_repeated(self, names: Column, starts: IntArray, is_named: BoolArray) -> None:
         """An episode's rows stand together: no run has the episode of another."""

@@ -130,7 +130,7 @@ def _files_at(name: str, tables_only: bool) -> list[LogFile]:
     place = Path(name)
     if place.is_dir():
         below = [(file, file.relative_to(place)) for file in sorted(place.rglob("*")) if file.is_file()]
-        inside = [LogFile(str(file), _fixed(way)) for file, way in below if _is_data_file(way)]
+        inside = [LogFile(str(file), _parse_folders(way)) for file, way in below if _is_data_file(way)]
         if not inside and tables_only:
             raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
         return inside or [LogFile(name)]
@@ -143,7 +143,7 @@ def _files_at(name: str, tables_only: bool) -> list[LogFile]:
     matching = [Path(file) for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
     if not matching:
         raise FileNotFoundError(2, "no file matches the pattern", name)
-    return [LogFile(str(file), _fixed(file)) for file in matching]
+    return [LogFile(str(file), _parse_folders(file)) for file in matching]
 
 
 def _is_data_file(path: Path) -> bool:
@@ -151,7 +151,7 @@ def _is_data_file(path: Path) -> bool:
     return not is_hidden and path.name.lower().endswith(ENDINGS)
 
 
-def _fixed(path: Path) -> tuple[tuple[str, str], ...]:
+def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
     """Columns that folders name, as Hive does."""
     steps = (step.partition("=") for step in path.parts[:-1])
     return tuple((label, value) for label, equals, value in steps if equals and label in COLUMNS)

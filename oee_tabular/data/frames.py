@@ -170,7 +170,7 @@ def _moves_of(steps: tuple[object, ...], name: str) -> tuple[list[tuple[Any, ...
     return moves, 0
 
 
-def coded(columns: dict[str, Any], given: object, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+def encode_names(columns: dict[str, Any], given: object, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
     """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
     texts = {column: _names_in(value, column) for column, value in columns.items()}
     found = {column: items for column, items in texts.items() if items is not None}

@@ -149,7 +149,7 @@ class _Total:
 
     def result(self) -> TransitionCounts:
         """The counts of all files."""
-        key, sums = self.sums.sorted()
+        key, sums = self.sums.entries()
         if not len(key):
             raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has")
         columns: dict[str, Any] = dict(zip(("state", "action", "next_state"), key.T.copy(), strict=False))

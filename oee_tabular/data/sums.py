@@ -49,7 +49,7 @@ class Sums:
             _add_entries(key, sums, 0, self.slots, self.key, self.sums, 0)
             done, self.size = kernel(*rows, done, self.slots, self.key, self.sums, self.size)
 
-    def sorted(self) -> tuple[IntArray, Array]:
+    def entries(self) -> tuple[IntArray, Array]:
         """The entries by s, a, s', ended."""
         order = np.lexsort(self.key[: self.size].T[::-1])
         return self.key[order], self.sums[order]

@@ -19,7 +19,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import Log, integers
-from oee_tabular.data.frames import coded, episode_columns, frame_columns, is_frame
+from oee_tabular.data.frames import encode_names, episode_columns, frame_columns, is_frame
 from oee_tabular.data.moves import Moves, counts_of, describe_facts
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, name_text, renumber
@@ -91,8 +91,10 @@ class Transitions(Log):
         if action is None or next_state is None:
             lacking = "action" if action is None else "next_state"
             raise ValueError(f"{lacking} must be given, (n,) as state (of a data frame: Transitions.from_frame(frame))")
-        (states, following), called = coded({"state": state, "next_state": next_state}, state_names, "state_names")
-        (actions,), acts = coded({"action": action}, action_names, "action_names")
+        (states, following), called = encode_names(
+            {"state": state, "next_state": next_state}, state_names, "state_names"
+        )
+        (actions,), acts = encode_names({"action": action}, action_names, "action_names")
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
         super().__init__(
@@ -112,10 +114,10 @@ class Transitions(Log):
         return {name: integers(column, name) for name, column in numbers.items()}
 
     @staticmethod
-    def _apart(following: Column, state: Column) -> BoolArray:
+    def _differs(following: Column, state: Column) -> BoolArray:
         return np.asarray(following != state)
 
-    def _shown(self, state: Column) -> Any:
+    def _show(self, state: Column) -> Any:
         return state.tolist() if self.state_names is None else name_text(self.state_names, state)
 
     def columns(self) -> dict[str, Column]:

@@ -182,8 +182,8 @@ def compare_policies(
         values,
         np.sqrt(np.maximum(variance, 0.0)),
         difference,
-        difference - z * spread - _apart(down, up),
-        difference + z * spread + _apart(up, down),
+        difference - z * spread - _differs(down, up),
+        difference + z * spread + _differs(up, down),
         best,
         covariance,
         unseen,
@@ -217,7 +217,7 @@ def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float
     return down + margin.down + half, up + margin.up + half
 
 
-def _apart(one: Array, other: Array) -> Array:
+def _differs(one: Array, other: Array) -> Array:
     """(k, k) by how much dropped moves may change a difference: that of the row's policy and that of the column's, at worst."""
     both = one[:, None] + other[None, :]
     np.fill_diagonal(both, 0.0)

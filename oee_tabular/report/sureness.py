@@ -124,7 +124,7 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     leader = max(finite, key=lambda name: values[name])
     best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
     if len(best) == 1:
-        alone = all(_apart(sure, leader, name) for name in values if name != leader)
+        alone = all(_differs(sure, leader, name) for name in values if name != leader)
         why = "" if alone else OVERLAP
         return replace(
             sure, best=leader, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}"
@@ -137,7 +137,7 @@ def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
     return replace(sure, ranking=f"The log cannot say which of {names} is worth most in the target{less}.")
 
 
-def _apart(sure: Sureness, one: str, other: str) -> bool:
+def _differs(sure: Sureness, one: str, other: str) -> bool:
     ours, theirs = (sure.intervals.get(name, {}).get("likelihood") for name in (one, other))
     return ours is not None and theirs is not None and ours.lower > theirs.upper
 
@@ -149,7 +149,7 @@ def _same(found: Comparison, names: Sequence[str], scale: float) -> bool:
 
 
 def _better(sure: Sureness, one: str, other: str) -> bool:
-    if _apart(sure, one, other):
+    if _differs(sure, one, other):
         return True
     found = sure.comparison
     if found is None:
