@@ -213,18 +213,18 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
 
 def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
     """Return a first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
-    distribution = np.zeros(n_states)
-    if isinstance(initial, Mapping):
-        for state, weight in initial.items():
-            number = number_of(state, names, n_states, "initial's state")
-            distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
-        return distribution
     is_scalar, is_tuple = getattr(initial, "ndim", 1) == 0, isinstance(initial, tuple) and names is not None
     given = to_plain(initial) if is_scalar or is_tuple else initial
     if is_tuple:  # as many numbers as states are a distribution, unless they are a name
         is_numbers = all(isinstance(part, int | float) for part in given)
         is_tuple = len(given) != n_states or not is_numbers or given in numbers_of(names or ())
+    weights: Mapping[Any, Any] = initial if isinstance(initial, Mapping) else {}
     if is_tuple or isinstance(given, str) or _checks.is_integer(given):
-        distribution[number_of(given, names, n_states, "initial")] = 1.0
-        return distribution
-    return initial
+        weights = {given: 1.0}
+    elif weights is not initial:
+        return initial
+    distribution = np.zeros(n_states)
+    for state, weight in weights.items():
+        number = number_of(state, names, n_states, "initial's state" if weights is initial else "initial")
+        distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
+    return distribution

@@ -70,11 +70,12 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
     """Return an array whose rows are distributions; rows that were ``given`` in single precision are scaled."""
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
-    array = _checks.scale_if_single(array, given)
     rows = np.ascontiguousarray(array).reshape(math.prod(array.shape[:-1]), array.shape[-1])
-    if not is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE):  # or misses the tolerance by a rounding
-        _checks.require_nonnegative(array, name)
-        _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
+    if is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE):  # less than the tolerance by what rounding may do
+        return array
+    array = _checks.scale_if_single(array, given)
+    _checks.require_nonnegative(array, name)
+    _checks.require_sums_to_one(np.asarray(array.sum(axis=-1)), name)
     return array
 
 
