@@ -7,11 +7,10 @@ which is matched to the nearest action of the set.
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,7 +24,7 @@ from oee_tabular.data.columns import Log, integers
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.labels import COLUMNS, suggest_columns
 from oee_tabular.data.minari import is_minari, minari_episodes
-from oee_tabular.data.reader import csv_labels, parquet_labels
+from oee_tabular.data.reader import read_labels
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
@@ -105,21 +104,15 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
         return _files.npz_kind(_files.read_npz(name)) == VECTORS.kind
-    if suffix == ".csv":
-        return "state_0" in _header(csv_labels, name)
-    if suffix == ".parquet":
-        return "state_0" in _header(parquet_labels, name)
+    if suffix in (".csv", ".parquet"):
+        try:
+            return "state_0" in read_labels(name)
+        except ValueError:
+            return False  # whoever reads it says what is wrong
     if not is_minari(name):
         return False
     first = next(iter(minari_episodes(name)), None)
     return first is not None and np.asarray(first.observations).ndim == 2
-
-
-def _header(labels: Callable[[str], list[str]], name: str) -> list[str]:
-    try:
-        return labels(name)
-    except (ValueError, csv.Error):
-        return []  # whoever reads it says what is wrong
 
 
 # the columns of a log that is recorded by stepping

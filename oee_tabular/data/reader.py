@@ -153,6 +153,13 @@ def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = F
     return table
 
 
+def read_labels(path: str) -> list[str]:
+    """The labels of a table's columns; ValueError for another file."""
+    if path.lower().endswith(".parquet"):
+        return _parquet_labels(path)
+    return _csv_header(_files.local(path))[0]
+
+
 def read_columns(
     file: LogFile, is_known: Callable[[str], bool], require: Callable[[Sequence[str]], None]
 ) -> tuple[dict[str, Column], list[str]]:
@@ -282,16 +289,6 @@ def _csv_errors(path: str) -> Iterator[None]:
         raise ValueError(f"{path!r} must be a CSV table with a header, in UTF-8; it is not") from None
     except (csv.Error, EOFError, gzip.BadGzipFile, zlib.error, ValueError, OverflowError, Warning) as error:
         raise ValueError(f"{path!r} must be a CSV table with a header; {error}") from None
-
-
-def parquet_labels(path: str) -> list[str]:
-    """The names of a parquet table's columns; ValueError for another file."""
-    return open_table(LogFile(path), lambda label: False).labels
-
-
-def csv_labels(path: str) -> list[str]:
-    """The labels of a CSV file's header: its first line that is not empty."""
-    return _csv_header(_files.local(path))[0]
 
 
 def _csv_header(path: str) -> tuple[list[str], list[str], str]:
