@@ -105,6 +105,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
                 handle = stack.enter_context(whole_file(folder / name))
                 handle.write(data)
                 handle.flush()
+                os.fsync(handle.fileno())  # a disk is full here, before the first file has its name
     except BaseException:
         if made:
             folder.rmdir()
