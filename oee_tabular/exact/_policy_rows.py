@@ -86,7 +86,7 @@ def multiply(kernel, transpose, x, out):
     if transpose:
         out[:] = 0.0
     for i in range(len(indptr) - 1):
-        total, own = 0.0, x[i]
+        total, own = 0.0, x[i] if transpose else 0.0
         for k in range(indptr[i], indptr[i + np.uint32(1)]):
             if transpose:
                 out[indices[k]] += data[k] * own

@@ -249,6 +249,7 @@ def test_the_bound_for_one_kernel_is_that_of_the_fisher_information_of_all_paths
     assert found <= markov * (1 + 1e-9) + 1e-9
 
 
+@pytest.mark.large
 def test_maximum_likelihood_attains_the_bound_for_one_kernel_and_is_below_the_one_for_a_kernel_a_step():
     """The docstring's example, 300 logs of 400 episodes: n Var within 4 standard errors of .2547, far below .4752."""
     steer = oee.FiniteMDP([[[0.9, 0.1], [0.1, 0.9]]] * 2, [0.0, 1.0], [1.0, 0.0], 1.0)

@@ -123,6 +123,7 @@ def test_error_bound_of_random_models(rng):
     assert abs(Fraction(result.value) - value) <= Fraction(result.error_bound) + Fraction(rounding)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("power", [530, -530, 1000, -1000])
 def test_the_scale_of_the_right_side_does_not_matter(power):
     """But for what leaves the range of floats: powers of two change no bit."""
@@ -212,6 +213,7 @@ def test_policies_in_fortran_order_are_taken():
         assert_array_equal(exact.evaluate_policy(mdp, np.asfortranarray(policy)).values, expected)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("name", ["one state", "grid", "layered", "expander", "ring", "dense", "disconnected"])
 def test_without_a_discount_a_closed_class_diverges(name):
     kernel = STRUCTURES[name]

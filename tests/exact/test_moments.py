@@ -296,6 +296,7 @@ def test_no_cancellation():
     assert_allclose(oee.return_moments(mdp, np.ones((2, 1)), horizon=3).variance, exact, rtol=1e-6)
 
 
+@pytest.mark.large
 def test_against_monte_carlo_with_bounded_weights():
     """The estimators' own rollouts: mean and variance within four standard errors."""
     simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)

@@ -126,6 +126,7 @@ def test_plans_of_random_mdps_cannot_be_improved(discount):
     assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("discount", [0.9, 0.999, 0.99999])
 def test_plans_of_narrow_graphs_cannot_be_improved(discount):
     """A queue with two rates of service and a ring with two drifts: policy iteration from a greedy start."""

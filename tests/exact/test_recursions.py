@@ -38,6 +38,7 @@ def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
     check_in_time(mdp, zeta, random_policy(rng, mdp), random_policy(rng, mdp, zeros=0.0), int(rng.integers(1, 7)))
 
 
+@pytest.mark.large
 @settings(max_examples=15)
 @given(rngs)
 def test_rings_and_rows_of_very_different_lengths(rng):

@@ -72,6 +72,7 @@ def check_solver(solver, system, b, truth):
     assert missed < size or not solver.is_direct, solver
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("transpose", [False, True])
 @pytest.mark.parametrize("discount", [0.0, 0.9, 0.9999])
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -129,6 +130,7 @@ def test_answers_are_refined_to_rounding_and_zero_is_left_alone():
     assert (found.largest, found.bound, np.abs(found.x).max()) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.large
 def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
     """On expanders of up to 3000 states a dense one; above, the bound says how far the iteration got."""
     for stub in (lambda b, relative: 0.9 * b, lambda b, relative: None, lambda b, relative: np.full(len(b), np.nan)):
@@ -187,6 +189,7 @@ CHOICES = {  # kernel, discounts, methods
 }
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("name", CHOICES)
 def test_which_solver_answers(name):
     make, discounts, methods = CHOICES[name]
@@ -215,6 +218,7 @@ def test_which_graphs_expand():
         assert not SuperLU(8.0).suits(system_of(kernel, 0.9))
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("discount", [0.99, 0.99999])
 def test_an_even_start_does_not_end_the_plain_iteration(discount):
     """Ones are an eigenvector of what the transposed residuals are held against: a Krylov space of one dimension."""
@@ -247,6 +251,7 @@ def test_the_count_of_fill_is_that_of_dense_elimination(rng):
             assert SuperLU(most).suits(system) == (most >= needed)
 
 
+@pytest.mark.large
 def test_a_layered_model_of_any_order_has_its_exact_values():
     """A clock in the state: T rounds of a grid world are its values over T steps."""
     small, steps = oee.tasks.gridworld(6, 0.3), 50
@@ -339,6 +344,7 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
         assert_allclose(bound, norm, rtol=1e-6)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("entries", [5, 200])
 def test_near_discount_one_occupancies_sum_to_one(entries):
     """Up to the rounding of the rows' own sums, eps / (1 - discount); with that of the bound on them 1e-8 and 3e-7."""
@@ -350,6 +356,7 @@ def test_near_discount_one_occupancies_sum_to_one(entries):
     assert abs(oee.occupancy(mdp, np.ones((200, 1))).sum() - 1.0) < 4e-9
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("transpose", [False, True])
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_an_answer_from_near_by_leaves_its_share(name, transpose, monkeypatch):

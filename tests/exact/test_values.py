@@ -252,6 +252,7 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
     assert Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
 
 
+@pytest.mark.large
 def test_the_way_of_a_value_is_short():
     """Functions of the package that one call passes, checks and kernels apart: 20 in 9 files, so that a reader can follow."""
     mdp = oee.tasks.gridworld(40, 0.3)
