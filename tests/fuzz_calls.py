@@ -42,6 +42,9 @@ ALIASES = {  # words of the command line, which the same errors serve
     "log_or_counts": ("counts",),
     "policy_a": ("policy_a and policy_b",),
     "logs": ("log",),
+    "log": ("frame",),
+    "episodes": ("frame",),
+    "matrix": ("count",),
 }
 LEFT_OUT = """
 Method SgdTrace Basis Finding Comparison Contest corrected_value EstimationCounterexample Outlook RowChanges Selection
@@ -129,7 +132,7 @@ def has_nan(value, depth=0):
         return has_nan(value.data)
     if isinstance(value, np.ndarray):
         return value.dtype.kind == "f" and bool(np.isnan(value).any())
-    if isinstance(value, tuple | list):
+    if isinstance(value, tuple | list) and depth < 20:
         return any(has_nan(part, depth + 1) for part in value)
     if dataclasses.is_dataclass(value) and depth < 2:
         names = [
@@ -168,7 +171,7 @@ def judged(function, values, replaced):
     return "accepted", ""
 
 
-BLANK = ("changed_rows", "monte_carlo_value")  # nan where a row was never recorded, or from one episode, as they say
+BLANK = ("row_changes", "monte_carlo_value")  # nan where a row was never recorded, or from one episode, as they say
 
 
 def refusal(error, values, replaced):

@@ -195,6 +195,8 @@ class ContinuousTransitions(Log):
         """
         _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
+        if table.size == 0:
+            raise ValueError(f"actions must hold at least one; they have shape {table.shape}")
         table = table.reshape(len(table), -1)
         if self.action.ndim == 1:
             bad = np.flatnonzero(self.action >= len(table))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -119,9 +120,9 @@ def find_log_files(path: Paths, *, tables_only: bool = False) -> list[LogFile]:
     some = [file for one in given for file in _files_at(_files.local(one), tables_only)]
     if not some:
         raise ValueError("path must name files; it is an empty list")
-    again = {file.path for k, file in enumerate(some) if file.path in {other.path for other in some[:k]}}
+    again = sorted(name for name, number in Counter(file.path for file in some).items() if number > 1)
     if again:
-        raise ValueError(f"path must name each file once; {sorted(again)[0]!r} is named twice")
+        raise ValueError(f"path must name each file once; {again[0]!r} is named twice")
     return some
 
 

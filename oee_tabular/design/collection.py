@@ -238,7 +238,7 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
     _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ValueError(
-            f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {horizon}"
+            f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {_checks.show(horizon)}"
         )
     return row_sums(problem.counts), problem.model, problem.horizon
 

@@ -69,13 +69,13 @@ def check_page(path: str | os.PathLike[str]) -> Path:
     'report.html'
     >>> check_page("report.pdf")
     Traceback (most recent call last):
-    ValueError: report must be a file that ends in .html or .htm; got 'report.pdf'
+    ValueError: path of the report must end in .html or .htm; it is 'report.pdf'
     """
     file = Path(_files.local(path))
     if file.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"report must be a file that ends in .html or .htm; got {str(file)!r}")
+        raise ValueError(f"path of the report must end in .html or .htm; it is {str(file)!r}")
     if file.is_dir():
-        raise ValueError(f"report must be a file; {str(file)!r} is a folder")
+        raise ValueError(f"path of the report must be a file; {str(file)!r} is a folder")
     check_output(file.parent, "report's folder")
     return file
 

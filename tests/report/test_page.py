@@ -261,8 +261,8 @@ def test_it_is_written_whole_into_a_folder_that_is_made(report, page, tmp_path, 
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        ("answer.txt", r"report must be a file that ends in .html or .htm; got '.*answer.txt'"),
-        ("folder.html", r"report must be a file; '.*folder.html' is a folder"),
+        ("answer.txt", r"path of the report must end in .html or .htm; it is '.*answer.txt'"),
+        ("folder.html", r"path of the report must be a file; '.*folder.html' is a folder"),
         ("file/answer.html", r"report's folder must be a folder that can be written; '.*file' is a file"),
     ],
 )
