@@ -16,11 +16,7 @@ from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import check_policy_in_place, gradient_to_horizon, visits
 from oee_tabular.exact.linear import solve
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import (
-    drop_states,
-    policy_system,
-    recurrent_states,
-)
+from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
 from oee_tabular.exact.values import policy_rewards, state_values
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -70,13 +66,14 @@ def occupancy(
     require_model(mdp)
     _checks.one_of(of, "of", ("state", "state_action", "transition"))
     steps = optional_horizon_length(horizon, mdp, policy)
-    pi = check_policy(policy, mdp) if steps is None else check_policy_in_place(policy, mdp, steps)
-    if steps is None and mdp.discount == 1.0:
-        raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
     if steps is None:
+        pi = check_policy(policy, mdp)
+        if mdp.discount == 1.0:
+            raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
-        pairs = _forward(mdp, pi, steps)
+        pi = check_policy_in_place(policy, mdp, steps)
+        pairs = visits(mdp, pi, steps) / (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
     if of == "state":
         return np.asarray(pairs.sum(axis=1))
     if of == "state_action":
@@ -104,15 +101,6 @@ def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
         visits = infinite_visits(model, policy)[:, None] * policy
         return np.asarray(visits / (float(visits.sum()) or 1.0))  # 0 where all is over at once
     return occupancy(model, policy, horizon=horizon)
-
-
-def _forward(mdp: Model, policy: Array, horizon: int) -> Array:
-    """sum_{t<T} gamma^t Pr(s_t = s, a_t = a) / sum_{t<T} gamma^t."""
-    weight, mass = 1.0, 0.0
-    for _ in range(horizon):
-        mass += weight
-        weight *= mdp.discount
-    return visits(mdp, policy, horizon) / mass
 
 
 def transition_gradient(

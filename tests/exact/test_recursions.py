@@ -29,6 +29,7 @@ def check_in_time(mdp, zeta, policy, behavior, horizon):
             assert_allclose(one, two, rtol=1e-9, atol=1e-12 * scale, err_msg=name)
 
 
+@pytest.mark.large
 @settings(max_examples=60)
 @given(rngs)
 def test_merged_sweeps_are_those_of_a_policy_in_time(rng):

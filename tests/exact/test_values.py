@@ -170,6 +170,7 @@ def test_the_radius_of_a_periodic_kernel():
 
 
 @pytest.mark.filterwarnings("ignore:a value is beyond the largest float")
+@pytest.mark.filterwarnings("ignore:overflow encountered")  # where kernels are not compiled
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
     """In a state that is never reached they do not matter to J, by any of the ways to it."""
     never = FiniteMDP([[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]], [0, 1, 1e308], [1, 0, 0], 0.99)
