@@ -80,7 +80,7 @@ def open_log(
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
     limits = _limits(simulator, n_states, n_actions)
     limits = limits._replace(drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves"))
-    if jobs != -1:
+    if not (_checks.is_integer(jobs) and jobs == -1):
         _checks.positive_integer(jobs, "jobs")
     from tqdm import tqdm
 

@@ -209,7 +209,7 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
     except duckdb.OutOfMemoryException:
         raise MemoryError(f"{path!r} has more rows than memory holds") from None
     except duckdb.Error as error:
-        text = str(error).splitlines()[0]
+        text = _checks.escape_controls(str(error).splitlines()[0])
         raise ValueError(f"{path!r} must be a parquet table; it is not, or is damaged ({text:.200})") from None
 
 

@@ -155,7 +155,7 @@ def number_of(item: object, names: tuple[Name, ...] | None, size: int, name: str
     given = to_plain(item)
     if _checks.is_integer(given):
         if not 0 <= given < size:
-            raise ValueError(f"{name} must be in 0..{size - 1}; it is {given}")
+            raise ValueError(f"{name} must be in 0..{size - 1}; it is {_checks.show(given)}")
         return int(given)
     if not is_name(given):
         raise ValueError(f"{name} must be a name or a number; it is {_checks.show(given)}")

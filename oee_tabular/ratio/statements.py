@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, IntArray, show
 from oee_tabular.ratio.dual import Coordinates
 
 # Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4
@@ -98,7 +98,7 @@ def check_solver(solver: str) -> None:
 
     installed = cp.installed_solvers()
     if solver not in installed:
-        raise ValueError(f"solver must be 'dual' or one of {', '.join(sorted(installed))}; got {solver!r}")
+        raise ValueError(f"solver must be 'dual' or one of {', '.join(sorted(installed))}; got {show(solver)}")
 
 
 @dataclass(frozen=True)

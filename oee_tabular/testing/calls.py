@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, Seed
+from oee_tabular._checks import Array, Seed, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -267,10 +267,10 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             raise TypeError
         words = frozenset(found)
     except TypeError:
-        raise ValueError(f"{name} must be a collection of words; it is {found!r}") from None
+        raise ValueError(f"{name} must be a collection of words; it is {show(found)}") from None
     for word in sorted(words, key=str):
         if word not in CLAIMS:
             near = difflib.get_close_matches(str(word), list(CLAIMS), n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ValueError(f"{name} must be among {', '.join(CLAIMS)}; got {word!r}{hint}")
+            raise ValueError(f"{name} must be among {', '.join(CLAIMS)}; got {show(word)}{hint}")
     return words
