@@ -32,7 +32,7 @@ class CsrArrays(NamedTuple):
     def from_dense(cls, rows: Array, mask: BoolArray | None = None) -> CsrArrays:
         """The entries of (n, m) that are not 0, or those of ``mask``."""
         row, column = (rows if mask is None else mask).nonzero()
-        kind = np.int32 if max(len(row), *rows.shape) <= np.iinfo(np.int32).max else np.int64
+        kind = np.int32 if max(len(row), *rows.shape) < 2**31 else np.int64
         indptr = row.searchsorted(np.arange(len(rows) + 1)).astype(kind)
         return cls(freeze(indptr), freeze(column.astype(kind)), freeze(rows[row, column]), rows.shape)
 
