@@ -15,13 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact._policy_rows import add_entry, average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, as_readonly, policy_kernel, policy_system, rows_of
+from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp._policies import is_stochastic_matrix
 from oee_tabular.mdp.horizons import limit_horizon
@@ -106,7 +105,7 @@ def values_to_go(model: Model, policy: Array, horizon: int, *, is_each: bool = T
 
 def gradient_to_horizon(model: Model, valued: Model, policy: Array, horizon: int) -> Array:
     """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, on the entries of ``valued``."""
-    back = Kernel(*rows_of(sparse.csr_array(policy_kernel(model, policy).T)), 1.0)
+    back = Kernel(*policy_system(model, policy).back, 1.0)
     rewards = as_readonly(np.zeros(0) if valued.reward_data is None else valued.reward_data)
     to_go, out = values_to_go(valued, policy, horizon), np.zeros(valued.transitions.nnz)
     add_flows(to_go, valued.discount, back, model.initial, rows_of(valued.csr), policy, rewards, out)

@@ -145,7 +145,7 @@ def test_plans_of_narrow_graphs_cannot_be_improved(discount):
         assert (q.max(axis=1) <= (plan * q).sum(axis=1) + 1e-10 * np.abs(q).max()).all()
 
 
-@pytest.mark.filterwarnings("ignore:overflow encountered")  # where kernels are not compiled
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # where kernels are not compiled
 def test_plans_of_rewards_near_the_largest_float_end():
     mdp = FiniteMDP(np.ones((1, 2, 1)), np.array([[1e308, 1.5e308]]), [1.0], 0.99)
     with pytest.warns(UserWarning, match="beyond the largest float"):
