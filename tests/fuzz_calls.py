@@ -45,6 +45,7 @@ ALIASES = {  # words of the command line, which the same errors serve
     "log": ("frame",),
     "episodes": ("frame",),
     "matrix": ("count",),
+    "tie": ("frame",),
 }
 LEFT_OUT = """
 Method SgdTrace Basis Finding Comparison Contest corrected_value EstimationCounterexample Outlook RowChanges Selection

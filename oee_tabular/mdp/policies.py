@@ -92,7 +92,7 @@ def check_policies(policies: Any, mdp: Any, *, name: str = "policies", alone: st
 
 def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
     """Return name -> policy of a mapping of policies, or of a list of them; None for what is one policy."""
-    if isinstance(policies, Mapping):
+    if isinstance(policies, Mapping) and not _checks.is_sparse(policies):  # a dok_array is a mapping
         known = numbers_of(names_of(mdp).states or ())
         are_states = all(to_plain(key) in known or _checks.is_integer(key) for key in policies)
         are_choices = not any(callable(value) or _ndim(value) >= 2 for value in policies.values())
