@@ -7,7 +7,7 @@
 ``SuperLU(8)``       other graphs in which elimination fills little: trees
 ``PlainBiCGStab``    graphs that expand: constants taken out, no preconditioner
 ``BiCGStab``         all others: an independent set eliminated, a modified DILU in breadth-first order
-``EnvelopeLU``       where that takes more than 24 steps and the graph is not too wide
+``EnvelopeLU``       where that takes more than 45 steps and the graph is not too wide
 ``LAPACK``           with pivoting, as ``SuperLU``: where an iteration falls short, unless the graph would never let them finish
 ===================  ===================================================================================================
 
