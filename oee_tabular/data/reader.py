@@ -36,8 +36,8 @@ from oee_tabular.data.rules import (
     count_others,
     holds_names,
     is_missing,
-    is_number,
 )
+from oee_tabular.mdp.naming import is_number_text
 
 N_PARQUET, N_CSV = 2**18, 2**17  # rows of a piece
 SMALL = 2**21  # bytes of a CSV file, which Python reads in the time in which pandas is imported
@@ -98,7 +98,7 @@ class Table:
             if self.is_small or self.lost
             else _read_csv
         )
-        fixed = {label: float(value) if is_number(value) else value for label, value in self.file.fixed}
+        fixed = {label: float(value) if is_number_text(value) else value for label, value in self.file.fixed}
         lost, rows = list(self.lost), np.arange(0)
         for columns in read(self, [label for label in self.known if label in self.labels]):
             n = len(next(iter(columns.values())))
@@ -114,7 +114,9 @@ class Table:
             first = next((item for item in raw.tolist() if not is_missing(item)), None)
             held = "texts" if isinstance(first, str) else type(first).__name__
             hint = NAMES_HINT if label in MOVE else ""
-            is_allowed = first is None or is_csv or (isinstance(first, str) and allow_names and not is_number(first))
+            is_allowed = (
+                first is None or is_csv or (isinstance(first, str) and allow_names and not is_number_text(first))
+            )
             is_allowed |= kind == "flag" and isinstance(first, bool)
         else:
             is_allowed = raw.dtype.kind in "iufU" or (raw.dtype.kind == "b" and (kind == "flag" or is_csv))
@@ -136,7 +138,9 @@ def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = F
             raise ValueError(
                 f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep those that a log has)"
             )
-        texts = frozenset(label for label, value in zip(labels, first, strict=False) if not is_number(value or "0"))
+        texts = frozenset(
+            label for label, value in zip(labels, first, strict=False) if not is_number_text(value or "0")
+        )
         table = Table(file, labels, is_known, encoding, texts)
         if _may_have_odd_lines(table):
             table.lost = _find_odd_lines(table)

@@ -16,6 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
+from oee_tabular.mdp.naming import is_number_text
 
 KINDS = {
     "state": "integer", "action": "integer", "next_state": "integer", "reward": "number", "terminated": "flag",
@@ -58,18 +59,11 @@ def is_missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
-def is_number(text: str) -> bool:
-    """Whether a text is a number for Python."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def show_value(value: Any) -> str:
     """A value as errors print it: texts that are no numbers in quotes."""
-    return value.strip() if isinstance(value, str) and is_number(value) and len(value) < 80 else _checks.show(value)
+    return (
+        value.strip() if isinstance(value, str) and is_number_text(value) and len(value) < 80 else _checks.show(value)
+    )
 
 
 def find_fault(label: str, raw: Column, bad: BoolArray, rule: Callable[[int], str], hint: str = "") -> Fault | None:
@@ -170,7 +164,7 @@ def check_column(label: str, raw: Column, *, high: int = 2**63) -> tuple[Column,
 def holds_names(raw: Column) -> bool:
     """Whether the first value of a column of objects is a text that is no number."""
     first = next((item for item in raw.tolist() if not is_missing(item)), None)
-    return isinstance(first, str) and not is_number(first)
+    return isinstance(first, str) and not is_number_text(first)
 
 
 def check_names(raw: Column, label: str) -> tuple[Column, Fault | None]:
