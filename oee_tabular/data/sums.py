@@ -39,6 +39,7 @@ class Sums:
         """Add entries, (n, 4) and (n, 5)."""
         self._add(_add_entries, (key, sums), len(key))
 
+    @np.errstate(over="ignore")  # of hashes, where kernels are not compiled
     def _add(self, kernel: Any, rows: tuple[Any, ...], n: int) -> None:
         """Add n rows, in a table of twice the size whenever the old one is half full."""
         done, self.size = kernel(*rows, 0, self.slots, self.key, self.sums, self.size)
