@@ -39,8 +39,8 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
     if not isinstance(path, str | os.PathLike):
         raise ValueError(f"{argument} must be a path of a file; got {type(path).__name__}")
     name = os.fspath(path)
-    if not isinstance(name, str) or "\0" in name:
-        raise ValueError(f"{argument} must be text without a null character; got {_checks.show(name)}")
+    if not isinstance(name, str) or "\0" in name or not name:
+        raise ValueError(f"{argument} must be text, not empty and without a null character; got {_checks.show(name)}")
     if len(name) > LONGEST_PATH:
         raise ValueError(
             f"{argument} must have at most {LONGEST_PATH} characters; it has {len(name)}: {_checks.show(name)}"

@@ -86,7 +86,7 @@ def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     """The frame's labels of one field: one, or several of which a name is made."""
     group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
     for label in group:
-        if label not in labels:
+        if not isinstance(label, str) or label not in labels:
             raise ValueError(
                 f"{field} must be the name of a column of the frame, {', '.join(labels):.300}; it is "
                 f"{_checks.show(label)}{suggest(label, labels, quotes=True)}"

@@ -61,5 +61,6 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str], *, le
 
 def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6) -> str:
     """What was probably meant, in words; empty where nothing is near."""
-    near = difflib.get_close_matches(str(label)[:80], known, n=1, cutoff=likeness)
+    text = label if isinstance(label, str) else _checks.show(label)
+    near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
     return f" (did you mean {near[0]!r}?)" if near and quotes else f" (did you mean {near[0]}?)" if near else ""

@@ -151,7 +151,8 @@ class _Total:
         """The counts of all files."""
         key, sums = self.sums.entries()
         if not len(key):
-            raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has")
+            first = "" if self.first is None else f", the first of which is {self.first[0].path!r}"
+            raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has{first}")
         columns: dict[str, Any] = dict(zip(("state", "action", "next_state"), key.T.copy(), strict=False))
         if sums[:, 1].any():
             names = ("reward_count", "reward_sum", "reward_min", "reward_max")

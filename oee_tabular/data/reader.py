@@ -142,7 +142,7 @@ def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = F
             label for label, value in zip(labels, first, strict=False) if not is_number_text(value or "0")
         )
         table = Table(file, labels, is_known, encoding, texts)
-        if _may_have_odd_lines(table):
+        if table.is_small or _may_have_odd_lines(table):
             table.lost = _find_odd_lines(table)
         if table.lost and not drop:
             row, words = next(iter(table.lost.items()))
