@@ -16,9 +16,9 @@ from numba import njit
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact.solvers.envelope import EnvelopeLU
-from oee_tabular.exact.system import policy_system, rows_of
+from oee_tabular.exact.system import Csr, policy_system, rows_of
 from oee_tabular.exact.values import action_values, infinite_values, warn_if_not_finite
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
 N_TURNS = 100  # of modified policy iteration, at most
@@ -59,7 +59,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     if steps is not None:
         length = limit_horizon(steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size)
         return np.asarray(np.eye(mdp.n_actions)[induce_backward(*model, length)])
-    actions, values = _begin(mdp)
+    actions, values = _begin(mdp, *model)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
     met: set[bytes] = set()
     while True:
@@ -74,14 +74,12 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         actions = changed
 
 
-def _begin(mdp: FiniteMDP) -> tuple[IntArray, Array | None]:
+def _begin(mdp: FiniteMDP, rows: Csr, rewards: Array, discount: float) -> tuple[IntArray, Array | None]:
     """(S,) actions that are good already, and about their values."""
-    uniform = np.full((mdp.n_states, mdp.n_actions), 1.0 / mdp.n_actions)
-    if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
-        return action_values(mdp, uniform).argmax(axis=1), None
-    is_narrow = mdp.n_states > 100 and EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform))
-    n_turns = N_TURNS_NARROW if is_narrow else N_TURNS
-    actions, values = iterate_modified(rows_of(mdp.csr), mdp.rewards, mdp.discount, 1e-9, n_turns)
+    if discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
+        return action_values(mdp, uniform_policy(mdp)).argmax(axis=1), None
+    is_narrow = mdp.n_states > 100 and EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
+    actions, values = iterate_modified(rows, rewards, discount, 1e-9, N_TURNS_NARROW if is_narrow else N_TURNS)
     return actions, values
 
 
