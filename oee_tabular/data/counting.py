@@ -116,12 +116,14 @@ class _FileCount:
         for label in labels:
             parts = [label] if label in KEY else [f"least_{label}", f"largest_{label}"]
             columns[label], fault = self._check(label, np.concatenate([groups[part] for part in parts]))
-            is_complete = label in (*KEY, "reward") or (groups[f"n_{label}"] == groups["n"]).all()
-            if fault is not None or not is_complete:
+            has_all = label in (*KEY, "reward") or (groups[f"n_{label}"] == groups["n"]).all()
+            if fault is not None or not has_all:
                 return False
+        if "reward" in labels and (np.isnan(groups["largest_reward"]) & (groups["n_reward"] > 0)).any():
+            return False  # a reward that is nan is missing, and DuckDB adds it
         n, zeros = groups["n"], np.zeros(len(groups["n"]))
         key = [columns.get(label, zeros) for label in KEY]
-        rewards = [groups.get(name, zeros) for name in ("n_reward", "total_reward")]
+        rewards = [np.nan_to_num(groups.get(name, zeros)) for name in ("n_reward", "total_reward")]
         rewards += [groups.get(name, zeros + np.nan) for name in ("least_reward", "largest_reward")]
         self.sums.add(np.column_stack(key).astype(np.int64), np.column_stack([n, *rewards]).astype(np.float64))
         self.n_truncated = int(groups.get("total_truncated", zeros).sum())

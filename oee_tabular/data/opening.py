@@ -150,6 +150,8 @@ class _Total:
     def result(self) -> TransitionCounts:
         """The counts of all files."""
         key, sums = self.sums.entries()
+        order = np.lexsort(key.T[::-1])  # by s, a, s', ended
+        key, sums = key[order], sums[order]
         if not len(key):
             first = "" if self.first is None else f", the first of which is {self.first[0].path!r}"
             raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has{first}")

@@ -230,7 +230,7 @@ def _parquet_labels(path: str) -> list[str]:
 
 
 def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
-    """The different (s, a, s', ended) of a parquet file and, of the other columns, number, sum, least and largest in each.
+    """The different (s, a, s', ended) of a parquet file and, of the other columns, number, least, largest and sum in each.
 
     None where DuckDB cannot sum them, which a look at their values will explain.
     """
@@ -240,13 +240,13 @@ def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
     parts = [*key, "count(*) AS n"]
     for label in labels:
         if label not in key:
-            value = "nullif(reward, 'nan'::DOUBLE)" if label == "reward" else label
             parts += [
-                f"min({value}) AS least_{label}",
-                f"max({value}) AS largest_{label}",
-                f"count({value}) AS n_{label}",
+                f"min({label}) AS least_{label}",
+                f"max({label}) AS largest_{label}",
+                f"count({label}) AS n_{label}",
             ]
-            parts += [f"coalesce(sum({value}::DOUBLE), 0) AS total_{label}"]
+    parts += ["sum(reward) AS total_reward"] * ("reward" in labels)
+    parts += ["sum(truncated::INTEGER) AS total_truncated"] * ("truncated" in labels)
     if not set(labels) <= set(table.labels):
         return None
     with open_duckdb(table.file.path) as run:
