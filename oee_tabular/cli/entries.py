@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from oee_tabular import _files
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
-from oee_tabular.data.files import csv_frame
+from oee_tabular.data.reader import csv_frame
 from oee_tabular.estimators import Estimator, OffEnvironment
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition

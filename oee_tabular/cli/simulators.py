@@ -156,7 +156,7 @@ _FORMS = "uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz
 def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     """The policy that ``spec`` names, in the MDP of ``task``."""
     from oee_tabular import _progress
-    from oee_tabular.data.files import csv_frame
+    from oee_tabular.data.reader import csv_frame
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import read_policy_array

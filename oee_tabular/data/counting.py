@@ -56,6 +56,18 @@ class Sample(NamedTuple):
     rows: dict[str, Column]
     limit: int = 2**64 - 1
 
+    def cut(self, kept: int, is_whole: BoolArray | None = None) -> Sample:
+        """Those first in the draw that have ``kept`` rows at most; ``limit``: the place of the first that is left out."""
+        may = self.place < np.uint64(self.limit)
+        order = np.flatnonzero(may if is_whole is None else may & is_whole)
+        order = order[np.argsort(self.place[order])]
+        n = int(np.searchsorted(np.cumsum(self.length[order]), kept, side="right"))
+        limit = int(self.place[order[n]]) if n < len(order) else self.limit
+        chosen = np.sort(order[:n])
+        is_kept = np.repeat(np.isin(np.arange(len(self.place)), chosen), self.length)
+        rows = {label: column[is_kept] for label, column in self.rows.items()}
+        return Sample(self.place[chosen], self.length[chosen], rows, limit)
+
 
 class FileCounts(NamedTuple):
     """What a file came to: ``key`` (K, 4) s, a, s', ended; ``sums`` (K, 5) count, rewards, their sum, least and largest."""
@@ -203,14 +215,13 @@ class _FileCount:
 
     def _cut_sample(self) -> Sample:
         """The episodes first in the draw, of those that are not broken so far."""
-        columns = {label: np.concatenate([kept[label] for kept in self.kept]) for label in self.kept[0]}
-        runs, length = np.unique(columns["run"], return_counts=True)
-        place, is_whole = hash_places(runs, self.name), ~np.isin(runs, np.concatenate(self.broken))
-        chosen, self.limit = choose(place, length, is_whole, self.limit, self.limits.kept)
-        is_kept = np.isin(columns["run"], runs[chosen])
-        self.kept = [{label: column[is_kept] for label, column in columns.items()}]
-        rows = {label: column for label, column in self.kept[0].items() if label != "run"}
-        return Sample(place[chosen], length[chosen], rows, self.limit)
+        rows = {label: np.concatenate([kept[label] for kept in self.kept]) for label in self.kept[0]}
+        runs, length = np.unique(rows["run"], return_counts=True)
+        sample = Sample(hash_places(runs, self.name), length, rows, self.limit)
+        sample = sample.cut(self.limits.kept, ~np.isin(runs, np.concatenate(self.broken)))
+        self.kept, self.limit = [dict(sample.rows)], sample.limit
+        del sample.rows["run"]
+        return sample
 
     def result(self) -> FileCounts:
         """What was counted."""
@@ -270,18 +281,6 @@ def _match_names(label: str, raw: Column, names: tuple[Name, ...]) -> tuple[IntA
     if fault is not None and not is_missing(fault.value):
         fault = fault._replace(hint=suggest_name(fault.value, names))
     return np.where(numbers < 0, 0, numbers), fault
-
-
-def choose(
-    place: NDArray[np.uint64], lengths: IntArray, whole: BoolArray, limit: int, kept: int
-) -> tuple[IntArray, int]:
-    """The episodes first in the draw that fit, in their order, and the place of the first that does not."""
-    order = np.flatnonzero(whole & (place < np.uint64(limit)))
-    order = order[np.argsort(place[order])]
-    fits = np.cumsum(lengths[order]) <= kept
-    if not fits.all():
-        limit = int(place[order[np.argmin(fits)]])
-    return np.sort(order[place[order] < np.uint64(limit)]), limit
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:

@@ -17,7 +17,7 @@ from oee_tabular._checks import Column
 from oee_tabular.data.digests import write_parquet
 from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
 from oee_tabular.data.minari import is_minari, minari_columns, save_minari
-from oee_tabular.data.reader import LogFile, read_columns, read_csv, read_labels
+from oee_tabular.data.reader import LogFile, read_columns
 from oee_tabular.mdp.naming import Name, from_text, to_text
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
@@ -162,17 +162,6 @@ def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
     """A file's path below what all have in common: the same wherever a folder stands."""
     common = os.path.commonpath([os.path.dirname(os.path.abspath(one.path)) for one in files])
     return re.sub(r"[\\/]+", "/", os.path.relpath(os.path.abspath(file.path), common))
-
-
-def csv_frame(path: str) -> Any:
-    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError for another file."""
-    name = _files.local(path)
-    read_labels(name)
-    try:
-        with open(name, "rb") as handle:
-            return read_csv(handle)
-    except (ValueError, OverflowError, Warning) as error:
-        raise ValueError(f"{name!r} must be a CSV table with a header; {error}") from None
 
 
 def as_objects(names: Sequence[Name]) -> Column:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _workers
-from oee_tabular.data.counting import LARGEST, N_REASONS, FileCounts, Limits, Sample, choose, count_file
+from oee_tabular.data.counting import LARGEST, N_REASONS, FileCounts, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.labels import COLUMNS, warn_left_out
@@ -167,12 +167,9 @@ class _Total:
 
 def join_samples(one: Sample, two: Sample, kept: int) -> Sample:
     """The episodes first in the draw of both; a reward that only one has is nan in the other."""
-    place, length = np.concatenate([one.place, two.place]), np.concatenate([one.length, two.length])
-    chosen, limit = choose(place, length, np.ones(len(place), dtype=np.bool_), min(one.limit, two.limit), kept)
-    is_kept = np.repeat(np.isin(np.arange(len(place)), chosen), length)
-    n_one, n_two = int(one.length.sum()), int(two.length.sum())
+    parts = [sample for sample in (one, two) if len(sample.place)]
     rows = {}
-    for label in dict.fromkeys([*one.rows, *two.rows]):
-        parts = [sample.rows.get(label, np.full(n, np.nan)) for sample, n in ((one, n_one), (two, n_two)) if n]
-        rows[label] = np.concatenate([*parts, np.zeros(0, dtype=two.rows.get(label, np.zeros(0)).dtype)])[is_kept]
-    return Sample(place[chosen], length[chosen], rows, limit)
+    for label in dict.fromkeys(label for part in parts for label in part.rows):
+        rows[label] = np.concatenate([part.rows.get(label, np.full(part.length.sum(), np.nan)) for part in parts])
+    place, length = np.concatenate([one.place, two.place]), np.concatenate([one.length, two.length])
+    return Sample(place, length, rows, min(one.limit, two.limit)).cut(kept)

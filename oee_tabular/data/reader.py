@@ -365,6 +365,14 @@ def _read_csv(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
             }
 
 
+def csv_frame(path: str) -> Any:
+    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError for another file."""
+    name = _files.local(path)
+    encoding = _csv_header(name)[2]
+    with _csv_errors(name), _open_csv(name) as handle:
+        return read_csv(handle, encoding=encoding)
+
+
 def read_csv(handle: IO[bytes], **options: Any) -> Any:
     """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has more fields than its header names."""
     import pandas as pd

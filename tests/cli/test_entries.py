@@ -250,7 +250,7 @@ BAD = {
         "state,action,next_state,x\n0,0,3,1,1\n",
         "'phi.csv' must be a CSV table with a header",
     ),
-    "bytes": ("phi.csv", b"\xff\xfe\x00x", "'phi.csv' must be a CSV table with a header; "),
+    "bytes": ("phi.csv", b"\xff\x00x", "'phi.csv' must be a CSV table with a header, in UTF-8; "),
     # arrays
     "words": ("phi.npy", np.array(["a"] * NNZ), "'phi.npy' must hold real numbers; it holds <U1"),
     "complex": ("phi.npy", np.zeros(NNZ) * 1j, "'phi.npy' must hold real numbers; it holds complex128"),
