@@ -157,7 +157,7 @@ def test_write_all_names_the_file_and_keeps_all(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(_files.os, "fsync", full)
-    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/b'"):
+    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/a'"):
         _files.write_all(tmp_path, {"a": b"new", "b": b"new"})
     with pytest.raises(OSError, match=r"/new/a'"):
         _files.write_all(tmp_path / "new", {"a": b"new"})

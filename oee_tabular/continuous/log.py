@@ -71,6 +71,11 @@ class VectorFormat(Format):
                 )
             with _files.parts_of(name, f"{vector}_0, ..."):  # columns of kinds that have nothing in common
                 columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
+        if columns["state"].ndim == 1:
+            raise ValueError(
+                f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered "
+                "states"
+            )
         return columns
 
     def require(self, labels: Iterable[str], name: str) -> None:
