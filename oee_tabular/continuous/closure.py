@@ -12,7 +12,6 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.grid import Places
 from oee_tabular.continuous.task import StatePolicy
-from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 
 
@@ -53,6 +52,7 @@ def measure(
     seed: Seed,
 ) -> Closure:
     """The closure error of ``policy`` (default: uniform); see ``Discretization.closure``."""
+    from oee_tabular.exact import policy_value  # what it compiles with is imported only here
 
     def uniform(states: Array) -> Array:
         return np.full((len(states), found.task.n_actions), 1.0 / found.task.n_actions)

@@ -14,7 +14,6 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact import optimal_policy
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.arguments import arguments
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
@@ -84,7 +83,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     if Path(spec).suffix.lower() == ".npz":
         mdp = FiniteMDP.load(spec)
         mdp = mdp if discount is None else mdp.with_discount(discount)
-        return NamedTask(spec, mdp, lambda: optimal_policy(mdp))
+        return NamedTask(spec, mdp, lambda: _plan(mdp))
     name, _, rest = spec.partition(":")
     positional, keywords = arguments(rest)
     if discount is not None:
@@ -102,7 +101,14 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
     gamma = keywords.pop("discount", 0.99)
     mdp = toy_text(name, discount=gamma, **keywords)
-    return NamedTask(spec, mdp, lambda: optimal_policy(mdp), lambda: make_environment(name, **keywords))
+    return NamedTask(spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords))
+
+
+def _plan(mdp: FiniteMDP) -> Array:
+    """The best policy; what it compiles with is imported only here."""
+    from oee_tabular.exact import optimal_policy
+
+    return optimal_policy(mdp)
 
 
 def _gridworld(spec: str, positional: list[Any], keywords: dict[str, Any]) -> NamedTask:
