@@ -309,17 +309,21 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
 
 
 def _may_have_odd_lines(table: Table) -> bool:
-    """Whether a file has quotes or empty lines, or on the average another number of commas a line than its header."""
-    n_commas, n_lines, last = 0, 0, 0
+    """Whether a file has quotes or empty lines, or a line with another number of commas than its header."""
+    n = len(table.labels) - 1
     with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
         while block := handle.read(2**20):
-            if b'"' in block or b"\0" in block:
-                return True
+            block += handle.readline()
             codes = np.frombuffer(block, dtype=np.uint8)
-            n_commas += int(np.count_nonzero(codes == ord(",")))
-            n_lines += int(np.count_nonzero(codes == ord("\n")))
-            last = block[-1]
-    return n_commas != (len(table.labels) - 1) * (n_lines + (last != ord("\n")))
+            ends, commas = np.flatnonzero(codes == ord("\n")), np.flatnonzero(codes == ord(","))
+            if block[-1] != ord("\n"):
+                ends = np.append(ends, len(block))
+            if n < 1 or b'"' in block or b"\0" in block or len(commas) != n * len(ends):
+                return True
+            places = commas.reshape(len(ends), n)
+            if (places[:, -1] > ends).any() or (places[1:, 0] < ends[:-1]).any():
+                return True
+    return False
 
 
 def _csv_lines(table: Table) -> Iterator[tuple[int, list[str]]]:

@@ -245,6 +245,18 @@ def test_lines_with_other_fields(tmp_path, line):
     assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
 
 
+@pytest.mark.parametrize("odd", [("0,0", "0,0,1,1"), ("0,0,1,1", "0,0")])
+def test_lines_whose_fields_are_as_many_on_the_average(tmp_path, odd):
+    """Of a file above the size that Python reads line by line."""
+    lines = ["state,action,next_state", *["0,0,1"] * 400_000]
+    lines[10], lines[20] = odd
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError, match=r"row 9 \(line 11\) must have 3 fields"):
+        Transitions.open(tmp_path)
+    found = Transitions.open(tmp_path, bad_rows="drop")
+    assert (found.recording.dropped, len(found)) == (2, 399_998)
+
+
 def test_numbers_of_rows_stay_right_behind_lost_lines(tmp_path):
     text = frame_of().to_csv(index=False).splitlines()
     text.insert(2, "1,2")
