@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.labels import COLUMNS, suggest_columns
 from oee_tabular.data.minari import is_minari, minari_episodes
 from oee_tabular.data.reader import read_labels
+from oee_tabular.data.rules import check_array
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
@@ -126,7 +127,7 @@ CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same sta
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class ContinuousTransitions(Log):
+class ContinuousTransitions(LogColumns):
     """Logged moves with continuous states, one a row; checked when made and immutable.
 
     Parameters
@@ -260,4 +261,4 @@ def _actions(value: object) -> NDArray[Any]:
         return _vectors(array, "action")
     if array.ndim != 1:
         raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
-    return integers(array, "action")
+    return check_array(array, "action")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +13,14 @@ from numpy.typing import ArrayLike
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
+from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.labels import COLUMNS
 from oee_tabular.data.reader import LogFile
-from oee_tabular.data.rules import Fault, check_flags, check_integers, check_numbers, count_others, find_order_faults
-
-T = TypeVar("T")
+from oee_tabular.data.rules import check_array, count_others, find_order_faults, find_repeat
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Log:
+class LogColumns:
     """The columns of a log, (n,) or, where states are vectors, (n, d); those of ``Transitions`` are described there."""
 
     FILES: ClassVar[files.Format]
@@ -50,15 +49,17 @@ class Log:
         behavior_probability: ArrayLike | None = None,
         truncated: ArrayLike | None = None,
     ) -> None:
+        given = {
+            "reward": reward, "terminated": terminated, "truncated": truncated, "episode": _number_texts(episode),
+            "timestep": timestep, "behavior_probability": behavior_probability,
+        }  # fmt: skip
         columns: dict[str, Column | None] = self._moves(state, action, next_state)
-        columns |= {
-            "reward": None if reward is None else self._check_reward(reward),
-            "terminated": None if terminated is None else booleans(terminated, "terminated"),
-            "truncated": None if truncated is None else booleans(truncated, "truncated"),
-            "episode": None if episode is None else integers(number_episodes(episode), "episode", low=None),
-            "timestep": None if timestep is None else integers(timestep, "timestep"),
-            "behavior_probability": None if behavior_probability is None else probabilities(behavior_probability),
-        }
+        columns |= {label: None if value is None else check_array(value, label) for label, value in given.items()}
+        rewards = columns["reward"]
+        if rewards is not None and not self.ALLOWS_MISSING_REWARDS:
+            _checks.require_finite(rewards, "reward")
+        elif rewards is not None and rewards.size and np.isnan(rewards).all():
+            columns["reward"] = None
         lengths = {name: len(column) for name, column in columns.items() if column is not None}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns must have equal lengths; they have {lengths}")
@@ -74,22 +75,13 @@ class Log:
         for name, column in columns.items():
             object.__setattr__(self, name, None if column is None else freeze(column))
 
-    @classmethod
-    def _check_reward(cls, value: Any) -> Array | None:
-        """Finite numbers; nan is a missing one, where that is allowed, and None a column without any."""
-        reward = _checks.float_array(value, "reward", ndim=1)
-        missing = np.isnan(reward) & cls.ALLOWS_MISSING_REWARDS
-        _checks.require_finite(np.where(missing, 0.0, reward), "reward")
-        return None if reward.size and missing.all() else reward
-
     def _check_episodes(self, columns: dict[str, Any]) -> None:
         """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
         episode = columns["episode"]
         starts = _episode_starts(episode)
-        names = episode[starts[:-1]]
-        repeated = find_repeated(names)
-        if repeated is not None:
-            raise ValueError(together(names[repeated], starts[repeated]))
+        repeat = find_repeat(episode[starts[:-1]], starts[:-1])
+        if repeat is not None:
+            raise ValueError(repeat[1])
         is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
         is_first[starts[:-1]], is_last[starts[1:] - 1] = True, True
         if columns["timestep"] is None:
@@ -220,63 +212,11 @@ class Log:
             raise ValueError(f"{_files.local(file.path)!r}: {error}") from None
 
 
-def integers(value: object, name: str, *, low: int | None = 0) -> IntArray:
-    """A column of whole numbers, at least ``low``; ValueError with the row, the rule and the value found."""
-    try:
-        array = np.array(value)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a column of integers; {error}") from None
-    if array.ndim != 1:
-        raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
-    if array.size == 0:
-        return np.zeros(0, dtype=np.int64)
-    if array.dtype.kind not in "iuf":
-        texts = " (numbers written as text? .astype(int))" if array.dtype.kind in "UO" else ""
-        raise ValueError(f"{name} must hold integers; it holds {array.dtype}{texts}")
-    return accept(*check_integers(array, name, low=low))
-
-
-def booleans(value: object, name: str) -> BoolArray:
-    """A column of booleans, of 0 and 1, or of their words; ValueError with the row and the value found."""
-    array = _checks.as_array(value, name)
-    if array.ndim != 1:
-        raise ValueError(f"{name} must have 1 dimension; it has shape {array.shape}")
-    return accept(*check_flags(array.astype(np.bool_) if array.size == 0 else array, name))
-
-
-def probabilities(value: object) -> Array:
-    """The column of behaviour probabilities."""
-    array = _checks.float_array(value, "behavior_probability", ndim=1)
-    return accept(*check_numbers(array, "behavior_probability", low=0.0, high=1.0))
-
-
-def accept(values: T, fault: Fault | None) -> T:
-    """The values of a column that has no fault; ValueError for the first row of one."""
-    if fault is not None:
-        raise ValueError(fault.describe())
-    return values
-
-
-def number_episodes(episode: Any) -> Any:
+def _number_texts(episode: Any) -> Any:
     """Episodes that have texts for numbers, in the order of their first rows."""
-    is_row = isinstance(episode, list | tuple) or (isinstance(episode, np.ndarray) and episode.ndim == 1)
-    items = list(episode) if is_row and not (isinstance(episode, np.ndarray) and episode.dtype.kind in "biuf") else []
-    if not items or not all(isinstance(item, str) for item in items):
-        return episode
-    first: dict[str, int] = {}
-    return np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64)
-
-
-def find_repeated(names: Any) -> int | None:
-    """The first episode whose name an earlier one has."""
-    unique, index = np.unique(names, return_index=True)
-    return None if len(unique) == len(names) else int(np.setdiff1d(np.arange(len(names)), index)[0])
-
-
-def together(name: Any, row: int) -> str:
-    """The words for an episode that begins again."""
-    shown = _checks.show(name.item() if hasattr(name, "item") else name)
-    return f"episode must keep the rows of an episode together; {shown} begins again in row {row}"
+    is_texts = episode.ndim == 1 and episode.dtype.kind in "UO" if isinstance(episode, np.ndarray) else True
+    items = list(episode) if is_texts and isinstance(episode, list | tuple | np.ndarray) else []
+    return number_in_order(items)[0] if items and all(isinstance(item, str) for item in items) else episode
 
 
 def _episode_starts(episode: IntArray) -> IntArray:

@@ -13,28 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular._checks import Array, BoolArray, Column, IntArray
-from oee_tabular.data.columns import find_repeated, together
-from oee_tabular.data.counts import Recording
+from oee_tabular._checks import BoolArray, Column, IntArray
+from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.labels import COLUMNS, MOVE, require_columns
 from oee_tabular.data.reader import LogFile, Piece, Table, open_table, sum_groups
-from oee_tabular.data.rules import (
-    NAMES_HINT,
-    Fault,
-    check_column,
-    check_names,
-    find_fault,
-    find_order_faults,
-    holds_names,
-    is_missing,
-)
-from oee_tabular.data.sums import Sums
+from oee_tabular.data.rules import NAMES_HINT, Fault, find_order_faults, find_repeat
+from oee_tabular.data.sums import KEY, Sums
 from oee_tabular.data.transitions import Transitions
-from oee_tabular.mdp.naming import Name, numbers_of, suggest_name
+from oee_tabular.mdp.naming import Name
 
-KEY = (*MOVE, "terminated")
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
-N_REASONS = 5  # kinds of bad rows that are told with an example
 N_SPARE = 2  # times the sample is kept before it is cut
 WAY = " (bad_rows='drop', --bad-rows drop, leaves such rows out and counts them)"
 
@@ -68,14 +56,25 @@ class Sample(NamedTuple):
         rows = {label: column[is_kept] for label, column in self.rows.items()}
         return Sample(self.place[chosen], self.length[chosen], rows, limit)
 
+    def join(self, other: Sample, kept: int) -> Sample:
+        """The episodes first in the draw of both; a reward that only one has is nan in the other."""
+        parts = [sample for sample in (self, other) if len(sample.place)]
+        rows = {}
+        for label in dict.fromkeys(label for part in parts for label in part.rows):
+            rows[label] = np.concatenate([part.rows.get(label, np.full(part.length.sum(), np.nan)) for part in parts])
+        place, length = (np.concatenate([one, two]) for one, two in zip(self[:2], other[:2], strict=True))
+        return Sample(place, length, rows, min(self.limit, other.limit)).cut(kept)
+
+
+NO_SAMPLE = Sample(np.zeros(0, dtype=np.uint64), np.zeros(0, dtype=np.int64), {})
+
 
 class FileCounts(NamedTuple):
-    """What a file came to: ``key`` (K, 4) s, a, s', ended; ``sums`` (K, 5) count, rewards, their sum, least and largest."""
+    """What a file came to: the columns of its counts, how it was recorded, and the labels of its columns."""
 
-    key: IntArray
-    sums: Array
+    entries: dict[str, Column]
     recording: Recording
-    sample: Sample | None
+    sample: Sample
     known: frozenset[str]
     unknown: tuple[str, ...]
 
@@ -84,15 +83,14 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; ``name`` is hashed for the sample."""
     if file.suffix == ".npz":
         columns = Transitions.FILES.to_table(Transitions.load(file.path).columns())
-        table = Table(file, list(columns), COLUMNS.__contains__)
-        pieces = iter([Piece(columns, np.arange(len(columns["state"])))])
+        whole = Piece(columns, np.arange(len(columns["state"])), {})
+        table = Table(file, list(columns), COLUMNS.__contains__, lambda *_: iter([whole]))
     else:
-        table = open_table(file, COLUMNS.__contains__, drop=limits.drop)
-        pieces = table.pieces()
+        table = open_table(file, COLUMNS.__contains__)
     require_columns(repr(file.path), MOVE, [*table.labels, *table.known])
     count = _FileCount(table, limits, name)
     if not (file.suffix == ".parquet" and "episode" not in table.known and count.add_groups()):
-        for piece in pieces:
+        for piece in table.pieces():
             count.add(piece)
     return count.result()
 
@@ -104,10 +102,9 @@ class _FileCount:
         self.table, self.limits, self.name = table, limits, name
         self.sums = Sums()
         self.faults: dict[str, tuple[int, str, int]] = {}  # by kind: the first row, the words for it, how many rows
-        self.n_rows = self.n_truncated = self.n_terminated = 0
-        self.n_dropped = len(table.lost)
+        self.n_rows = self.n_dropped = self.n_truncated = self.n_terminated = 0
         self.last: dict[str, Column] = {}  # the last row of the piece before
-        self.last_row = -1
+        self.last_row = self.last_lost = -1
         self.starts: list[IntArray] = []  # of the runs of rows that have one episode
         self.names: list[Column] = []  # of these episodes
         self.is_named: list[BoolArray] = []
@@ -115,8 +112,6 @@ class _FileCount:
         self.n_runs = 0
         self.kept: list[dict[str, Column]] = []  # the rows that may be in the sample, with their run
         self.limit = 2**64 - 1
-        for row, words in list(table.lost.items())[:1]:
-            self.faults["fields"] = row, f"row {row} {words}", len(table.lost)
 
     def add_groups(self) -> bool:
         """Sum a parquet file by DuckDB, in half of the time of the pieces; False, and nothing added, where a value is odd."""
@@ -124,30 +119,33 @@ class _FileCount:
         groups = sum_groups(self.table, labels)
         if groups is None:
             return False
-        columns = {}
         for label in labels:
-            parts = [label] if label in KEY else [f"least_{label}", f"largest_{label}"]
-            columns[label], fault = self._check(label, np.concatenate([groups[part] for part in parts]))
-            has_all = label in (*KEY, "reward") or (groups[f"n_{label}"] == groups["n"]).all()
+            parts = [label] if label in KEY else [f"{label}_min", f"{label}_max"]
+            values, fault = self._check(np.concatenate([groups[part] for part in parts]), label)
+            has_all = label in (*KEY, "reward") or (groups[f"{label}_count"] == groups["count"]).all()
             if fault is not None or not has_all:
                 return False
-        if "reward" in labels and (np.isnan(groups["largest_reward"]) & (groups["n_reward"] > 0)).any():
+            if label in KEY:
+                groups[label] = values
+        if "reward" in labels and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
             return False  # a reward that is nan is missing, and DuckDB adds it
-        n, zeros = groups["n"], np.zeros(len(groups["n"]))
-        key = [columns.get(label, zeros) for label in KEY]
-        rewards = [np.nan_to_num(groups.get(name, zeros)) for name in ("n_reward", "total_reward")]
-        rewards += [groups.get(name, zeros + np.nan) for name in ("least_reward", "largest_reward")]
-        self.sums.add(np.column_stack(key).astype(np.int64), np.column_stack([n, *rewards]).astype(np.float64))
-        self.n_truncated = int(groups.get("total_truncated", zeros).sum())
+        self.sums.add(groups)
+        self.n_truncated = int(groups["truncated_sum"].sum()) if "truncated" in labels else 0
         return True
 
     def add(self, piece: Piece) -> None:
         """One more piece."""
+        for row, words in piece.lost.items():
+            self._note("fields", row, words)
+            self.last_lost = row
+        self.n_dropped += len(piece.lost)
+        if not len(piece.rows):
+            return
         columns, is_bad = {}, np.zeros(len(piece.rows), dtype=np.bool_)
         for label, raw in piece.columns.items():
-            columns[label], fault = self._check(label, raw)
+            columns[label], fault = self._check(raw, label)
             if fault is not None:
-                self._note(fault.label, fault, piece.rows)
+                self._note_fault(fault.label, fault, piece.rows)
                 is_bad[fault.rows] = True
                 if label == "episode":
                     columns["is_named"] = ~np.isin(np.arange(len(is_bad)), fault.rows)
@@ -158,27 +156,27 @@ class _FileCount:
         self.n_rows += len(is_bad)
         self.n_truncated += int(good["truncated"].sum()) if "truncated" in good else 0
         self.n_terminated += int(good["terminated"].sum()) if "terminated" in good else 0
-        self.sums.add_rows(good)
+        self.sums.add(good)
 
-    def _check(self, label: str, raw: Column) -> tuple[Column, Fault | None]:
+    def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
         """The values of a column, names as the simulator's numbers, and what is wrong with it."""
-        size, names = 2**63, None
-        if label in MOVE:
-            is_action = label == "action"
-            size, names = self.limits.sizes[is_action], self.limits.names[is_action]
-        self.table.require_type(label, raw, allow_names=names is not None or label == "episode")
-        if (names is not None or label == "episode") and raw.dtype.hasobject and holds_names(raw):
-            return check_names(raw, label) if names is None else _match_names(label, raw, names)
-        values, fault = check_column(label, raw, high=size)
-        if fault is not None and label in MOVE and isinstance(fault.value, str) and fault.value.strip()[:1].isalpha():
+        if label not in MOVE:
+            return self.table.check(raw, label)
+        is_action = label == "action"
+        names = self.limits.names[is_action]
+        values, fault = self.table.check(raw, label, high=self.limits.sizes[is_action], names=names)
+        if fault is not None and names is None and isinstance(fault.value, str) and fault.value.strip()[:1].isalpha():
             fault = fault._replace(hint=NAMES_HINT)
         return values, fault
 
-    def _note(self, kind: str, fault: Fault, rows: IntArray) -> None:
-        """Keep the first row of each kind of fault in words, and how many there are."""
+    def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
         row = int(rows[fault.rows[0]])
-        before = self.faults.get(kind, (row, fault.describe(row), 0))
-        self.faults[kind] = before[0], before[1], before[2] + len(fault.rows)
+        self._note(kind, row, fault.describe(row), len(fault.rows))
+
+    def _note(self, kind: str, row: int, words: str, n: int = 1) -> None:
+        """Keep the words for the first row of each kind of fault, and how many there are."""
+        first_row, first_words, before = self.faults.get(kind, (row, words, 0))
+        self.faults[kind] = first_row, first_words, before + n
 
     def _follow(self, columns: dict[str, Column], is_bad: BoolArray, rows: IntArray) -> None:
         """Where episodes begin, which are broken, and which rows may be in the sample."""
@@ -196,7 +194,7 @@ class _FileCount:
         follows = ~is_first & ~gap & ~is_bad & ~before["is_bad"]
         wrong = np.zeros(n, dtype=np.bool_)
         for fault in find_order_faults(columns, before, is_first & ~is_bad & ~gap, follows):
-            self._note(f"order of {fault.label}", fault, rows)
+            self._note_fault(f"order of {fault.label}", fault, rows)
             wrong[fault.rows] = True
         touched = is_bad | gap | (before["is_bad"] & ~before["is_named"])
         self.broken += [run[wrong | touched], run[touched] - is_first[touched]]
@@ -225,8 +223,8 @@ class _FileCount:
 
     def result(self) -> FileCounts:
         """What was counted."""
-        facts, sample = {"episodes": 0, "shortest": 0, "longest": 0, "broken": 0}, None
-        if "episode" in self.table.known and self.n_rows:
+        by_episodes, facts, sample = "episode" in self.table.known, {}, NO_SAMPLE
+        if by_episodes and self.n_rows:
             starts, is_named = np.concatenate(self.starts), np.concatenate(self.is_named)
             self._find_repeated(np.concatenate(self.names), starts, is_named)
             sample = self._cut_sample()
@@ -241,25 +239,22 @@ class _FileCount:
             }
             if "truncated" not in self.table.known:
                 self.n_truncated = max(len(length) - self.n_terminated, 0)
-        reasons = self._reasons()
         recording = Recording(
-            by_episodes="episode" in self.table.known, truncated=self.n_truncated, files=1, dropped=self.n_dropped,
-            reasons=reasons, **facts,
-        )  # fmt: skip
-        unknown = tuple(label for label in self.table.labels if label not in COLUMNS)
-        return FileCounts(*self.sums.entries(), recording, sample, frozenset(self.table.known), unknown)
+            by_episodes, truncated=self.n_truncated, files=1, dropped=self.n_dropped, reasons=self._reasons(), **facts
+        )
+        known, unknown = frozenset(self.table.known), tuple(x for x in self.table.labels if x not in COLUMNS)
+        return FileCounts(self.sums.entries(), recording, sample, known, unknown)
 
     def _find_repeated(self, names: Column, starts: IntArray, is_named: BoolArray) -> None:
         """An episode's rows stand together: no run has the episode of another."""
         own = np.flatnonzero(is_named)
         names = names[own].astype(str) if names.dtype.hasobject else names[own]
-        repeated = find_repeated(names)
-        if repeated is not None:
-            row = int(starts[own[repeated]])
-            self.faults["together"] = row, together(names[repeated], row), 1
+        repeat = find_repeat(names, starts[own])
+        if repeat is not None:
+            self._note("together", *repeat)
             _, code, number = np.unique(names, return_inverse=True, return_counts=True)
             self.broken.append(own[number[code] > 1])
-        if self.table.lost and max(self.table.lost) > self.last_row:
+        if self.last_lost > self.last_row:
             self.broken.append(np.array([self.n_runs - 1]))
 
     def _reasons(self) -> tuple[str, ...]:
@@ -271,16 +266,6 @@ class _FileCount:
             if not self.limits.drop:
                 raise ValueError(words[0] + WAY)
         return tuple(words)
-
-
-def _match_names(label: str, raw: Column, names: tuple[Name, ...]) -> tuple[IntArray, Fault | None]:
-    """Names as the simulator's numbers; numbers as texts are none of its names."""
-    known = numbers_of(names)
-    numbers = np.array([-1 if is_missing(item) else known.get(str(item), -1) for item in raw.tolist()], dtype=np.int64)
-    fault = find_fault(label, raw, numbers < 0, lambda row: "must be one of the simulator's names")
-    if fault is not None and not is_missing(fault.value):
-        fault = fault._replace(hint=suggest_name(fault.value, names))
-    return np.where(numbers < 0, 0, numbers), fault
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:

@@ -16,12 +16,14 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.data.columns import booleans, integers
-from oee_tabular.data.moves import Moves, counts_of, describe_facts
+from oee_tabular.data.moves import counts_of, describe_facts
+from oee_tabular.data.rules import check_array
+from oee_tabular.data.sums import COUNTED, KEY, RowSums
 from oee_tabular.data.transitions import Transitions
 
 KIND = "transition_counts"
-REWARDS = ("reward_sum", "reward_min", "reward_max", "reward_count")
+REWARDS = COUNTED[1:]
+N_REASONS = 5  # kinds of bad rows that are told with an example
 
 
 class Recording(NamedTuple):
@@ -40,6 +42,15 @@ class Recording(NamedTuple):
     files: int = 0
     dropped: int = 0
     reasons: tuple[str, ...] = ()
+
+    def join(self, other: Recording) -> Recording:
+        """The two as one recording, which is of the ``other``'s kind."""
+        least = min((length for length in (self.shortest, other.shortest) if length), default=0)
+        return Recording(
+            other.by_episodes, self.episodes + other.episodes, least, max(self.longest, other.longest),
+            self.truncated + other.truncated, self.broken + other.broken, self.files + other.files,
+            self.dropped + other.dropped, (*self.reasons, *other.reasons)[:N_REASONS],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,28 +101,27 @@ class TransitionCounts:
     behavior_probability: ClassVar[None] = None
 
     def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in (*KEY, *COUNTED) if getattr(self, name) is not None}
         columns: dict[str, Column] = {
-            name: integers(getattr(self, name), name) for name in ("state", "action", "next_state")
+            name: check_array(value, name) if name in KEY else _checks.float_array(value, name, ndim=1)
+            for name, value in given.items()
         }
-        columns["count"] = _checks.float_array(self.count, "count", ndim=1)
-        columns["terminated"] = booleans(self.terminated, "terminated")
         if not columns["terminated"].size:
             columns["terminated"] = np.zeros(len(columns["state"]), dtype=np.bool_)
-        for name in REWARDS:
-            if getattr(self, name) is not None:
-                columns[name] = _checks.float_array(getattr(self, name), name, ndim=1)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns must have equal lengths; they have {lengths}")
-        if len({name in columns for name in REWARDS[:3]}) > 1:
-            raise ValueError("reward_sum, reward_min and reward_max must be given together")
-        if "reward_sum" in columns:
-            _check_rewards(columns)
         if lengths["state"] == 0:
             raise ValueError("state must have at least one row; the log is empty")
-        bad = np.flatnonzero(~((columns["count"] > 0) & (columns["count"] <= 2.0**53)))
-        if bad.size:
-            raise ValueError(f"count[{bad[0]}] must be positive and at most 2**53; it is {columns['count'][bad[0]]:g}")
+        if len({name in columns for name in REWARDS[:3]}) > 1:
+            raise ValueError("reward_sum, reward_min and reward_max must be given together")
+        count = columns["count"]
+        _require(count, "count", (count > 0) & (count <= 2.0**53), "positive and at most 2**53")
+        if "reward_sum" in columns:
+            paid = columns.setdefault("reward_count", count.copy())
+            _require(paid, "reward_count", (paid >= 0) & (paid <= count), "in [0, count]")
+            for name in REWARDS[:3]:
+                _checks.require_finite(np.where((paid == 0) & np.isnan(columns[name]), 0.0, columns[name]), name)
         _checks.instance(self.recording, Recording, "recording")
         if self.sample is not None:
             _checks.instance(self.sample, Transitions, "sample", "Transitions")
@@ -150,14 +160,13 @@ class TransitionCounts:
             raise ValueError("discount must be left out where counts are given: they have no timesteps")
         return counts_of(self, self.count, n_states, n_actions)
 
-    def moves(self) -> Moves:
+    def moves(self) -> RowSums:
         """The rows, with how many moves each stands for and what they paid."""
-        return Moves(self.count, self.reward_sum, self.reward_min, self.reward_max, self.reward_count)
+        return RowSums(*(getattr(self, name) for name in COUNTED))
 
     def columns(self) -> dict[str, Column]:
         """The columns that there are."""
-        names = ("state", "action", "next_state", "count", "terminated", *REWARDS)
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return {name: getattr(self, name) for name in (*KEY, *COUNTED) if getattr(self, name) is not None}
 
     def led_to(self, next_state: IntArray) -> TransitionCounts:
         """The same with other next states."""
@@ -217,33 +226,21 @@ def holds_counts(path: str | os.PathLike[str]) -> bool:
     return _files.kind_of(path) == KIND
 
 
-def _check_rewards(columns: dict[str, Column]) -> None:
-    """Finite where there are rewards; how many there are is filled in."""
-    columns.setdefault("reward_count", columns["count"].copy())
-    count = columns["reward_count"]
-    bad = np.flatnonzero(~((count >= 0) & (count <= columns["count"])))
+def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
+    bad = np.flatnonzero(~is_good)
     if bad.size:
-        raise ValueError(f"reward_count[{bad[0]}] must be in [0, count]; it is {count[bad[0]]:g}")
-    for name in REWARDS[:3]:
-        _checks.require_finite(np.where((count == 0) & np.isnan(columns[name]), 0.0, columns[name]), name)
+        raise ValueError(f"{name}[{bad[0]}] must be {rule}; it is {values[bad[0]]:g}")
 
 
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Counts from the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
-    numbers = parts.pop("recording").tolist()
-    reasons = tuple(parts.pop("reasons").tolist())
+    numbers, reasons = parts.pop("recording").tolist(), tuple(parts.pop("reasons").tolist())
     if len(numbers) != len(Recording._fields) - 1:
         raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}")
-    sample = {name: parts.pop(name) for name in list(parts) if name.startswith("sample_")}
-    required = ("state", "action", "next_state", "count", "terminated")
-    columns = {name: parts.pop(name) for name in (*required, *REWARDS) if name in parts or name in required}
+    recording = Recording._make([bool(numbers[0]), *numbers[1:], reasons])
+    sample = {name.removeprefix("sample_"): parts.pop(name) for name in list(parts) if name.startswith("sample_")}
+    columns = {name: parts.pop(name) for name in (*KEY, *COUNTED) if name in parts or name not in REWARDS}
     if parts:
         raise ValueError(f"it must hold the parts of counts alone; it has {_checks.show(next(iter(parts)))}")
-    return TransitionCounts(
-        **columns,
-        recording=Recording._make([bool(numbers[0]), *numbers[1:], reasons]),
-        sample=Transitions(**{name.removeprefix("sample_"): column for name, column in sample.items()})
-        if sample
-        else None,
-    )
+    return TransitionCounts(**columns, recording=recording, sample=Transitions(**sample) if sample else None)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Column
+from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.labels import COLUMNS, MOVE, suggest, suggest_columns
 from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
@@ -170,32 +170,33 @@ def _moves_of(steps: tuple[object, ...], name: str) -> tuple[list[tuple[Any, ...
     return moves, 0
 
 
+def number_in_order(items: Sequence[Any], first: dict[Any, int] | None = None) -> tuple[IntArray, dict[Any, int]]:
+    """Numbers of the different items in the order in which they first stand there, behind those that ``first`` has."""
+    number = {} if first is None else first
+    return np.array([number.setdefault(item, len(number)) for item in items], dtype=np.int64), number
+
+
 def encode_names(columns: dict[str, Any], given: object, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
     """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
-    texts = {column: _names_in(value, column) for column, value in columns.items()}
-    found = {column: items for column, items in texts.items() if items is not None}
+    found = {column: items for column, value in columns.items() if (items := _names_in(value, column)) is not None}
     if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
         size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
         return list(columns.values()), None if given is None else check_names(given, name, size)
     if given is not None:
         raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
     first: dict[Name, int] = {}
-    codes = [
-        np.array([first.setdefault(item, len(first)) for item in items], dtype=np.int64) for items in found.values()
-    ]
+    codes = [number_in_order(items, first)[0] for items in found.values()]
     return list(codes), check_names(list(first), name, len(first))
 
 
 def _names_in(value: object, name: str) -> list[Any] | None:
     """The items of a column of names; None for a column of anything else, which its own reader judges."""
-    if isinstance(value, list | tuple):
-        items, told = list(value), (str, tuple)
-    else:
-        array = _checks.as_array(value, name)
-        if array.dtype.kind not in "UO" or array.ndim != 1:
-            return None
-        items, told = list(array), (str, tuple, list, np.ndarray)  # type: ignore[assignment]
-    if not items or not isinstance(items[0], told) or not is_name(to_plain(items[0])):
+    array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
+    if isinstance(array, np.ndarray) and (array.dtype.kind not in "UO" or array.ndim != 1):
+        return None
+    items = list(array)
+    is_sequence = bool(items) and isinstance(items[0], list | np.ndarray)
+    if not items or (is_sequence and array is value) or not is_name(to_plain(items[0])):
         return None
     names = [item if type(item) is str else to_plain(item) for item in items]
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -10,16 +10,6 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import canonical
-
-
-class Moves(NamedTuple):
-    """Of each row of a log: how many transitions it stands for, and of their rewards the sum, least, largest and number."""
-
-    number: Array
-    reward_sum: Array | None
-    reward_min: Array | None
-    reward_max: Array | None
-    reward_count: Array | None  # of the transitions that have a reward
 
 
 def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _workers
-from oee_tabular.data.counting import LARGEST, N_REASONS, FileCounts, Limits, Sample, count_file
+from oee_tabular.data.counting import LARGEST, NO_SAMPLE, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.labels import COLUMNS, warn_left_out
-from oee_tabular.data.reader import LogFile
-from oee_tabular.data.sums import Sums
+from oee_tabular.data.sums import KEY, Sums
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.mdp import FiniteMDP
 
@@ -87,15 +86,47 @@ def open_log(
     files = find_log_files(path, tables_only=True)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
-    total = _Total(limits.kept)
-    for file, counts in zip(
-        files, tqdm(results, "counting", len(files), unit="file", disable=not progress), strict=True
-    ):
-        total.add(file, counts)
-    result = total.result()
+    shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
+    sums, recording, sample = Sums(), Recording(by_episodes=False), NO_SAMPLE
+    columns: dict[str, frozenset[str]] = {}
+    for file, counts in zip(files, shown, strict=True):
+        if not columns:
+            warn_left_out(file.path, counts.unknown, COLUMNS, level=3)
+        columns[file.path] = counts.known
+        _check_same_columns(columns, file.path)
+        sums.add(counts.entries)
+        recording = recording.join(counts.recording)
+        sample = sample.join(counts.sample, limits.kept)
+    if not sums.size:
+        first = f", the first of which is {files[0].path!r}"
+        raise ValueError(f"path must have at least one good row; of {len(files)} files none has{first}")
+    result = _to_counts(sums, recording, sample)
     if output is not None:
         result.save(output)
     return result
+
+
+def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
+    """All files have the same of a log's columns as the first; rewards alone may be missing in some."""
+    first = next(iter(columns))
+    differ = sorted((columns[first] ^ columns[path]) - {"reward"})
+    if differ:
+        has, lacks = (first, path) if differ[0] in columns[first] else (path, first)
+        raise ValueError(f"all files must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does not")
+
+
+def _to_counts(sums: Sums, recording: Recording, sample: Sample) -> TransitionCounts:
+    """The sums in the order of s, a, s', ended, without rewards where there are none."""
+    entries = sums.entries()
+    order = np.lexsort([entries[label] for label in reversed(KEY)])
+    has_rewards = entries["reward_count"].any()
+    columns: dict[str, Any] = {
+        label: column[order] for label, column in entries.items() if has_rewards or not label.startswith("reward")
+    }
+    if len(sample.place):
+        episode = np.repeat(np.arange(len(sample.place)), sample.length)
+        columns["sample"] = Transitions(**sample.rows, episode=episode)
+    return TransitionCounts(**columns, recording=recording)
 
 
 def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None) -> Limits:
@@ -108,68 +139,3 @@ def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | 
     given = ((n_states, "n_states"), (n_actions, "n_actions"))
     states, actions = (LARGEST if size is None else _checks.positive_integer(size, name) for size, name in given)
     return Limits((states, actions))
-
-
-class _Total:
-    """The sums of the files so far."""
-
-    def __init__(self, kept: int) -> None:
-        self.kept, self.sums = kept, Sums()
-        self.recording = Recording(by_episodes=False)
-        self.sample = Sample(np.zeros(0, dtype=np.uint64), np.zeros(0, dtype=np.int64), {})
-        self.first: tuple[LogFile, FileCounts] | None = None
-
-    def add(self, file: LogFile, counts: FileCounts) -> None:
-        """One more file."""
-        self._check_columns(file, counts)
-        self.sums.add(counts.key, counts.sums)
-        one, two = self.recording, counts.recording
-        shortest = [length for length in (one.shortest, two.shortest) if length]
-        self.recording = Recording(
-            two.by_episodes, one.episodes + two.episodes, min(shortest, default=0), max(one.longest, two.longest),
-            one.truncated + two.truncated, one.broken + two.broken, one.files + 1, one.dropped + two.dropped,
-            (*one.reasons, *two.reasons)[:N_REASONS],
-        )  # fmt: skip
-        if counts.sample is not None:
-            self.sample = join_samples(self.sample, counts.sample, self.kept)
-
-    def _check_columns(self, file: LogFile, counts: FileCounts) -> None:
-        """All files have the same of a log's columns; rewards alone may be missing in some."""
-        if self.first is None:
-            self.first = file, counts
-            warn_left_out(file.path, counts.unknown, COLUMNS, level=4)
-            return
-        other, before = self.first
-        differ = sorted((before.known ^ counts.known) - {"reward"})
-        if differ:
-            has, lacks = (other, file) if differ[0] in before.known else (file, other)
-            raise ValueError(
-                f"all files must have the same columns; {has.path!r} has {differ[0]!r}, and {lacks.path!r} does not"
-            )
-
-    def result(self) -> TransitionCounts:
-        """The counts of all files."""
-        key, sums = self.sums.entries()
-        order = np.lexsort(key.T[::-1])  # by s, a, s', ended
-        key, sums = key[order], sums[order]
-        if not len(key):
-            first = "" if self.first is None else f", the first of which is {self.first[0].path!r}"
-            raise ValueError(f"path must have at least one good row; of {self.recording.files} files none has{first}")
-        columns: dict[str, Any] = dict(zip(("state", "action", "next_state"), key.T.copy(), strict=False))
-        if sums[:, 1].any():
-            names = ("reward_count", "reward_sum", "reward_min", "reward_max")
-            columns |= dict(zip(names, sums.T[1:].copy(), strict=True))
-        if len(self.sample.place):
-            episode = np.repeat(np.arange(len(self.sample.place)), self.sample.length)
-            columns["sample"] = Transitions(**self.sample.rows, episode=episode)
-        return TransitionCounts(**columns, count=sums[:, 0].copy(), terminated=key[:, 3] == 1, recording=self.recording)
-
-
-def join_samples(one: Sample, two: Sample, kept: int) -> Sample:
-    """The episodes first in the draw of both; a reward that only one has is nan in the other."""
-    parts = [sample for sample in (one, two) if len(sample.place)]
-    rows = {}
-    for label in dict.fromkeys(label for part in parts for label in part.rows):
-        rows[label] = np.concatenate([part.rows.get(label, np.full(part.length.sum(), np.nan)) for part in parts])
-    place, length = np.concatenate([one.place, two.place]), np.concatenate([one.length, two.length])
-    return Sample(place, length, rows, min(one.limit, two.limit)).cut(kept)

@@ -15,9 +15,9 @@ import os
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -27,21 +27,14 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.digests import check_digest, quote_text
 from oee_tabular.data.labels import MOVE
-from oee_tabular.data.rules import (
-    HELD,
-    KINDS,
-    NAMES_HINT,
-    check_column,
-    check_names,
-    count_others,
-    holds_names,
-    is_missing,
-)
-from oee_tabular.mdp.naming import is_number_text
+from oee_tabular.data.rules import HELD, KINDS, NAMES_HINT, Fault, check_column, count_others, is_missing
+from oee_tabular.data.sums import KEY
+from oee_tabular.mdp.naming import Name, is_number_text
 
 N_PARQUET, N_CSV = 2**18, 2**17  # rows of a piece
 SMALL = 2**21  # bytes of a CSV file, which Python reads in the time in which pandas is imported
 MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
+OTHERS = bytes(set(range(256)) - set(b',\n"\0'))  # bytes that tell nothing of the number of fields
 
 
 class LogFile(NamedTuple):
@@ -58,30 +51,26 @@ class LogFile(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Rows that follow each other: the raw values by label, and the numbers of the rows in the file."""
-
-    columns: dict[str, Column]
-    rows: IntArray
-
-
-@dataclass
-class Table:
-    """A file as a table: ``labels``: of all its columns; ``known``: those of a log among them and in ``file.fixed``.
+    """Rows that follow each other: the raw values by label, and the numbers of the rows in the file.
 
     ``lost``: the lines of a CSV file that have another number of fields than its header, in words, by the number of the row.
     """
 
+    columns: dict[str, Column]
+    rows: IntArray
+    lost: Mapping[int, str]
+
+
+@dataclass
+class Table:
+    """A file as a table: ``labels``: of all its columns; ``known``: those of a log among them and in ``file.fixed``."""
+
     file: LogFile
     labels: list[str]
     is_known: Callable[[str], bool]
+    read: Callable[[Table, list[str]], Iterator[Piece]]
     encoding: str = "utf-8"
     texts: frozenset[str] = frozenset()  # columns of a CSV file whose first value is no number
-    lost: dict[int, str] = field(default_factory=dict)
-
-    @property
-    def is_small(self) -> bool:
-        """Whether Python reads a CSV file sooner than pandas is imported."""
-        return os.path.getsize(self.file.path) < SMALL
 
     @property
     def known(self) -> list[str]:
@@ -91,62 +80,48 @@ class Table:
 
     def pieces(self) -> Iterator[Piece]:
         """The rows of the file; errors of the libraries in this package's words."""
-        read = (
-            _read_parquet
-            if self.file.suffix == ".parquet"
-            else _read_texts
-            if self.is_small or self.lost
-            else _read_csv
-        )
         fixed = {label: float(value) if is_number_text(value) else value for label, value in self.file.fixed}
-        lost, rows = list(self.lost), np.arange(0)
-        for columns in read(self, [label for label in self.known if label in self.labels]):
-            n = len(next(iter(columns.values())))
-            rows = (rows[-1] + 1 if len(rows) else 0) + np.arange(n + len(lost))
-            rows = rows[~np.isin(rows, lost)][:n]
-            yield Piece({label: np.full(n, fixed[label]) for label in self.known if label in fixed} | columns, rows)
+        for piece in self.read(self, [label for label in self.known if label in self.labels]):
+            folders = {label: np.full(len(piece.rows), fixed[label]) for label in self.known if label in fixed}
+            yield piece._replace(columns=folders | piece.columns)
 
-    def require_type(self, label: str, raw: Column, *, allow_names: bool) -> None:
-        """ValueError where the type of a column is none of a log's."""
-        kind, is_csv = KINDS.get(label, "number"), self.file.suffix == ".csv"
-        held, hint = str(raw.dtype), ""
+    def check(
+        self, raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
+    ) -> tuple[Column, Fault | None]:
+        """The values of a column and what is wrong with them; ValueError where its type is none of a log's."""
+        names = () if label == "episode" else names  # an episode may be called by any text
+        if self.file.suffix == ".csv":
+            return check_column(raw, label, high=high, names=names)
+        kind, held, hint = KINDS.get(label, "number"), str(raw.dtype), ""
         if raw.dtype.hasobject:
             first = next((item for item in raw.tolist() if not is_missing(item)), None)
             held = "texts" if isinstance(first, str) else type(first).__name__
             hint = NAMES_HINT if label in MOVE else ""
-            is_allowed = (
-                first is None or is_csv or (isinstance(first, str) and allow_names and not is_number_text(first))
-            )
-            is_allowed |= kind == "flag" and isinstance(first, bool)
+            is_name = names is not None and isinstance(first, str) and not is_number_text(first)
+            is_allowed = first is None or is_name or (kind == "flag" and isinstance(first, bool))
         else:
-            is_allowed = raw.dtype.kind in "iufU" or (raw.dtype.kind == "b" and (kind == "flag" or is_csv))
+            is_allowed = raw.dtype.kind in ("biufU" if kind == "flag" else "iufU")
         if not is_allowed:
             raise ValueError(f"column {label!r} of {self.file.path!r} must hold {HELD[kind]}; it holds {held}{hint}")
+        return check_column(raw, label, high=high, names=names)
 
 
-def open_table(file: LogFile, is_known: Callable[[str], bool], *, drop: bool = False) -> Table:
-    """The table in a file, its header read; ``drop``: whether to leave out lines of other lengths.
-
-    Raises ValueError that names the file, for what is no table, or has a known column twice.
-    """
+def open_table(file: LogFile, is_known: Callable[[str], bool]) -> Table:
+    """The table in a file, its header read; ValueError that names it for what is none, or has a known column twice."""
     if file.suffix == ".parquet":
         check_digest(file.path)
-        table = Table(file, _parquet_labels(file.path), is_known)
+        table = Table(file, _parquet_labels(file.path), is_known, _read_parquet)
     else:
         labels, first, encoding = _csv_header(_files.local(file.path))
         if len(labels) > MOST_COLUMNS:
             raise ValueError(
                 f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep those that a log has)"
             )
-        texts = frozenset(
-            label for label, value in zip(labels, first, strict=False) if not is_number_text(value or "0")
-        )
-        table = Table(file, labels, is_known, encoding, texts)
-        if table.is_small or _may_have_odd_lines(table):
-            table.lost = _find_odd_lines(table)
-        if table.lost and not drop:
-            row, words = next(iter(table.lost.items()))
-            raise ValueError(f"{file.path!r}: row {row} {words}")
+        values = zip(labels, first, strict=False)
+        texts = frozenset(label for label, value in values if not is_number_text(value or "0"))
+        table = Table(file, labels, is_known, _read_lines, encoding, texts)
+        if os.path.getsize(file.path) >= SMALL and not _has_odd_lines(table):
+            table.read = _read_csv
     first_of: dict[str, str] = {}
     for label in table.labels:  # also for who does not tell capitals, as DuckDB does not
         lower = label.lower()
@@ -178,12 +153,12 @@ def read_columns(
             n_rows = run("SELECT count(*) FROM read_parquet($path)").fetchone()[0]
         _checks.require_memory(n_rows * len(table.known), repr(file.path))
     pieces = list(table.pieces())
+    for words in (words for piece in pieces for words in piece.lost.values()):
+        raise ValueError(f"{file.path!r}: {words}")
     columns = {}
     for label in table.known:
         raw = np.concatenate([piece.columns[label] for piece in pieces]) if pieces else np.zeros(0)
-        table.require_type(label, raw, allow_names=label in (*MOVE, "episode"))
-        holds_texts = raw.dtype.hasobject and label in (*MOVE, "episode") and holds_names(raw)
-        columns[label], fault = check_names(raw, label) if holds_texts else check_column(label, raw)
+        columns[label], fault = table.check(raw, label, names=() if label in MOVE else None)
         if fault is not None:
             raise ValueError(f"{file.path!r}: {fault.describe()}{count_others(fault)}")
     return columns, table.labels
@@ -236,17 +211,12 @@ def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
     """
     import duckdb
 
-    key = [label for label in labels if label in (*MOVE, "terminated")]
-    parts = [*key, "count(*) AS n"]
-    for label in labels:
-        if label not in key:
-            parts += [
-                f"min({label}) AS least_{label}",
-                f"max({label}) AS largest_{label}",
-                f"count({label}) AS n_{label}",
-            ]
-    parts += ["sum(reward) AS total_reward"] * ("reward" in labels)
-    parts += ["sum(truncated::INTEGER) AS total_truncated"] * ("truncated" in labels)
+    key = [label for label in labels if label in KEY]
+    parts = [*key, "count(*) AS count"]
+    for label in (label for label in labels if label not in KEY):
+        parts += [f"{how}({label}) AS {label}_{how}" for how in ("min", "max", "count")]
+    parts += ["sum(reward) AS reward_sum"] * ("reward" in labels)
+    parts += ["sum(truncated::INTEGER) AS truncated_sum"] * ("truncated" in labels)
     if not set(labels) <= set(table.labels):
         return None
     with open_duckdb(table.file.path) as run:
@@ -257,14 +227,16 @@ def sum_groups(table: Table, labels: Sequence[str]) -> dict[str, Column] | None:
     return {label: fill_missing(column) for label, column in groups.items()}
 
 
-def _read_parquet(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
+def _read_parquet(table: Table, labels: list[str]) -> Iterator[Piece]:
     columns = ", ".join('"' + label.replace('"', '""') + '"' for label in labels)
     source = "read_parquet($path, file_row_number = true, hive_partitioning = false, union_by_name = false)"
     with open_duckdb(table.file.path) as run:
-        for start in range(0, run("SELECT count(*) FROM read_parquet($path)").fetchone()[0], N_PARQUET):
-            rows = f"file_row_number >= {start} AND file_row_number < {start + N_PARQUET}"
-            piece = run(f"SELECT {columns} FROM {source} WHERE {rows}").fetchnumpy()
-            yield {label: fill_missing(column) for label, column in piece.items()}
+        n_rows = run("SELECT count(*) FROM read_parquet($path)").fetchone()[0]
+        for start in range(0, n_rows, N_PARQUET):
+            stop = min(start + N_PARQUET, n_rows)
+            which = f"file_row_number >= {start} AND file_row_number < {stop}"
+            piece = run(f"SELECT {columns} FROM {source} WHERE {which}").fetchnumpy()
+            yield Piece({label: fill_missing(column) for label, column in piece.items()}, np.arange(start, stop), {})
 
 
 def fill_missing(column: Any) -> Column:
@@ -308,21 +280,15 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
             return next(lines, []), next(lines, []), encoding
 
 
-def _may_have_odd_lines(table: Table) -> bool:
-    """Whether a file has quotes or empty lines, or a line with another number of commas than its header."""
-    n = len(table.labels) - 1
+def _has_odd_lines(table: Table) -> bool:
+    """Whether a line has another number of fields than the header: by its commas alone, where there are no quotes."""
+    n = len(table.labels)
+    line = b"," * (n - 1) + b"\n"
     with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
-        while block := handle.read(2**20):
-            block += handle.readline()
-            codes = np.frombuffer(block, dtype=np.uint8)
-            ends, commas = np.flatnonzero(codes == ord("\n")), np.flatnonzero(codes == ord(","))
-            if block[-1] != ord("\n"):
-                ends = np.append(ends, len(block))
-            if n < 1 or b'"' in block or b"\0" in block or len(commas) != n * len(ends):
-                return True
-            places = commas.reshape(len(ends), n)
-            if (places[:, -1] > ends).any() or (places[1:, 0] < ends[:-1]).any():
-                return True
+        while block := handle.read(2**20) + handle.readline():
+            marks = (block if block.endswith(b"\n") else block + b"\n").translate(None, OTHERS)
+            if marks != line * (len(marks) // len(line)):
+                return any(len(fields) != n for _, fields in _csv_lines(table))
     return False
 
 
@@ -337,36 +303,31 @@ def _csv_lines(table: Table) -> Iterator[tuple[int, list[str]]]:
             is_header, line = is_header and not fields, reader.line_num + 1
 
 
-def _find_odd_lines(table: Table) -> dict[int, str]:
-    """The rows that have another number of fields than the header, in words."""
-    n = len(table.labels)
-    return {
-        row: f"(line {line}) must have {n} fields, as the header has; it has {len(fields)}"
-        for row, (line, fields) in enumerate(_csv_lines(table))
-        if len(fields) != n
-    }
-
-
-def _read_texts(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
-    """The rows that have as many fields as the header, as texts."""
-    places = [table.labels.index(label) for label in labels]
-    lines = (fields for row, (_, fields) in enumerate(_csv_lines(table)) if row not in table.lost)
-    while rows := [[fields[k] or None for k in places] for fields in itertools.islice(lines, N_CSV)]:
-        yield {
-            label: np.array(column, dtype=object) for label, column in zip(labels, zip(*rows, strict=True), strict=True)
+def _read_lines(table: Table, labels: list[str]) -> Iterator[Piece]:
+    """The fields of the lines as texts."""
+    n, places = len(table.labels), {label: table.labels.index(label) for label in labels}
+    lines = enumerate(_csv_lines(table))
+    while some := list(itertools.islice(lines, N_CSV)):
+        good = [(row, fields) for row, (_, fields) in some if len(fields) == n]
+        lost = {
+            row: f"row {row} (line {line}) must have {n} fields, as the header has; it has {len(fields)}"
+            for row, (line, fields) in some
+            if len(fields) != n
         }
+        columns = {label: np.array([fields[k] or None for _, fields in good], object) for label, k in places.items()}
+        yield Piece(columns, np.array([row for row, _ in good], dtype=np.int64), lost)
 
 
-def _read_csv(table: Table, labels: list[str]) -> Iterator[dict[str, Column]]:
+def _read_csv(table: Table, labels: list[str]) -> Iterator[Piece]:
+    """The values that pandas makes of the fields; names stay texts."""
     with _csv_errors(table.file.path), _open_csv(table.file.path) as handle:
         places = {label: table.labels.index(label) for label in labels}
         texts = {k: str for label, k in places.items() if label in table.texts and label in (*MOVE, "episode")}
         options = {"names": range(len(table.labels)), "header": 0, "dtype": texts, "encoding": table.encoding}
         for frame in read_csv(handle, chunksize=N_CSV, keep_default_na=False, na_values=[""], **options):
             series = {label: frame[k] for label, k in places.items()}
-            yield {
-                label: column.to_numpy(object if column.dtype == "str" else None) for label, column in series.items()
-            }
+            columns = {label: one.to_numpy(object if one.dtype == "str" else None) for label, one in series.items()}
+            yield Piece(columns, frame.index.to_numpy(), {})
 
 
 def csv_frame(path: str) -> Any:

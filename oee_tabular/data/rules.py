@@ -16,7 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
-from oee_tabular.mdp.naming import is_number_text
+from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
 
 KINDS = {
     "state": "integer", "action": "integer", "next_state": "integer", "reward": "number", "terminated": "flag",
@@ -66,16 +66,15 @@ def show_value(value: Any) -> str:
     )
 
 
-def find_fault(label: str, raw: Column, bad: BoolArray, rule: Callable[[int], str], hint: str = "") -> Fault | None:
+def find_fault(label: str, raw: Column, bad: BoolArray, rule: Callable[[int], str]) -> Fault | None:
     """The fault of the rows that are ``bad``, if any; ``rule(row)``: what the value of the first breaks."""
     rows = np.flatnonzero(bad)
     if not rows.size:
         return None
     value = raw[rows[0]]
     value = value.item() if isinstance(value, np.generic) else value
-    if isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value):
-        hint = COMMA_HINT
-    return Fault(label, rows, rule(int(rows[0])), value, hint)
+    is_comma = isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value)
+    return Fault(label, rows, rule(int(rows[0])), value, COMMA_HINT if is_comma else "")
 
 
 def to_numbers(raw: Column) -> Column:
@@ -96,7 +95,43 @@ def _parse_number(item: Any) -> int | float:
         return math.nan
 
 
-def check_integers(raw: Column, label: str, *, low: int | None = 0, high: int = 2**63) -> tuple[IntArray, Fault | None]:
+def check_array(value: object, label: str) -> Column:
+    """A column that is given as an array or a list; ValueError with the row, the rule and the value found."""
+    kind = KINDS[label]
+    if kind == "number":
+        array: Column = _checks.float_array(value, label, ndim=1)
+    else:
+        array = _checks.as_array(value, label, f"a column of {HELD[kind]}")
+    if array.ndim != 1:
+        raise ValueError(f"{label} must have 1 dimension; it has shape {array.shape}")
+    if kind == "integer" and array.size and array.dtype.kind not in "iuf":
+        texts = " (numbers written as text? .astype(int))" if array.dtype.kind in "UO" else ""
+        raise ValueError(f"{label} must hold integers; it holds {array.dtype}{texts}")
+    values, fault = check_column(array, label)
+    if fault is not None:
+        raise ValueError(fault.describe())
+    return values
+
+
+def check_column(
+    raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
+) -> tuple[Column, Fault | None]:
+    """The values of a column by its label, and what is wrong with them; labels that a log does not know are numbers.
+
+    ``high``: integers are below it. ``names``: those that may stand in place of numbers, which they become; empty: any, which
+    stay; None: none.
+    """
+    kind = KINDS.get(label, "number")
+    if names is not None and raw.dtype.hasobject and _holds_names(raw):
+        return _match_names(raw, label, names)
+    if kind == "integer":
+        return _check_integers(raw, label, None if label == "episode" else 0, high)
+    if kind == "flag":
+        return _check_flags(raw, label)
+    return _check_numbers(raw, label)
+
+
+def _check_integers(raw: Column, label: str, low: int | None, high: int) -> tuple[IntArray, Fault | None]:
     """Integers in low..high - 1, and 0 in place of what is none."""
     if raw.dtype == np.int64 and raw.size and (low is None or raw.min() >= low) and raw.max() < high:
         return raw, None
@@ -117,27 +152,20 @@ def check_integers(raw: Column, label: str, *, low: int | None = 0, high: int = 
     return np.where(bad, 0, numbers).astype(np.int64), find_fault(label, raw, bad, rule)
 
 
-def check_numbers(
-    raw: Column, label: str, *, low: float = -np.inf, high: float = np.inf, allow_missing: bool = False
-) -> tuple[Array, Fault | None]:
-    """Finite numbers from low to high, or nan where they may be missing."""
+def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
+    """Finite numbers, probabilities from 0 to 1; a reward may be missing."""
+    low, high = (0.0, 1.0) if label == "behavior_probability" else (-np.inf, np.inf)
     numbers = to_numbers(raw).astype(np.float64, copy=False)
-    if (
-        numbers.size
-        and low <= numbers.min()
-        and numbers.max() <= high
-        and np.isfinite([numbers.min(), numbers.max()]).all()
-    ):
+    is_good = np.isfinite(numbers) & (numbers >= low) & (numbers <= high)
+    if is_good.all():
         return numbers, None
-    in_range = np.isfinite(numbers) & (numbers >= low) & (numbers <= high)
-    bad = ~in_range
-    if allow_missing and bad.any():
-        bad &= np.array([not is_missing(value) and value != "nan" for value in raw.tolist()])
+    if label == "reward":
+        is_good |= np.array([is_missing(value) or value == "nan" for value in raw.tolist()])
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
-    return numbers, find_fault(label, raw, bad, lambda row: rule)
+    return numbers, find_fault(label, raw, ~is_good, lambda row: rule)
 
 
-def check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
+def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
     """Booleans, 0 and 1, or texts of these."""
     if raw.dtype.kind == "b":
         return raw, None
@@ -149,28 +177,35 @@ def check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
     return flags, find_fault(label, raw, bad, lambda row: "must be a boolean (or 0 or 1)")
 
 
-def check_column(label: str, raw: Column, *, high: int = 2**63) -> tuple[Column, Fault | None]:
-    """A column of a file, by its label; labels that a log does not know are numbers."""
-    kind = KINDS.get(label, "number")
-    if kind == "integer":
-        return check_integers(raw, label, low=None if label == "episode" else 0, high=high)
-    if kind == "flag":
-        return check_flags(raw, label)
-    if label == "behavior_probability":
-        return check_numbers(raw, label, low=0.0, high=1.0)
-    return check_numbers(raw, label, allow_missing=label == "reward")
-
-
-def holds_names(raw: Column) -> bool:
+def _holds_names(raw: Column) -> bool:
     """Whether the first value of a column of objects is a text that is no number."""
     first = next((item for item in raw.tolist() if not is_missing(item)), None)
     return isinstance(first, str) and not is_number_text(first)
 
 
-def check_names(raw: Column, label: str) -> tuple[Column, Fault | None]:
-    """Names, one in each row."""
-    bad = np.array([is_missing(item) for item in raw.tolist()], dtype=np.bool_)
-    return raw, find_fault(label, raw, bad, lambda row: "must have a value")
+def _match_names(raw: Column, label: str, names: tuple[Name, ...]) -> tuple[Column, Fault | None]:
+    """Names as their numbers; numbers as texts are none of them."""
+    missing = np.array([is_missing(item) for item in raw.tolist()], dtype=np.bool_)
+    if not names:
+        return raw, find_fault(label, raw, missing, lambda row: "must have a value")
+    known = numbers_of(names)
+    numbers = np.array([known.get(str(item), -1) for item in raw.tolist()], dtype=np.int64)
+    numbers[missing] = -1
+    fault = find_fault(label, raw, numbers < 0, lambda row: "must be one of the simulator's names")
+    if fault is not None and not is_missing(fault.value):
+        fault = fault._replace(hint=suggest_name(fault.value, names))
+    return np.maximum(numbers, 0), fault
+
+
+def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
+    """The first row, of ``rows`` where episodes of these names begin, whose episode began before, and the words for it."""
+    unique, index = np.unique(names, return_index=True)
+    if len(unique) == len(names):
+        return None
+    k = int(np.setdiff1d(np.arange(len(names)), index)[0])
+    name = names[k].item() if isinstance(names[k], np.generic) else names[k]
+    rule = "episode must keep the rows of an episode together"
+    return int(rows[k]), f"{rule}; {_checks.show(name)} begins again in row {rows[k]}"
 
 
 def find_order_faults(

@@ -1,60 +1,72 @@
 """Sums over the transitions of each (s, a, s', ended): a table by hash that grows, rows added in their order.
 
-Each entry has the number n of its transitions, the number m of those with a reward, and of the rewards sum, least and largest::
+Each entry has the number n of its transitions, and of their rewards the sum, least, largest and number m::
 
-    n += n_i,  m += m_i,  total += total_i,  least = min(least, least_i),  largest = max(largest, largest_i)
+    n += n_i,  total += total_i,  least = min(least, least_i),  largest = max(largest, largest_i),  m += m_i
 
 A row i is a transition (n_i = 1) or itself an entry of another table. nan is a least or largest of no reward.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, Column
+from oee_tabular.data.labels import MOVE
 
+KEY = (*MOVE, "terminated")
+COUNTED = ("count", "reward_sum", "reward_min", "reward_max", "reward_count")
 LEAST_SIZE = 2**12  # slots of an empty table
 
 
+class RowSums(NamedTuple):
+    """Of each row of a log: how many transitions it stands for, and of their rewards the sum, least, largest and number."""
+
+    number: Array
+    reward_sum: Array | None
+    reward_min: Array | None
+    reward_max: Array | None
+    reward_count: Array | None  # of the transitions that have a reward
+
+    @classmethod
+    def of_transitions(cls, n: int, reward: Array | None) -> RowSums:
+        """The sums of n rows that are a transition each; a reward that is nan is none."""
+        if reward is None:
+            return cls(np.ones(n), None, None, None, None)
+        is_paid = ~np.isnan(reward)
+        return cls(np.ones(n), np.where(is_paid, reward, 0.0), reward, reward, is_paid.astype(np.float64))
+
+
 class Sums:
-    """Entries ``key`` (K, 4): s, a, s', ended, in the order in which they came, and ``sums`` (K, 5) as above."""
+    """Entries in the order in which they came: ``key`` (K, 4), s, a, s', ended, and ``sums`` (K, 5), those of ``RowSums``."""
 
-    def __init__(self) -> None:
-        self.size = 0
-        self.slots = np.full(LEAST_SIZE, -1, dtype=np.int64)
-        self.key, self.sums = np.zeros((LEAST_SIZE // 2, 4), dtype=np.int64), np.zeros((LEAST_SIZE // 2, 5))
-
-    def add_rows(self, columns: dict[str, Any]) -> None:
-        """Add transitions: state, action, next_state, and where there are any terminated and reward."""
-        from oee_tabular.data import _sums  # numba is not imported before something is summed
-
-        n = len(columns["state"])
-        ended = columns["terminated"] if "terminated" in columns else np.zeros(n, dtype=np.bool_)
-        reward = columns["reward"] if "reward" in columns else np.full(n, np.nan)
-        key = [np.asarray(columns[label], dtype=np.int64) for label in ("state", "action", "next_state")]
-        self._add(_sums.add_transitions, (*key, ended, reward), n)
-
-    def add(self, key: IntArray, sums: Array) -> None:
-        """Add entries, (n, 4) and (n, 5)."""
-        from oee_tabular.data import _sums
-
-        self._add(_sums.add_entries, (key, sums), len(key))
+    def __init__(self, n_slots: int = LEAST_SIZE) -> None:
+        self.size, self.slots = 0, np.full(n_slots, -1, dtype=np.int64)
+        self.key, self.sums = np.zeros((n_slots // 2, 4), dtype=np.int64), np.zeros((n_slots // 2, 5))
 
     @np.errstate(over="ignore")  # of hashes, where kernels are not compiled
-    def _add(self, kernel: Any, rows: tuple[Any, ...], n: int) -> None:
-        """Add n rows, in a table of twice the size whenever the old one is half full."""
-        from oee_tabular.data import _sums
+    def add(self, columns: Mapping[str, Any]) -> None:
+        """Add transitions, as the columns of a log, or what ``entries`` of another table gives."""
+        from oee_tabular.data._sums import add_rows  # numba is not imported before something is summed
 
-        done, self.size = kernel(*rows, 0, self.slots, self.key, self.sums, self.size)
-        while done < n:
-            key, sums, size = self.key[: self.size], self.sums[: self.size], 2 * len(self.slots)
-            self.slots = np.full(size, -1, dtype=np.int64)
-            self.key, self.sums = np.zeros((size // 2, 4), dtype=np.int64), np.zeros((size // 2, 5))
-            _sums.add_entries(key, sums, 0, self.slots, self.key, self.sums, 0)
-            done, self.size = kernel(*rows, done, self.slots, self.key, self.sums, self.size)
+        n = len(columns["state"])
+        nothing = np.zeros(n)
+        values = [columns.get(label, nothing) for label in COUNTED]
+        if "count" not in columns:
+            values = list(RowSums.of_transitions(n, columns.get("reward", nothing * np.nan)))
+        key = tuple(np.require(columns.get(label, nothing), np.int64, ("C", "W")) for label in KEY)
+        arrays = tuple(np.require(value, np.float64, ("C", "W")) for value in values)
+        done, self.size = add_rows(key, arrays, 0, self.slots, self.key, self.sums, self.size)
+        while done < n:  # the table is half full: the same in one of twice the size
+            more = Sums(2 * len(self.slots))
+            more.add(self.entries())
+            self.slots, self.key, self.sums = more.slots, more.key, more.sums
+            done, self.size = add_rows(key, arrays, done, self.slots, self.key, self.sums, self.size)
 
-    def entries(self) -> tuple[IntArray, Array]:
-        """The entries, in the order in which they came."""
-        return self.key[: self.size], self.sums[: self.size]
+    def entries(self) -> dict[str, Column]:
+        """The entries as columns."""
+        key, sums = self.key[: self.size].T.copy(), self.sums[: self.size].T.copy()
+        return dict(zip((*KEY, *COUNTED), (*key, *sums), strict=True))

@@ -18,15 +18,17 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
-from oee_tabular.data.columns import Log, integers
+from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns, is_frame
-from oee_tabular.data.moves import Moves, counts_of, describe_facts
+from oee_tabular.data.moves import counts_of, describe_facts
+from oee_tabular.data.rules import check_array
+from oee_tabular.data.sums import RowSums
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, name_text, renumber
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Transitions(Log):
+class Transitions(LogColumns):
     """Logged moves of the target environment, one a row; checked when made and immutable.
 
     Parameters
@@ -111,7 +113,7 @@ class Transitions(Log):
     @staticmethod
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
         numbers = {"state": state, "action": action, "next_state": next_state}
-        return {name: integers(column, name) for name, column in numbers.items()}
+        return {name: check_array(column, name) for name, column in numbers.items()}
 
     @staticmethod
     def _differs(following: Column, state: Column) -> BoolArray:
@@ -228,13 +230,9 @@ class Transitions(Log):
             weights = _checks.number_in(discount, "discount", 0.0, 1.0) ** self.timestep.astype(np.float64)
         return counts_of(self, weights, n_states, n_actions)
 
-    def moves(self) -> Moves:
+    def moves(self) -> RowSums:
         """Each row with the one move that it stands for and what it paid."""
-        if self.reward is None:
-            return Moves(np.ones(len(self)), None, None, None, None)
-        has_reward = ~np.isnan(self.reward)
-        total = np.where(has_reward, self.reward, 0.0)
-        return Moves(np.ones(len(self)), total, self.reward, self.reward, has_reward.astype(np.float64))
+        return RowSums.of_transitions(len(self), self.reward)
 
     def led_to(self, next_state: IntArray) -> Transitions:
         """The same with other next states."""
