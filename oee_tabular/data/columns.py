@@ -15,7 +15,6 @@ from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.labels import COLUMNS
-from oee_tabular.data.reader import LogFile
 from oee_tabular.data.rules import check_array, count_others, find_order_faults, find_repeat
 
 
@@ -200,16 +199,12 @@ class LogColumns:
         Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
         vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
         """
-        logs = [cls._load_file(file) for file in files.find_log_files(path)]
+        logs = []
+        for file in files.find_log_files(path):
+            columns = files.load(cls.FILES, file)
+            with _files.parts_of(file.path, "a log"):
+                logs.append(cls(**columns))
         return logs[0] if len(logs) == 1 else cls.concatenate(logs)
-
-    @classmethod
-    def _load_file(cls, file: LogFile) -> Self:
-        columns = files.load(cls.FILES, file)
-        try:
-            return cls(**columns)
-        except ValueError as error:
-            raise ValueError(f"{_files.local(file.path)!r}: {error}") from None
 
 
 def _number_texts(episode: Any) -> Any:

@@ -51,10 +51,10 @@ class Sample(NamedTuple):
         order = order[np.argsort(self.place[order])]
         n = int(np.searchsorted(np.cumsum(self.length[order]), kept, side="right"))
         limit = int(self.place[order[n]]) if n < len(order) else self.limit
-        chosen = np.sort(order[:n])
-        is_kept = np.repeat(np.isin(np.arange(len(self.place)), chosen), self.length)
-        rows = {label: column[is_kept] for label, column in self.rows.items()}
-        return Sample(self.place[chosen], self.length[chosen], rows, limit)
+        is_kept = np.zeros(len(self.place), dtype=np.bool_)
+        is_kept[order[:n]] = True
+        rows = _choose(self.rows, np.repeat(is_kept, self.length))
+        return Sample(self.place[is_kept], self.length[is_kept], rows, limit)
 
     def join(self, other: Sample, kept: int) -> Sample:
         """The episodes first in the draw of both; a reward that only one has is nan in the other."""
@@ -81,12 +81,12 @@ class FileCounts(NamedTuple):
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; ``name`` is hashed for the sample."""
-    if file.suffix == ".npz":
+    if file.suffix in (".csv", ".parquet"):
+        table = open_table(file, COLUMNS.__contains__)
+    else:
         columns = Transitions.FILES.to_table(Transitions.load(file.path).columns())
         whole = Piece(columns, np.arange(len(columns["state"])), {})
         table = Table(file, list(columns), COLUMNS.__contains__, lambda *_: iter([whole]))
-    else:
-        table = open_table(file, COLUMNS.__contains__)
     require_columns(repr(file.path), MOVE, [*table.labels, *table.known])
     count = _FileCount(table, limits, name)
     if not (file.suffix == ".parquet" and "episode" not in table.known and count.add_groups()):
@@ -102,14 +102,14 @@ class _FileCount:
         self.table, self.limits, self.name = table, limits, name
         self.sums = Sums()
         self.faults: dict[str, tuple[int, str, int]] = {}  # by kind: the first row, the words for it, how many rows
-        self.n_rows = self.n_dropped = self.n_truncated = self.n_terminated = 0
+        self.n_dropped = self.n_truncated = self.n_terminated = 0
+        # of the rows that have an episode, those of which follow each other and have the same one are a run
+        self.n_rows = self.n_runs = 0
         self.last: dict[str, Column] = {}  # the last row of the piece before
         self.last_row = self.last_lost = -1
-        self.starts: list[IntArray] = []  # of the runs of rows that have one episode
-        self.names: list[Column] = []  # of these episodes
-        self.is_named: list[BoolArray] = []
+        self.starts: list[IntArray] = []  # of the runs, among these rows and among those of the file
+        self.names: list[Column] = []  # of their episodes
         self.broken: list[IntArray] = []
-        self.n_runs = 0
         self.kept: list[dict[str, Column]] = []  # the rows that may be in the sample, with their run
         self.limit = 2**64 - 1
 
@@ -137,23 +137,19 @@ class _FileCount:
         """One more piece."""
         for row, words in piece.lost.items():
             self._note("fields", row, words)
-            self.last_lost = row
-        self.n_dropped += len(piece.lost)
-        if not len(piece.rows):
-            return
         columns, is_bad = {}, np.zeros(len(piece.rows), dtype=np.bool_)
+        has_episode = ~is_bad
         for label, raw in piece.columns.items():
             columns[label], fault = self._check(raw, label)
             if fault is not None:
                 self._note_fault(fault.label, fault, piece.rows)
                 is_bad[fault.rows] = True
-                if label == "episode":
-                    columns["is_named"] = ~np.isin(np.arange(len(is_bad)), fault.rows)
-        if "episode" in columns:
-            self._follow(columns, is_bad, piece.rows)
-        good = columns if not is_bad.any() else {label: column[~is_bad] for label, column in columns.items()}
-        self.n_dropped += int(is_bad.sum())
-        self.n_rows += len(is_bad)
+                has_episode[fault.rows] &= label != "episode"
+        if "episode" in columns and has_episode.any():
+            self._follow(_choose(columns | {"is_bad": is_bad, "row": piece.rows}, has_episode))
+        self.last_lost = max([self.last_lost, *piece.lost, *piece.rows[~has_episode]])
+        good = _choose(columns, ~is_bad)
+        self.n_dropped += len(piece.lost) + int(is_bad.sum())
         self.n_truncated += int(good["truncated"].sum()) if "truncated" in good else 0
         self.n_terminated += int(good["terminated"].sum()) if "terminated" in good else 0
         self.sums.add(good)
@@ -178,36 +174,30 @@ class _FileCount:
         first_row, first_words, before = self.faults.get(kind, (row, words, 0))
         self.faults[kind] = first_row, first_words, before + n
 
-    def _follow(self, columns: dict[str, Column], is_bad: BoolArray, rows: IntArray) -> None:
+    def _follow(self, columns: dict[str, Column]) -> None:
         """Where episodes begin, which are broken, and which rows may be in the sample."""
-        n = len(rows)
-        columns.setdefault("is_named", np.ones(n, dtype=np.bool_))
-        is_named = columns["is_named"]
-        tied = columns | {"is_bad": is_bad}
-        last = self.last or {label: column[:1] for label, column in tied.items()}
-        before = {label: np.concatenate([last[label], column[:-1]]) for label, column in tied.items()}
-        same = np.asarray(columns["episode"] == before["episode"], dtype=np.bool_) & is_named & before["is_named"]
-        is_first = ~same
+        last = self.last or {label: column[:1] for label, column in columns.items()}
+        before = {label: np.concatenate([last[label], column[:-1]]) for label, column in columns.items()}
+        rows, is_bad = columns["row"], columns["is_bad"]
+        is_first = np.asarray(columns["episode"] != before["episode"], dtype=np.bool_)
         is_first[0] |= not self.last
-        gap = np.diff(rows, prepend=self.last_row) > 1  # lines were lost before this row
         run = self.n_runs - 1 + np.cumsum(is_first)
-        follows = ~is_first & ~gap & ~is_bad & ~before["is_bad"]
-        wrong = np.zeros(n, dtype=np.bool_)
-        for fault in find_order_faults(columns, before, is_first & ~is_bad & ~gap, follows):
+        is_gap = np.diff(rows, prepend=self.last_row) > 1  # rows were lost before this one
+        is_broken = is_bad | is_gap
+        self.broken.append(run[is_broken] - is_first[is_broken])
+        follows = ~(is_first | is_broken | before["is_bad"])
+        for fault in find_order_faults(columns, before, is_first & ~is_broken, follows):
             self._note_fault(f"order of {fault.label}", fault, rows)
-            wrong[fault.rows] = True
-        touched = is_bad | gap | (before["is_bad"] & ~before["is_named"])
-        self.broken += [run[wrong | touched], run[touched] - is_first[touched]]
-        self.starts.append(self.n_rows + np.flatnonzero(is_first))
-        self.names.append(columns["episode"][is_first])
-        self.is_named.append(is_named[is_first])
-        self.n_runs = int(run[-1]) + 1
-        self.last, self.last_row = {label: column[-1:] for label, column in tied.items()}, int(rows[-1])
-        is_kept = hash_places(run, self.name) < np.uint64(self.limit)
-        rows_kept = {"run": run} | {
-            label: columns[label] for label in COLUMNS if label in columns and label != "episode"
-        }
-        self.kept.append({label: column[is_kept] for label, column in rows_kept.items()})
+            is_broken[fault.rows] = True
+        self.broken.append(run[is_broken])
+        starts = np.flatnonzero(is_first)
+        self.starts.append(np.stack([self.n_rows + starts, rows[starts]]))
+        self.names.append(columns["episode"][starts])
+        self.last, self.last_row = {label: column[-1:] for label, column in columns.items()}, int(rows[-1])
+        self.n_rows, self.n_runs = self.n_rows + len(rows), int(run[-1]) + 1
+        may_be_kept = hash_places(run, self.name) < np.uint64(self.limit)
+        own = {label: columns[label] for label in COLUMNS if label in columns and label != "episode"}
+        self.kept.append(_choose({"run": run} | own, may_be_kept))
         if sum(len(kept["run"]) for kept in self.kept) > N_SPARE * self.limits.kept:
             self._cut_sample()
 
@@ -217,43 +207,46 @@ class _FileCount:
         runs, length = np.unique(rows["run"], return_counts=True)
         sample = Sample(hash_places(runs, self.name), length, rows, self.limit)
         sample = sample.cut(self.limits.kept, ~np.isin(runs, np.concatenate(self.broken)))
-        self.kept, self.limit = [dict(sample.rows)], sample.limit
-        del sample.rows["run"]
-        return sample
+        self.kept, self.limit = [sample.rows], sample.limit
+        return sample._replace(rows={label: column for label, column in sample.rows.items() if label != "run"})
 
     def result(self) -> FileCounts:
         """What was counted."""
-        by_episodes, facts, sample = "episode" in self.table.known, {}, NO_SAMPLE
-        if by_episodes and self.n_rows:
-            starts, is_named = np.concatenate(self.starts), np.concatenate(self.is_named)
-            self._find_repeated(np.concatenate(self.names), starts, is_named)
+        facts, sample = {}, NO_SAMPLE
+        if self.n_rows:
+            starts, first_rows = np.concatenate(self.starts, axis=1)
+            self._find_repeated(first_rows)
             sample = self._cut_sample()
-            length = np.diff(starts, append=self.n_rows)[is_named]
+            length = np.diff(starts, append=self.n_rows)
             broken = np.unique(np.concatenate(self.broken))
-            broken = broken[(broken >= 0) & (broken < len(starts))]
             facts = {
                 "episodes": len(length),
-                "shortest": int(length.min(initial=self.n_rows)),
-                "longest": int(length.max(initial=0)),
-                "broken": int(is_named[broken].sum()),
+                "shortest": int(length.min()),
+                "longest": int(length.max()),
+                "broken": int((broken >= 0).sum()),
             }
             if "truncated" not in self.table.known:
                 self.n_truncated = max(len(length) - self.n_terminated, 0)
-        recording = Recording(
-            by_episodes, truncated=self.n_truncated, files=1, dropped=self.n_dropped, reasons=self._reasons(), **facts
-        )
         known, unknown = frozenset(self.table.known), tuple(x for x in self.table.labels if x not in COLUMNS)
+        recording = Recording(
+            "episode" in known,
+            truncated=self.n_truncated,
+            files=1,
+            dropped=self.n_dropped,
+            reasons=self._reasons(),
+            **facts,
+        )
         return FileCounts(self.sums.entries(), recording, sample, known, unknown)
 
-    def _find_repeated(self, names: Column, starts: IntArray, is_named: BoolArray) -> None:
+    def _find_repeated(self, first_rows: IntArray) -> None:
         """An episode's rows stand together: no run has the episode of another."""
-        own = np.flatnonzero(is_named)
-        names = names[own].astype(str) if names.dtype.hasobject else names[own]
-        repeat = find_repeat(names, starts[own])
+        names = np.concatenate(self.names)
+        names = names.astype(str) if names.dtype.hasobject else names
+        repeat = find_repeat(names, first_rows)
         if repeat is not None:
             self._note("together", *repeat)
             _, code, number = np.unique(names, return_inverse=True, return_counts=True)
-            self.broken.append(own[number[code] > 1])
+            self.broken.append(np.flatnonzero(number[code] > 1))
         if self.last_lost > self.last_row:
             self.broken.append(np.array([self.n_runs - 1]))
 
@@ -266,6 +259,11 @@ class _FileCount:
             if not self.limits.drop:
                 raise ValueError(words[0] + WAY)
         return tuple(words)
+
+
+def _choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
+    """The chosen rows of columns; the columns themselves where all are."""
+    return columns if chosen.all() else {label: column[chosen] for label, column in columns.items()}
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:

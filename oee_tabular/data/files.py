@@ -100,7 +100,7 @@ def load(form: Format, file: LogFile) -> Columns:
     elif file.suffix in (".csv", ".parquet"):
         table, labels = read_columns(file, form.is_known, lambda given: form.require(given, name))
         columns = form.from_table(table, name)
-        warn_left_out(name, [label for label in labels if not form.is_known(label)], COLUMNS, level=4)
+        warn_left_out(name, [label for label in labels if not form.is_known(label)], COLUMNS)
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
     else:
@@ -108,16 +108,16 @@ def load(form: Format, file: LogFile) -> Columns:
     return {column: columns[column] for column in COLUMNS if column in columns}
 
 
-def find_log_files(path: Paths, *, tables_only: bool = False) -> list[LogFile]:
+def find_log_files(path: Paths) -> list[LogFile]:
     """The files that a path, a folder, a pattern or a list of them names, in the order of their names.
 
     Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them; folders
-    ``column=value`` name a column [1]. A Minari data set is one file, unless there must be ``tables_only``.
+    ``column=value`` name a column [1]. A folder without any is a Minari data set.
 
     [1] Apache Hive.
     """
     given = [path] if isinstance(path, str | os.PathLike) else list(_checks.collection(path, "path", "paths of files"))
-    some = [file for one in given for file in _files_at(_files.local(one), tables_only)]
+    some = [file for one in given for file in _files_at(_files.local(one))]
     if not some:
         raise ValueError("path must name files; it is an empty list")
     again = sorted(name for name, number in Counter(file.path for file in some).items() if number > 1)
@@ -126,20 +126,16 @@ def find_log_files(path: Paths, *, tables_only: bool = False) -> list[LogFile]:
     return some
 
 
-def _files_at(name: str, tables_only: bool) -> list[LogFile]:
-    """The files of a folder, a file, or those that a pattern names."""
+def _files_at(name: str) -> list[LogFile]:
+    """The files of a folder, those that a pattern names, or the one of this name."""
     place = Path(name)
     if place.is_dir():
-        below = [(file, file.relative_to(place)) for file in sorted(place.rglob("*")) if file.is_file()]
-        inside = [LogFile(str(file), _parse_folders(way)) for file, way in below if _is_data_file(way)]
-        if not inside and tables_only:
+        files = [file for file in sorted(place.rglob("*")) if file.is_file()]
+        if not files:
             raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
-        return inside or [LogFile(name)]
+        ways = [file.relative_to(place) for file in files if _is_data_file(file.relative_to(place))]
+        return [LogFile(str(place / way), _parse_folders(way)) for way in ways] or [LogFile(name)]
     if place.is_file() or not glob.has_magic(name):
-        if tables_only and not place.is_file():
-            raise FileNotFoundError(2, "no such file", name)
-        if tables_only and not name.lower().endswith(ENDINGS):
-            raise ValueError(f"path must end in {', '.join(ENDINGS)}, or be a folder; it is {name!r}")
         return [LogFile(name)]
     matching = [Path(file) for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
     if not matching:

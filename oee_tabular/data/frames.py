@@ -52,13 +52,11 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
             f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
     used = {label for group in taken.values() for label in group}
+    absent = [field for field in COLUMNS if field not in taken]
     near = []
-    for label in labels:  # those that look like a column that was not found
-        close = difflib.get_close_matches(
-            label[:80].lower(), [field for field in COLUMNS if field not in taken], 1, 0.8
-        )
-        if close and label not in used:
-            near.append(f"{label!r:.80} (is it {close[0]}? Then {close[0]}={label!r:.80})")
+    for label in (label for label in labels if label not in used):
+        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8):
+            near.append(f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})")
     if near:
         _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
     columns = {}
@@ -110,28 +108,26 @@ def _values(table: Any, label: str, field: str) -> Column:
 def episode_columns(episodes: object) -> dict[str, Any]:
     """The columns of a log, of a list of episodes, each a list of steps; ``Transitions.from_episodes`` has the forms."""
     given = _checks.collection(episodes, "episodes", "a list of episodes, each a list of steps")
-    rows: list[tuple[object, ...]] = []
-    cut = 0
+    rows: list[tuple[Any, ...]] = []
+    n_cut = 0
     for k, episode in enumerate(given):
         steps = _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}")
-        moves, lost = _moves_of(steps, f"episodes[{k}]")
-        rows += [(*move, k) for move in moves]
-        cut += lost
+        moves = _moves_of([_parts(step, f"episodes[{k}][{t}]", f"a step, {STEP}") for t, step in enumerate(steps)], k)
+        known = [move for move in moves if len(move) == 5]
+        rows += [(*move, k) for move in known]
+        n_cut += len(moves) - len(known)
     if not rows:
         raise ValueError(
             "episodes must have at least one move whose next state is known; they have none (end an episode with its last "
             "state: [..., (state, action, reward), (state,)])"
         )
-    if cut:
+    if n_cut:
         _checks.warn(
-            f"the last moves of {cut} episodes are left out, since nothing says where they led; end an episode with its "
+            f"the last moves of {n_cut} episodes are left out, since nothing says where they led; end an episode with its "
             "last state, (state,) or (state, terminated), to keep them"
         )
-    state, action, reward, following, over, number = (list(column) for column in zip(*rows, strict=True))
-    return {
-        "state": state, "action": action, "next_state": following, "reward": reward, "terminated": over,
-        "episode": number,
-    }  # fmt: skip
+    labels = ("state", "action", "reward", "next_state", "terminated", "episode")
+    return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))
 
 
 def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
@@ -142,32 +138,26 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     return _checks.collection(value, name, rule)
 
 
-def _moves_of(steps: tuple[object, ...], name: str) -> tuple[list[tuple[Any, ...]], int]:
-    """(state, action, reward, next_state, terminated) of each move, and 1 where the last is not known to its end."""
-    parts = [_parts(step, f"{name}[{t}]", f"a step, {STEP}") for t, step in enumerate(steps)]
-    if not parts:
-        return [], 0
-    short = len(parts[-1]) in (1, 2) and len(parts) > 1
-    body, last = (parts[:-1], parts[-1]) if short else (parts, None)
-    for t, part in enumerate(body):
-        if len(part) not in (3, 4, 5, 6):
-            raise ValueError(f"{name}[{t}] must be a step, {STEP}; it has {len(part)} parts")
-        if isinstance(part[2], str | tuple | list | Mapping):
-            raise ValueError(f"{name}[{t}] must be a step, {STEP}; its reward is {part[2]!r:.80}")
-    if last is not None and len(last) == 2 and last[1] not in (0, 1):
-        hint = f" (of a state that is a tuple: ({last!r:.80},))" * isinstance(body[0][0], tuple)
-        raise ValueError(
-            f"{name}[{len(body)}] must be (state,) or (state, terminated), the end; it is {last!r:.80}{hint}"
-        )
-    moves: list[tuple[object, ...]] = []
-    for t, part in enumerate(body):
-        following = [body[t + 1][0]] if t + 1 < len(body) else [] if last is None else [last[0]]
-        led = list(part[3:4]) or following
-        if not led:
-            return moves, 1
-        over = part[4] if len(part) > 4 else t + 1 == len(body) and last is not None and len(last) == 2 and last[1]
-        moves.append((*part[:3], led[0], over))
-    return moves, 0
+def _moves_of(steps: list[tuple[Any, ...]], episode: int) -> list[tuple[Any, ...]]:
+    """(state, action, reward, next_state, terminated) of each step, without next_state where nothing says where it led."""
+    has_end = len(steps) > 1 and len(steps[-1]) in (1, 2)
+    end = steps.pop() if has_end else ()
+    for t, step in enumerate(steps):
+        place = f"episodes[{episode}][{t}] must be a step, {STEP}"
+        if len(step) not in (3, 4, 5, 6):
+            raise ValueError(f"{place}; it has {len(step)} parts")
+        if isinstance(step[2], str | tuple | list | Mapping):
+            raise ValueError(f"{place}; its reward is {step[2]!r:.80}")
+    if len(end) == 2 and end[1] not in (0, 1):
+        hint = f" (of a state that is a tuple: ({end!r:.80},))" * isinstance(steps[0][0], tuple)
+        place = f"episodes[{episode}][{len(steps)}]"
+        raise ValueError(f"{place} must be (state,) or (state, terminated), the end; it is {end!r:.80}{hint}")
+    moves = []
+    for step, following in zip(steps, [*steps[1:], end], strict=False):
+        led_to = (step[3:4] or following)[:1]
+        is_over = step[4] if len(step) > 4 else following is end and len(end) == 2 and end[1]
+        moves.append((*step[:3], *led_to, is_over))
+    return moves
 
 
 def number_in_order(items: Sequence[Any], first: dict[Any, int] | None = None) -> tuple[IntArray, dict[Any, int]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import warnings
 from collections.abc import Iterable, Sequence
 
 from oee_tabular import _checks
@@ -47,16 +46,14 @@ def _plain(labels: Iterable[str]) -> list[str]:
     return ["_".join(label.strip(" \t\"'\ufeff").lower().replace("-", " ").split()) for label in labels]
 
 
-def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str], *, level: int) -> None:
+def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> None:
     """Name the columns that are not read, the first of many, each with the known one that it resembles."""
     if not unknown:
         return
     named = [_checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8) for label in unknown[:N_SHOWN]]
     if len(unknown) > N_SHOWN:
         named.append(f"and {len(unknown) - N_SHOWN} more")
-    warnings.warn(
-        f"columns of {name!r} that a log does not know are left out: {', '.join(named)}", stacklevel=level + 1
-    )
+    _checks.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(named)}")
 
 
 def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import os
 import tempfile
 import warnings
@@ -15,7 +16,6 @@ import numpy as np
 
 from oee_tabular import _files
 from oee_tabular._checks import Column
-from oee_tabular.data.labels import COLUMNS
 
 FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its data sets
 
@@ -51,7 +51,7 @@ def find_folder(identifier: str) -> Path:
 def save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
     require_minari()
-    if log.state_names is not None or log.action_names is not None:
+    if log.state_names or log.action_names:
         raise ValueError("log must be in numbers to be a Minari data set; this one has names: log.numbered(simulator)")
     if log.episode is None or log.reward is None:
         lacking = "episodes" if log.episode is None else "rewards"
@@ -75,21 +75,19 @@ def _write_minari(log: Any, identifier: str) -> None:
     from minari.data_collector import EpisodeBuffer
 
     buffers = []
-    for k, (low, high) in enumerate(zip(log.episode_starts[:-1], log.episode_starts[1:], strict=True)):
-        infos: dict[str, Any] = {}
-        if log.behavior_probability is not None:
-            infos["behavior_probability"] = np.append(log.behavior_probability[low:high], np.nan)[:, None]
-        buffers.append(
-            EpisodeBuffer(
-                id=k,
-                observations=np.append(log.state[low:high], log.next_state[high - 1]),
-                actions=np.array(log.action[low:high]),
-                rewards=list(log.reward[low:high]),
-                terminations=list(log.terminated[low:high]),
-                truncations=list(log.truncated[low:high]),
-                infos=infos,
-            )
+    for k, (low, high) in enumerate(itertools.pairwise(log.episode_starts)):
+        buffer = EpisodeBuffer(
+            id=k,
+            observations=np.append(log.state[low:high], log.next_state[high - 1]),
+            actions=np.array(log.action[low:high]),
+            rewards=list(log.reward[low:high]),
+            terminations=list(log.terminated[low:high]),
+            truncations=list(log.truncated[low:high]),
+            infos={},
         )
+        if log.behavior_probability is not None:
+            buffer.infos["behavior_probability"] = np.append(log.behavior_probability[low:high], np.nan)[:, None]
+        buffers.append(buffer)
     n_states = int(max(log.state.max(), log.next_state.max())) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Minari asks for an author, a code link and an environment
@@ -105,18 +103,16 @@ def _write_minari(log: Any, identifier: str) -> None:
 def minari_episodes(name: str) -> list[Any]:
     """The episodes of a Minari folder or id, as Minari gives them."""
     require_minari()
-    folder = Path(_files.local(name))
+    from minari.dataset.minari_dataset import MinariDataset
+
+    folder, reason = Path(_files.local(name)), ""
     if not folder.is_dir():
         try:
             folder = find_folder(name.removeprefix("minari:"))
         except ValueError as error:
-            raise FileNotFoundError(f"{name!r} is neither a file nor a Minari folder: {error}") from None
-        if not folder.is_dir():
-            raise FileNotFoundError(
-                f"{name!r} is neither a file, nor a Minari folder, nor a Minari id here: no folder {str(folder)!r}"
-            )
-    from minari.dataset.minari_dataset import MinariDataset
-
+            reason = f": {error}"
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{name!r} is neither a file nor a Minari folder or id on this machine{reason}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -130,12 +126,10 @@ def minari_episodes(name: str) -> list[Any]:
 
 def minari_columns(name: str, check: Callable[[Column, Column, str], None]) -> dict[str, Column]:
     """A Minari data set as columns; ``check(observations, actions, name)`` refuses an episode that is none of the log's."""
-    episodes = minari_episodes(name)
-    parts: dict[str, list[Column]] = {column: [] for column in COLUMNS}
-    for number, episode in enumerate(episodes):
+    parts: list[dict[str, Column]] = []
+    for number, episode in enumerate(minari_episodes(name)):
         observations, actions = np.asarray(episode.observations), np.asarray(episode.actions)
         check(observations, actions, name)
-        recorded = (episode.infos or {}).get("behavior_probability")
         columns = {
             "state": observations[:-1],
             "action": actions,
@@ -145,10 +139,10 @@ def minari_columns(name: str, check: Callable[[Column, Column, str], None]) -> d
             "truncated": np.asarray(episode.truncations, dtype=np.bool_),
             "episode": np.full(len(actions), number),
         }
+        recorded = (episode.infos or {}).get("behavior_probability")
         if recorded is not None:
             columns["behavior_probability"] = np.asarray(recorded, dtype=np.float64).reshape(-1)[: len(actions)]
-        for label, column in columns.items():
-            parts[label].append(column)
-    if 0 < len(parts["behavior_probability"]) < len(episodes):
+        parts.append(columns)
+    if len({len(part) for part in parts}) > 1:
         raise ValueError(f"{name!r} must record behavior_probability in every episode or in none")
-    return {column: np.concatenate(arrays) for column, arrays in parts.items() if arrays}
+    return {label: np.concatenate([part[label] for part in parts]) for label in (parts[0] if parts else {})}

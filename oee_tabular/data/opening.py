@@ -72,8 +72,6 @@ def open_log(
                      states 0..2, actions 0..0; 2 whole episodes kept)
     """
     _checks.boolean(progress, "progress")
-    if _checks.is_sparse(path):
-        raise ValueError(f"path must be a path, or several; got {_checks.show(path)}")
     if isinstance(path, str | os.PathLike) and holds_counts(path):
         return TransitionCounts.load(path)
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
@@ -83,7 +81,7 @@ def open_log(
         _checks.positive_integer(jobs, "jobs")
     from tqdm import tqdm
 
-    files = find_log_files(path, tables_only=True)
+    files = find_log_files(path)
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
@@ -91,7 +89,7 @@ def open_log(
     columns: dict[str, frozenset[str]] = {}
     for file, counts in zip(files, shown, strict=True):
         if not columns:
-            warn_left_out(file.path, counts.unknown, COLUMNS, level=3)
+            warn_left_out(file.path, counts.unknown, COLUMNS)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
         sums.add(counts.entries)

@@ -103,12 +103,16 @@ class Transitions(LogColumns):
             states, actions, following, reward, terminated=terminated, episode=episode, timestep=timestep,
             behavior_probability=behavior_probability, truncated=truncated,
         )  # fmt: skip
-        for column, names in (("state", called), ("next_state", called), ("action", acts)):
-            if names is not None and (bad := np.flatnonzero(getattr(self, column) >= len(names))).size:
-                raise ValueError(
-                    f"{column}[{bad[0]}] must have a name, of which there are {len(names)}; it is "
-                    f"{getattr(self, column)[bad[0]]}"
-                )
+        for column, names in self._names().items():
+            bad = np.flatnonzero(getattr(self, column) >= len(names))
+            if bad.size:
+                value = getattr(self, column)[bad[0]]
+                raise ValueError(f"{column}[{bad[0]}] must have a name, of which there are {len(names)}; it is {value}")
+
+    def _names(self) -> dict[str, tuple[Name, ...]]:
+        """The names of the numbers in a column, of those columns that have names."""
+        names = {"state": self.state_names, "action": self.action_names, "next_state": self.state_names}
+        return {column: own for column, own in names.items() if own is not None}
 
     @staticmethod
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
@@ -124,15 +128,9 @@ class Transitions(LogColumns):
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats; names where it has names."""
-        found = super().columns()
-        for column, names in (
-            ("state", self.state_names),
-            ("action", self.action_names),
-            ("next_state", self.state_names),
-        ):
-            if names is not None:
-                found[column] = files.as_objects(names)[found[column]]
-        return found
+        names = {column: files.as_objects(own) for column, own in self._names().items()}
+        columns = super().columns()
+        return columns | {column: own[columns[column]] for column, own in names.items()}
 
     @classmethod
     def from_frame(cls, frame: object, *, simulator: FiniteMDP | None = None, **column_names: object) -> Self:
@@ -192,18 +190,15 @@ class Transitions(LogColumns):
 
         Raises ValueError with the first row whose name the simulator has not, and the nearest that it has.
         """
-        if self.state_names is None and self.action_names is None:
+        if not self._names():
             return self
         _checks.instance(simulator, FiniteMDP, "simulator")
         columns = super().columns()
-        matched = (
-            ("state", self.state_names, simulator.state_names, simulator.n_states),
-            ("action", self.action_names, simulator.action_names, simulator.n_actions),
-            ("next_state", self.state_names, simulator.state_names, simulator.n_states),
-        )
-        for column, own, names, size in matched:
-            if own is not None:
-                columns[column] = renumber(columns[column], own, names, size, f"{name}.{column}")
+        for column, own in self._names().items():
+            names, size = simulator.state_names, simulator.n_states
+            if column == "action":
+                names, size = simulator.action_names, simulator.n_actions
+            columns[column] = renumber(columns[column], own, names, size, f"{name}.{column}")
         return type(self)(**columns)
 
     def __repr__(self) -> str:
@@ -219,7 +214,7 @@ class Transitions(LogColumns):
         With ``discount`` each move counts discount**timestep, the paper's discounted d (needs timesteps).
         Raises ValueError where a state or action is outside the given numbers.
         """
-        if self.state_names is not None or self.action_names is not None:
+        if self._names():
             raise ValueError(
                 "log must be in a simulator's numbers to be counted; its states or actions have names: log.numbered(simulator)"
             )
@@ -274,30 +269,28 @@ class Transitions(LogColumns):
     def describe(self) -> str:
         """The summary in one line."""
         facts = self._facts()
-        named = (("states", self.state_names, "largest_state"), ("actions", self.action_names, "largest_action"))
-        places = ", ".join(
-            f"{word} 0..{facts[largest]}" if names is None else f"{len(names)} named {word}"
-            for word, names, largest in named
-        )
-        return describe_facts(facts, places) + "; behaviour probabilities" * int(facts["behavior_probability"])
+        states, actions = f"states 0..{facts['largest_state']}", f"actions 0..{facts['largest_action']}"
+        if self.state_names is not None:
+            states = f"{len(self.state_names)} named states"
+        if self.action_names is not None:
+            actions = f"{len(self.action_names)} named actions"
+        text = describe_facts(facts, f"{states}, {actions}")
+        return text + "; behaviour probabilities" if facts["behavior_probability"] else text
 
 
 def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
     """A log in the simulator's numbers: Transitions, paths, a data frame, or episodes; ValueError for anything else."""
     is_list = isinstance(value, list | tuple)
-    if isinstance(value, str | os.PathLike) or (
-        is_list and value and all(isinstance(x, str | os.PathLike) for x in value)
-    ):
+    paths = value if is_list and value else (value,)
+    if all(isinstance(path, str | os.PathLike) for path in paths):
         try:
             value = Transitions.load(value)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:
-        value = Transitions.from_episodes(value)
-        name = "episodes"
+        value, name = Transitions.from_episodes(value), "episodes"
     elif not isinstance(value, Transitions) and is_frame(value):
-        value = Transitions.from_frame(value)
-        name = "frame"
+        value, name = Transitions.from_frame(value), "frame"
     if not isinstance(value, Transitions):
         hint = " (a mapping of columns: Transitions(**log))" if isinstance(value, Mapping) else ""
         hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(value, "ndim", 0) == 2)

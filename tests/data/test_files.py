@@ -66,7 +66,7 @@ def test_minari_by_id(tmp_path, monkeypatch):
     assert os.environ["MINARI_DATASETS_PATH"] == str(tmp_path)
     with pytest.raises(ValueError, match="must be a new folder"):
         log.save("minari:grid/uniform-v0")
-    with pytest.raises(FileNotFoundError, match="neither a file, nor a Minari folder, nor a Minari id"):
+    with pytest.raises(FileNotFoundError, match="neither a file nor a Minari folder or id on this machine"):
         Transitions.load("grid/other-v0")
 
 
