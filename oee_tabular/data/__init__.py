@@ -34,12 +34,11 @@ refused where it does not fit. An error names the file, the column, the row, the
 from __future__ import annotations
 
 import importlib
-import os
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.data.counts import TransitionCounts, holds_counts
-from oee_tabular.data.opening import open_log
-from oee_tabular.data.transitions import Transitions, as_log
+from oee_tabular.data.counts import TransitionCounts
+from oee_tabular.data.opening import open_log, read_log
+from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -47,21 +46,7 @@ if TYPE_CHECKING:
 
 Transitions.open = staticmethod(open_log)  # here, for counts are made of logs: logs need not know how they are counted
 
-
-def read_log(source: Any, simulator: Any, name: str = "log") -> Transitions | TransitionCounts:
-    """What was recorded, in the simulator's numbers, of whatever form it has.
-
-    ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
-    folder. ``name``: what errors call it.
-    """
-    if isinstance(source, TransitionCounts):
-        return source
-    if isinstance(source, str | os.PathLike) and holds_counts(source):
-        return TransitionCounts.load(source)
-    return as_log(source, simulator, name)
-
-
-__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
+__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions", "read_log"]
 
 
 def __getattr__(name: str) -> Any:

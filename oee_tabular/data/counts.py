@@ -196,13 +196,7 @@ class TransitionCounts:
 
     def describe(self) -> str:
         """The summary in one line."""
-        facts = self.summary()
-        text = describe_facts(facts, f"states 0..{facts['largest_state']}, actions 0..{facts['largest_action']}")
-        if self.sample is not None:
-            text += f"; {facts['sampled_episodes']} whole episodes kept"
-        if facts["rows_dropped"]:
-            text += f"; {facts['rows_dropped']} bad rows dropped, {facts['broken_episodes'] or 0} episodes broken"
-        return text
+        return describe_facts(self.summary())
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write .npz, whole or not at all, with a digest of what it holds."""

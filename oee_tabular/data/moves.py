@@ -10,6 +10,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import canonical
+from oee_tabular.mdp.naming import Name
 
 
 def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:
@@ -34,8 +35,8 @@ def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse
     return canonical(matrix, drop_zeros=True)
 
 
-def describe_facts(facts: dict[str, Any], places: str) -> str:
-    """A log's summary in one line; ``places``: its states and actions in words."""
+def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
+    """A log's summary in one line; ``names``: of its states and actions, where they have names."""
     text = f"{facts['transitions']} transitions"
     if facts.get("different"):
         text += f", {facts['different']} different"
@@ -45,7 +46,16 @@ def describe_facts(facts: dict[str, Any], places: str) -> str:
         n, shortest, longest = (facts[name] for name in ("episodes", "episode_length_min", "episode_length_max"))
         steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
         text += f" in {n} episode{'s' * (n > 1)} of {steps}"
-    text += f": {facts['terminated']} terminated, {facts['truncated']} truncated; {places}"
-    return (
-        text if facts["reward_min"] is None else f"{text}; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
-    )
+    text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
+    for word, mark in (("state", ";"), ("action", ",")):
+        own = names.get(f"{word}_names")
+        text += f"{mark} {len(own)} named {word}s" if own else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
+    if facts["reward_min"] is not None:
+        text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
+    if facts.get("behavior_probability"):
+        text += "; behaviour probabilities"
+    if facts.get("sampled_episodes") is not None:
+        text += f"; {facts['sampled_episodes']} whole episodes kept"
+    if facts.get("rows_dropped"):
+        text += f"; {facts['rows_dropped']} bad rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+    return text

@@ -6,6 +6,7 @@ So one process, several, and a cluster give the same bits.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from oee_tabular import _checks, _workers
 from oee_tabular.data.counting import LARGEST, NO_SAMPLE, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
+from oee_tabular.data.frames import is_frame
 from oee_tabular.data.labels import COLUMNS, warn_left_out
 from oee_tabular.data.sums import KEY, Sums
 from oee_tabular.data.transitions import Transitions
@@ -137,3 +139,29 @@ def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | 
     given = ((n_states, "n_states"), (n_actions, "n_actions"))
     states, actions = (LARGEST if size is None else _checks.positive_integer(size, name) for size, name in given)
     return Limits((states, actions))
+
+
+def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transitions | TransitionCounts:
+    """What was recorded, in the simulator's numbers, of whatever form it has.
+
+    ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
+    folder. ``name``: what errors call it.
+    """
+    log, is_list = source, isinstance(source, list | tuple)
+    if all(isinstance(path, str | os.PathLike) for path in (source if is_list and source else (source,))):
+        try:
+            is_counted = not is_list and holds_counts(source)
+            log = TransitionCounts.load(source) if is_counted else Transitions.load(source)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    elif is_list:
+        log, name = Transitions.from_episodes(source), "episodes"
+    elif not isinstance(source, Transitions | TransitionCounts) and is_frame(source):
+        log, name = Transitions.from_frame(source), "frame"
+    if isinstance(log, TransitionCounts):
+        return log
+    if not isinstance(log, Transitions):
+        hint = " (a mapping of columns: Transitions(**log))" if isinstance(log, Mapping) else ""
+        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(log, "ndim", 0) == 2)
+        raise ValueError(f"{name} must be Transitions; got {type(log).__name__}{hint}")
+    return log.numbered(simulator, name)

@@ -6,8 +6,7 @@ task (nothing is paid afterwards); a *truncated* one ends the recording only, an
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -19,7 +18,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
-from oee_tabular.data.frames import encode_names, episode_columns, frame_columns, is_frame
+from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
 from oee_tabular.data.moves import counts_of, describe_facts
 from oee_tabular.data.rules import check_array
 from oee_tabular.data.sums import RowSums
@@ -268,31 +267,4 @@ class Transitions(LogColumns):
 
     def describe(self) -> str:
         """The summary in one line."""
-        facts = self._facts()
-        states, actions = f"states 0..{facts['largest_state']}", f"actions 0..{facts['largest_action']}"
-        if self.state_names is not None:
-            states = f"{len(self.state_names)} named states"
-        if self.action_names is not None:
-            actions = f"{len(self.action_names)} named actions"
-        text = describe_facts(facts, f"{states}, {actions}")
-        return text + "; behaviour probabilities" if facts["behavior_probability"] else text
-
-
-def as_log(value: Any, simulator: FiniteMDP, name: str) -> Transitions:
-    """A log in the simulator's numbers: Transitions, paths, a data frame, or episodes; ValueError for anything else."""
-    is_list = isinstance(value, list | tuple)
-    paths = value if is_list and value else (value,)
-    if all(isinstance(path, str | os.PathLike) for path in paths):
-        try:
-            value = Transitions.load(value)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
-    elif is_list:
-        value, name = Transitions.from_episodes(value), "episodes"
-    elif not isinstance(value, Transitions) and is_frame(value):
-        value, name = Transitions.from_frame(value), "frame"
-    if not isinstance(value, Transitions):
-        hint = " (a mapping of columns: Transitions(**log))" if isinstance(value, Mapping) else ""
-        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(value, "ndim", 0) == 2)
-        raise ValueError(f"{name} must be Transitions; got {type(value).__name__}{hint}")
-    return value.numbered(simulator, name)
+        return describe_facts(self._facts(), state_names=self.state_names, action_names=self.action_names)
