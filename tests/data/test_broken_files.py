@@ -65,32 +65,32 @@ def test_declared_sizes_are_compared_with_what_is_stored(tmp_path, shape):
         _files.read_npz(tmp_path / "a.npz")
 
 
-def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, capsys):
+def refuse_command(capsys, words):
     from oee_tabular.cli import main
 
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, capsys):
     path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(2**18))})
+    assert 0 < _checks.free_memory() < 2.0**60
     monkeypatch.setattr(_checks, "free_memory", lambda: 2.0**20)
     with pytest.raises(MemoryError, match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free"):
         _files.read_npz(path)
-    with pytest.raises(SystemExit) as ended:
-        main(["info", str(path)])
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.startswith("oee: not enough memory; ")
+    assert refuse_command(capsys, ["info", str(path)]).startswith("oee: not enough memory; ")
     pd.DataFrame({"state": np.zeros(2**18), "action": 0, "next_state": 0}).to_parquet(tmp_path / "a.parquet")
     with pytest.raises(MemoryError, match=r"a\.parquet' needs 0\.00586 GiB"):
         oee.Transitions.load(tmp_path / "a.parquet")
 
 
 def test_a_gridworld_that_no_machine_holds(capsys):
-    from oee_tabular.cli import main
-
     with pytest.raises(ValueError, match=r"size must be small enough for this machine's memory; 1000000 needs .* GiB"):
         oee.tasks.gridworld(10**6, 0.1)
-    with pytest.raises(SystemExit) as ended:
-        main(["policy", "gridworld:1000000,slip=0.1", "uniform", "--output", "p.npy"])
-    assert ended.value.code == 2
-    assert "size must be small enough for this machine's memory" in capsys.readouterr().err
-    assert 0 < _checks.free_memory() < 2.0**60
+    text = refuse_command(capsys, ["policy", "gridworld:1000000,slip=0.1", "uniform", "--output", "p.npy"])
+    assert "size must be small enough for this machine's memory" in text
 
 
 def test_a_pickle_is_never_opened(tmp_path):
@@ -105,16 +105,16 @@ def test_a_pickle_is_never_opened(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (
-            {"shape": np.array([np.inf, 4.0])},
-            r"shape must be two positive integers, states and actions; it is \[inf, 4\.0\]",
-        ),
+        ({"shape": np.array([np.inf, 4.0])}, r"shape must be two positive integers, .*; it is \[inf, 4\.0\]"),
         ({"shape": np.array([9, -4])}, r"shape must be two positive integers"),
         ({"discount": np.array("0.5")}, r"discount must be an array of numbers"),
         ({"initial": np.array(["0.5"] * 9)}, r"initial must be an array of numbers"),
         ({"transitions_data": np.array(["1"] * 9)}, r"transitions\.data must be real numbers"),
         ({"transitions_indices": np.zeros(3)}, r"transitions\.indices must be integers of one dimension"),
         ({"transitions_indptr": np.zeros(3, dtype=int)}, r"transitions\.indptr must have 37 entries.*; it has 3"),
+        # native code follows row pointers wherever they lead
+        ({"transitions_indptr": np.arange(37)[::-1]}, r"transitions\.indptr\[0\] must be 0; it is 36"),
+        ({"rewards_indptr": np.r_[0, 10**6, np.arange(35)]}, r"rewards\.indptr\[2\] must be at least the one before"),
     ],
 )
 def test_parts_of_a_simulator(tmp_path, changes, text):
@@ -123,24 +123,10 @@ def test_parts_of_a_simulator(tmp_path, changes, text):
         oee.FiniteMDP.load(edited(tmp_path / "s.npz", **changes))
 
 
-@pytest.mark.parametrize("part", ["transitions", "rewards"])
-def test_row_pointers_are_checked_before_native_code_follows_them(tmp_path, part):
-    """It ended in a segmentation fault: hence a process of its own would be lost, where this fails."""
-    GRID.save(tmp_path / "s.npz")
-    pointers = GRID.transitions.indptr.copy()
-    pointers[5] = 10**6
-    with pytest.raises(ValueError, match=rf"s\.npz': {part}\.indptr\[6\] must be at least the one before; it is"):
-        oee.FiniteMDP.load(edited(tmp_path / "s.npz", **{f"{part}_indptr": pointers}))
-
-
 def test_cells_of_a_discretization(tmp_path):
     path = tmp_path / "cells.npz"
-    cells = {
-        "grid_low": -np.ones(2),
-        "grid_high": np.ones(2),
-        "grid_shape": np.full(2, 4),
-        "grid_periodic": np.zeros(2, bool),
-    }
+    cells = {"grid_low": -np.ones(2), "grid_high": np.ones(2)}
+    cells |= {"grid_shape": np.full(2, 4), "grid_periodic": np.zeros(2, bool)}
     from oee_tabular.continuous.task import task_metadata
 
     metadata = task_metadata(CartPole())
@@ -151,10 +137,7 @@ def test_cells_of_a_discretization(tmp_path):
     assert Discretization.load(path, CartPole()).cells.n_cells == 16
     for changes, text in (
         ({"grid_low": -np.ones(3)}, "must have a number for each coordinate"),
-        (
-            {"grid_shape": np.full(2, 2**32)},
-            r"cells must be at most 17, of 2 features; they are 18446744073709551616 of 2",
-        ),
+        ({"grid_shape": np.full(2, 2**32)}, r"cells must be at most 17, .*; they are 18446744073709551616 of 2"),
         ({"grid_high": -np.ones(2)}, "grid_low must be finite and below grid_high"),
         ({"point_cell": np.array([0, 1, 16])}, r"point_cell must be in 0\.\.15; it is 0 to 16"),
         ({"points": np.zeros((3, 3))}, r"points must have shape \(n, 4\)"),
@@ -231,12 +214,20 @@ def test_what_a_table_of_another_program_must_change(tmp_path, text, hint):
         oee.Transitions.load(tmp_path / "l.csv")
 
 
-@pytest.mark.parametrize("text", ["state_0;next_state_0;action\n1;2;0\n", "State_0,Next_State_0,action\n1,2,0\n"])
-def test_the_same_for_continuous_states(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("state_0;next_state_0;action\n1;2;0\n", r"l\.csv' must have the columns state_0.*by semicolons"),
+        ("State_0,Next_State_0,action\n1,2,0\n", r"l\.csv' must have the columns state_0.*write state_0 for 'State_0'"),
+        (
+            "state_0,state_999999999,next_state_0,action\n1,2,3,0\n",
+            "every column from state_0 to .*; state_1 is missing",
+        ),
+    ],
+)
+def test_the_same_for_continuous_states(tmp_path, text, words):
     (tmp_path / "l.csv").write_text(text)
-    with pytest.raises(
-        ValueError, match=r"l\.csv' must have the columns state_0.*(by semicolons|write state_0 for 'State_0')"
-    ):
+    with pytest.raises(ValueError, match=words):
         oee.ContinuousTransitions.load(tmp_path / "l.csv")
 
 
@@ -254,12 +245,6 @@ def test_foreign_columns_are_not_read(tmp_path, foreign):
         with pytest.warns(UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 4990 more$"):
             assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
     assert time.perf_counter() - start < 5
-
-
-def test_numbers_of_columns_that_go_on_for_ever(tmp_path):
-    (tmp_path / "l.csv").write_text("state_0,state_999999999,next_state_0,action\n1,2,3,0\n")
-    with pytest.raises(ValueError, match="must have every column from state_0 to state_999999999; state_1 is missing"):
-        oee.ContinuousTransitions.load(tmp_path / "l.csv")
 
 
 def test_a_parquet_file_with_a_column_twice(tmp_path):
@@ -283,7 +268,6 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     import socket
     from pathlib import Path
 
-    from oee_tabular.cli import main
     from oee_tabular.mdp.policies import read_policy_array
 
     def refuse(*_, **__):
@@ -297,14 +281,9 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     ]  # fmt: skip
     for reader in readers:
         for given in (address, Path(address)):
-            with pytest.raises(
-                ValueError, match=r"path must be a file of this machine; .* is an address, and nothing is fetched"
-            ):
+            with pytest.raises(ValueError, match=r"path must be a file of this machine; .* and nothing is fetched"):
                 reader(given)
-    with pytest.raises(SystemExit) as ended:
-        main(["info", address])
-    assert ended.value.code == 2
-    assert "nothing is fetched" in capsys.readouterr().err
+    assert "nothing is fetched" in refuse_command(capsys, ["info", address])
 
 
 def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
