@@ -1,15 +1,19 @@
 """Logs of any size as counts: the same bits whatever the file's form, the order of processes, and the rows left out."""
 
+import itertools
 import os
 import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
@@ -169,94 +173,64 @@ def frame_of(**changes):
     return frame
 
 
-VALUES = {
-    "negative": ("state", 4, -3, r"state\[4\] must be at least 0; it is -3"),
-    "outside": ("next_state", 4, 9, r"next_state\[4\] must be in 0\.\.8; it is 9"),
-    "action outside": ("action", 4, 4, r"action\[4\] must be in 0\.\.3; it is 4"),
-    "fraction": ("state", 4, 0.5, r"state\[4\] must be an integer; it is 0\.5"),
-    "huge": ("state", 4, 2**62, r"state\[4\] must be in 0\.\.8; it is 4611686018427387904"),
-    "beyond 64 bits": ("action", 4, 2**63 + 5, r"action\[4\] must be (in 0\.\.3|an integer); it is 92233720368547758"),
-    "infinite": ("reward", 4, np.inf, r"reward\[4\] must be finite; it is inf"),
-    "probability": ("behavior_probability", 4, 1.5, r"behavior_probability\[4\] must be in \[0, 1\]; it is 1\.5"),
-    "flag": ("terminated", 4, 7, r"terminated\[4\] must be a boolean \(or 0 or 1\); it is 7"),
-    "timestep": ("timestep", 4, -1, r"timestep\[4\] must be at least 0; it is -1"),
-    "missing": ("state", 4, None, r"state\[4\] must have a value; it has none"),
-    "no episode": ("episode", 4, None, r"episode\[4\] must have a value; it has none"),
-    "episode fraction": ("episode", 4, 6.5, r"episode\[4\] must be an integer; it is 6\.5"),
-}
-WORDS = {
-    "word": ("state", 4, "x", r"state\[4\] must be an integer; it is 'x'"),
-    "reward": ("reward", 4, "much", r"reward\[4\] must be finite; it is 'much'"),
-    "flag": ("truncated", 4, "perhaps", r"truncated\[4\] must be a boolean"),
-    "date": ("episode", 4, "2020-01-01", r"episode\[4\] must be an integer; it is '2020-01-01'"),
-}
+BAD = [  # column, value in row 4, rule; those of words in CSV alone, for a parquet column of words is refused by its type
+    ("state", -3, r"must be at least 0; it is -3"),
+    ("next_state", 9, r"must be in 0\.\.8; it is 9"),
+    ("action", 4, r"must be in 0\.\.3; it is 4"),
+    ("state", 0.5, r"must be an integer; it is 0\.5"),
+    ("state", 2**62, r"must be in 0\.\.8; it is 4611686018427387904"),
+    ("action", 2**63 + 5, r"must be (in 0\.\.3|an integer); it is 92233720368547758"),
+    ("reward", np.inf, r"must be finite; it is inf"),
+    ("behavior_probability", 1.5, r"must be in \[0, 1\]; it is 1\.5"),
+    ("terminated", 7, r"must be a boolean \(or 0 or 1\); it is 7"),
+    ("timestep", -1, r"must be at least 0; it is -1"),
+    ("state", None, r"must have a value; it has none"),
+    ("episode", None, r"must have a value; it has none"),
+    ("episode", 6.5, r"must be an integer; it is 6\.5"),
+    ("state", "x", r"must be an integer; it is 'x' \(names take a simulator that has them"),
+    ("reward", "much", r"must be finite; it is 'much'"),
+    ("truncated", "perhaps", r"must be a boolean"),
+    ("episode", "2020-01-01", r"must be an integer; it is '2020-01-01'"),
+]
+CASES = [(*case, ending) for case in BAD for ending in (".csv", ".parquet")[: 1 + (type(case[1]) is not str)]]
 
 
-def bad_file(tmp_path, ending, name, row, value):
-    frame, path = frame_of(**{name: (row, value)}), tmp_path / f"bad{ending}"
-    frame_of().assign(episode=[1, 1, 1, 2, 2, 3, 3]).to_csv(tmp_path / "a.csv", index=False)
+@pytest.mark.parametrize(("name", "value", "rule", "ending"), CASES)
+def test_bad_rows_are_named_and_refused_or_counted(tmp_path, name, value, rule, ending):
+    frame, path = frame_of(**{name: (4, value)}), tmp_path / f"bad{ending}"
     if ending == ".csv":
         frame.to_csv(path, index=False)
     else:
         kind = "Float64" if value is None or isinstance(value, float) else "uint64" if value >= 2**63 else None
         frame.assign(**{name: pd.array(frame[name].tolist(), dtype=kind)}).to_parquet(path, index=False)
-    return path
+    frame_of().assign(episode=[1, 1, 1, 2, 2, 3, 3]).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(ValueError, match=rf"'{re.escape(str(path))}': {name}\[4\] {rule}.*bad_rows='drop'"):
+        Transitions.open(path, n_states=9, n_actions=4)
+    found = Transitions.open([path, tmp_path / "a.csv"], n_states=9, n_actions=4, bad_rows="drop")
+    assert re.search(rule, found.recording.reasons[0])
+    n_broken = 1 + (name == "episode")  # without a name it may be the next episode's
+    assert (found.recording.dropped, len(found), found.recording.broken) == (1, 13, n_broken)
+    assert np.diff(found.sample.episode_starts).tolist() == ([3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2])
+    assert f"1 bad rows dropped, {n_broken} episodes broken" in found.describe()
 
 
-def test_names_have_another_way(tmp_path):
-    (tmp_path / "names.csv").write_text("state,action,next_state\nhall,0,dock\n")
-    hint = r" \(names take a simulator that has them"
-    with pytest.raises(ValueError, match=rf"state\[0\] must be an integer; it is .(hall|dock).{hint}"):
-        Transitions.open(tmp_path / "names.csv")
-    pd.read_csv(tmp_path / "names.csv").to_parquet(tmp_path / "names.parquet")
-    with pytest.raises(ValueError, match=rf"must hold integers; it holds texts{hint}"):
+def test_names_in_parquet_have_another_way(tmp_path):
+    pd.DataFrame({"state": ["hall"], "action": [0], "next_state": ["dock"]}).to_parquet(tmp_path / "names.parquet")
+    with pytest.raises(ValueError, match=r"must hold integers; it holds texts \(names take a simulator that has them"):
         Transitions.open(tmp_path / "names.parquet")
 
 
-@pytest.mark.parametrize("ending", [".csv", ".parquet"])
-@pytest.mark.parametrize("case", [*VALUES, *(f"word: {word}" for word in WORDS)])
-def test_bad_rows_are_named_and_refused_or_counted(tmp_path, ending, case):
-    name, row, value, text = VALUES[case] if case in VALUES else WORDS[case.removeprefix("word: ")]
-    if case not in VALUES and ending == ".parquet":
-        pytest.skip("a column of words is refused by its type")
-    path = bad_file(tmp_path, ending, name, row, value)
-    with pytest.raises(ValueError, match=rf"'{re.escape(str(path))}': {text}.*bad_rows='drop'"):
-        Transitions.open(path, n_states=9, n_actions=4)
-    found = Transitions.open([path, tmp_path / "a.csv"], n_states=9, n_actions=4, bad_rows="drop")
-    assert found.recording.dropped == 1
-    assert len(found) == 13
-    assert re.search(text, found.recording.reasons[0])
-    assert found.recording.broken == 1 + (name == "episode")  # without a name it may be the next episode's
-    assert np.diff(found.sample.episode_starts).tolist() == ([3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2])
-    assert f"1 bad rows dropped, {found.recording.broken} episodes broken" in found.describe()
+LINES = [  # by the line before which they stand, from 0: bad lines; rows dropped, moves, episodes broken, lengths of others
+    ({5: "1,2"}, r"row 4 \(line 6\) must have 9 fields, as the header has; it has 2", [1, 7, 1], [3, 2]),
+    ({5: "1,0,2,0,0,6,1,0.5,1,9"}, r"row 4 \(line 6\) must have 9 fields, .*; it has 10", [1, 7, 1], [3, 2]),
+    ({2: "1,2", 6: "x,0,1,0,0,6,2,0.5,1"}, r"row 1 \(line 3\) must.*\n.*state\[6\] must", [2, 7, 2], [2]),
+    ({2: "1,2\n-4,1,2,0,0,5,1,0.5,0", 8: "7"}, r"row 1 .*\n.*state\[2\] must be .* -4", [3, 7, 2], [2]),
+]
 
 
-LINES = {  # by the line before which they stand, from 0: bad lines; rows dropped, moves, episodes broken, lengths of others
-    "too few": ({5: "1,2"}, r"row 4 \(line 6\) must have 9 fields, as the header has; it has 2", 1, 7, 1, [3, 2]),
-    "too many": ({5: "1,0,2,0,0,6,1,0.5,1,9"}, r"row 4 \(line 6\) must have 9 fields, .*; it has 10", 1, 7, 1, [3, 2]),
-    "and a bad row": (
-        {2: "1,2", 6: "x,0,1,0,0,6,2,0.5,1"},
-        r"row 1 \(line 3\) must.*\n.*state\[6\] must",
-        2,
-        7,
-        2,
-        [2],
-    ),
-    "and one at the end": (
-        {2: "1,2\n-4,1,2,0,0,5,1,0.5,0", 8: "7"},
-        r"row 1 .*\n.*state\[2\] must be .* -4",
-        3,
-        7,
-        2,
-        [2],
-    ),
-}
-
-
-@pytest.mark.parametrize("case", LINES)
-def test_lines_with_other_fields(tmp_path, case):
+@pytest.mark.parametrize(("lines", "words", "numbers", "lengths"), LINES)
+def test_lines_with_other_fields(tmp_path, lines, words, numbers, lengths):
     """The numbers of rows stay right behind them."""
-    lines, words, *expected = LINES[case]
     text = frame_of().to_csv(index=False).splitlines()
     for place in sorted(lines, reverse=True):
         text.insert(place, lines[place])
@@ -265,8 +239,8 @@ def test_lines_with_other_fields(tmp_path, case):
         Transitions.open(tmp_path)
     found = Transitions.open(tmp_path, bad_rows="drop")
     assert re.search(words, "\n".join(found.recording.reasons))
-    lengths = [] if found.sample is None else np.diff(found.sample.episode_starts).tolist()
-    assert [found.recording.dropped, len(found), found.recording.broken, lengths] == expected
+    assert [found.recording.dropped, len(found), found.recording.broken] == numbers
+    assert np.diff(found.sample.episode_starts).tolist() == lengths
 
 
 @pytest.mark.parametrize("odd", [("0,0", "0,0,1,1"), ("0,0,1,1", "0,0")])
@@ -281,19 +255,18 @@ def test_lines_whose_fields_are_as_many_on_the_average(tmp_path, odd):
     assert (found.recording.dropped, len(found)) == (2, 399_998)
 
 
-ORDER = {
-    "timestep": (4, 3, r"timestep\[4\] must be 1 \(steps of an episode in order from 0\); it is 3"),
-    "state": (4, 0, r"next_state\[3\] must be the state of the next row of its episode, which is 0; it is 1"),
-    "terminated": (3, 1, r"terminated\[3\] must be False: its episode goes on in the next row; it is True"),
-    "truncated": (3, 1, r"truncated\[3\] must be False"),
-}
-
-
-@pytest.mark.parametrize("case", ORDER)
-def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case):
+@pytest.mark.parametrize(
+    ("name", "row", "value", "text"),
+    [
+        ("timestep", 4, 3, r"timestep\[4\] must be 1 \(steps of an episode in order from 0\); it is 3"),
+        ("state", 4, 0, r"next_state\[3\] must be the state of the next row of its episode, which is 0; it is 1"),
+        ("terminated", 3, 1, r"terminated\[3\] must be False: its episode goes on in the next row; it is True"),
+        ("truncated", 3, 1, r"truncated\[3\] must be False"),
+    ],
+)
+def test_rows_that_do_not_go_on_with_their_episode(tmp_path, name, row, value, text):
     """Their moves are moves; the episode is none to be sampled."""
-    row, value, text = ORDER[case]
-    frame_of(**{case: (row, value)}).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
+    frame_of(**{name: (row, value)}).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
     with pytest.raises(ValueError, match=text):
         Transitions.open(tmp_path)
     found = Transitions.open(tmp_path, bad_rows="drop")
@@ -302,19 +275,25 @@ def test_rows_that_do_not_go_on_with_their_episode(tmp_path, case):
     assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
 
 
-@pytest.mark.parametrize(
-    ("names", "row"), [([5, 5, 5, 6, 6, 5, 5], 5), ([5, 5, 5, 4, 4, 5, 5], 5), ([9, 9, 9, 2, 2, 9, 9], 5)]
-)
-def test_episodes_stand_together(tmp_path, names, row):
-    frame_of().assign(episode=names).to_parquet(tmp_path / "a.parquet", index=False)
-    with pytest.raises(ValueError, match=rf"keep the rows .* together; {names[0]} begins again in row {row}"):
-        Transitions.open(tmp_path)
-    found = Transitions.open(tmp_path, bad_rows="drop")
-    assert len(found) == 7
-    assert found.sample.n_episodes == 1
-    for fine in ([9, 9, 9, 2, 2, 5, 5], [1, 1, 1, 2, 2, 3, 3], [-1, -1, -1, 7, 7, 0, 0]):
-        frame_of().assign(episode=fine).to_parquet(tmp_path / "a.parquet", index=False)
-        assert Transitions.open(tmp_path).sample.n_episodes == 3
+@given(st.permutations([0, 0, 1, 1, 2, 2]), st.lists(st.integers(-9, 2**40), min_size=3, max_size=3, unique=True))
+@settings(max_examples=40)
+def test_episodes_stand_together(order, names):
+    """Else the first row is named in which one begins again, and of the others alone there may be samples."""
+    runs = [name for name, _ in itertools.groupby(order)]
+    columns = {"state": [0] * 6, "action": 0, "next_state": 0, "episode": [names[k] for k in order]}
+    with tempfile.TemporaryDirectory() as folder:
+        path = f"{folder}/a.csv"
+        pd.DataFrame(columns).to_csv(path, index=False)
+        found = Transitions.open(path, bad_rows="drop")
+        again = next((k for k in range(6) if order[k] in order[:k] and order[k] != order[k - 1]), None)
+        if again is not None:
+            words = rf"keep the rows .* together; {names[order[again]]} begins again in row {again}"
+            with pytest.raises(ValueError, match=words):
+                Transitions.open(path)
+            assert re.search(words, found.recording.reasons[0])
+    assert len(found) == 6
+    n_whole = sum(runs.count(k) == 1 for k in range(3))
+    assert (0 if found.sample is None else found.sample.n_episodes) == n_whole
 
 
 # ---- files that are none of a log
