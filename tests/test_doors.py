@@ -67,22 +67,6 @@ def test_no_flipped_byte_loads_other_data(tmp_path, ending):
             assert oee.Transitions.open(path).count.tolist() == counts
 
 
-@pytest.mark.parametrize(
-    "text", ["state,action,next_state\n0,0x1,1\n1,1,2\n", "state,action,next_state,state\n0,0,1,2\n"]
-)
-def test_all_readers_refuse_the_same(tmp_path, text):
-    (tmp_path / "log.csv").write_text(text)
-    for read in (oee.Transitions.load, oee.Transitions.open):
-        with pytest.raises(ValueError, match=r"log\.csv'.*(action|state)"):
-            read(tmp_path / "log.csv")
-
-
-def test_all_readers_take_other_encodings_alike(tmp_path):
-    (tmp_path / "log.csv").write_text("state,action,next_state\n0,1,2\n", encoding="utf-16")
-    assert oee.Transitions.load(tmp_path / "log.csv").action.tolist() == [1]
-    assert oee.Transitions.open(tmp_path / "log.csv").action.tolist() == [1]
-
-
 def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
     one = {"a": np.arange(4), "b": np.array(["x", "y"])}
     others = (

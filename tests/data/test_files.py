@@ -12,12 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import random_mdp, random_policy
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import Transitions, _files
+from oee_tabular import Transitions
 from oee_tabular._files import save_npz
 
 FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
@@ -217,27 +215,6 @@ def test_arrays_frames_and_npz_need_no_duckdb(tmp_path):
     subprocess.run([sys.executable, "-c", WITHOUT, str(tmp_path / "log.npz")], check=True)
 
 
-@pytest.mark.parametrize("ending", ["npz", "parquet"])
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_damaged_file_of_ours_never_loads_as_other_data(tmp_path, ending, seed):
-    path, rng = tmp_path / f"log.{ending}", np.random.default_rng(seed)
-    log = logs()["episodes"]
-    log.save(path)
-    data = bytearray(path.read_bytes())
-    for k in rng.integers(len(data), size=rng.integers(1, 4)):
-        data[k] ^= 1 << int(rng.integers(8))
-    path.write_bytes(data)
-    for read in (Transitions.load, Transitions.open):
-        try:
-            loaded = read(path)
-        except ValueError:
-            continue
-        assert_array_equal(loaded.counts(5, 3).toarray(), log.counts(5, 3).toarray())
-        if read is Transitions.load:
-            assert_same(loaded, log)
-
-
 def test_a_file_of_ours_that_another_program_wrote_anew_names_the_way_out(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     logs()["episodes"].save(tmp_path / "log.parquet")
@@ -294,23 +271,6 @@ def test_missing_rewards_are_missing(tmp_path):
         assert_allclose(problem.model.transition_rewards.toarray(), [[0, 3], [0, -1]])
         assert problem.reward_conflict.rows == 2
     assert_array_equal(oee.Problem(mdp, log).rewards_of(log), [4, 1, -1, 1, 2])
-
-
-@pytest.mark.parametrize("name", ["log.npz", "log.csv", "log.parquet"])
-def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch, name):
-    """The disk fills up at the last moment: the old file stands, no temporary file is left."""
-    log = logs()["episodes"]
-    log.first(3).save(tmp_path / name)
-    before = (tmp_path / name).read_bytes()
-
-    def full(descriptor):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(_files.os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        log.save(tmp_path / name)
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert (tmp_path / name).read_bytes() == before
 
 
 def test_arrays_of_objects_are_not_saved(tmp_path):
