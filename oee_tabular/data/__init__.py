@@ -19,12 +19,13 @@ estimated from a bag are its counts, (S*A, S), row s*A + a::
 Counts are sufficient for values, ratios, tests and intervals. ``Transitions.open`` makes them of files of any size, in the
 memory of the counts, with a sample of whole episodes for importance sampling.
 
-- ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has; ``moves.py``: sums over transitions
+- ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
 - ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names
 - ``rules.py``: what each column must hold, for arrays, files and counts; ``labels.py``: labels of columns
 - ``files.py``: npz, and which files a path, a pattern or a folder names; ``minari.py``: Minari data sets
 - ``reader.py``: CSV and parquet in pieces; ``digests.py``: parquet files of our own
-- ``counts.py``: the class ``TransitionCounts``; ``counting.py``, ``sums.py``: one file as counts; ``opening.py``: several
+- ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions of each (s, a, s')
+- ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may be given as
 
 Guaranteed: a file is read by one thread in the order of its rows, and files are added in the order of their names, so that
 one process, several and a cluster give the same bits. An npz or a parquet file that was saved here carries a digest, and is
@@ -37,7 +38,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.data.counts import TransitionCounts
-from oee_tabular.data.opening import open_log, read_log
+from oee_tabular.data.opening import open_log, read_log as read_log
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 
 Transitions.open = staticmethod(open_log)  # here, for counts are made of logs: logs need not know how they are counted
 
-__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions", "read_log"]
+__all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
 
 
 def __getattr__(name: str) -> Any:

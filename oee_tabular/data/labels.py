@@ -1,11 +1,13 @@
-"""The labels of a log's columns, and words for a table that has others."""
+"""The labels of a log's columns, words for a table that has others, and a log in one line."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from oee_tabular import _checks
+from oee_tabular.mdp.naming import Name
 
 MOVE = ("state", "action", "next_state")
 COLUMNS = (*MOVE, "reward", "terminated", "truncated", "episode", "timestep", "behavior_probability")
@@ -61,3 +63,29 @@ def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likene
     text = label if isinstance(label, str) else _checks.show(label)
     near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
     return f" (did you mean {near[0]!r}?)" if near and quotes else f" (did you mean {near[0]}?)" if near else ""
+
+
+def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
+    """A log's summary in one line; ``names``: of its states and actions, where they have names."""
+    text = f"{facts['transitions']} transitions"
+    if facts.get("different"):
+        text += f", {facts['different']} different"
+    if facts.get("files"):
+        text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
+    if facts["episodes"]:
+        n, shortest, longest = (facts[name] for name in ("episodes", "episode_length_min", "episode_length_max"))
+        steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
+        text += f" in {n} episode{'s' * (n > 1)} of {steps}"
+    text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
+    for word, mark in (("state", ";"), ("action", ",")):
+        own = names.get(f"{word}_names")
+        text += f"{mark} {len(own)} named {word}s" if own else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
+    if facts["reward_min"] is not None:
+        text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
+    if facts.get("behavior_probability"):
+        text += "; behaviour probabilities"
+    if facts.get("sampled_episodes") is not None:
+        text += f"; {facts['sampled_episodes']} whole episodes kept"
+    if facts.get("rows_dropped"):
+        text += f"; {facts['rows_dropped']} bad rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+    return text

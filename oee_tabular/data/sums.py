@@ -13,8 +13,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, Column
+from oee_tabular._sparse import canonical
 from oee_tabular.data.labels import MOVE
 
 KEY = (*MOVE, "terminated")
@@ -70,3 +73,25 @@ class Sums:
         """The entries as columns."""
         key, sums = self.key[: self.size].T.copy(), self.sums[: self.size].T.copy()
         return dict(zip((*KEY, *COUNTED), (*key, *sums), strict=True))
+
+
+def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:
+    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S); ValueError for numbers out of range."""
+    _checks.positive_integer(n_states, "n_states")
+    _checks.positive_integer(n_actions, "n_actions")
+    _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
+    for name, column, limit in (
+        ("state", log.state, n_states),
+        ("action", log.action, n_actions),
+        ("next_state", log.next_state, n_states),
+    ):
+        bad = np.flatnonzero(column >= limit)
+        if bad.size:
+            given = "n_actions" if name == "action" else "n_states"
+            raise ValueError(
+                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
+                f"{given} is {limit})"
+            )
+    rows = log.state * n_actions + log.action
+    matrix = sparse.csr_array((weights, (rows, log.next_state)), shape=(n_states * n_actions, n_states))
+    return canonical(matrix, drop_zeros=True)

@@ -19,9 +19,9 @@ from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
-from oee_tabular.data.moves import counts_of, describe_facts
+from oee_tabular.data.labels import describe_facts
 from oee_tabular.data.rules import check_array
-from oee_tabular.data.sums import RowSums
+from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, name_text, renumber
 
