@@ -38,7 +38,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.data.counts import TransitionCounts
-from oee_tabular.data.opening import open_log, read_log as read_log
+from oee_tabular.data.opening import open_log
+from oee_tabular.data.opening import read_log as read_log
 from oee_tabular.data.transitions import Transitions
 
 if TYPE_CHECKING:

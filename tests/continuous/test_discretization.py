@@ -1,3 +1,4 @@
+import json
 import warnings
 from dataclasses import replace
 
@@ -10,8 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular._checks import freeze
+from oee_tabular._files import save_npz
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.grid import Grid, gauss_hermite
+from oee_tabular.continuous.task import task_metadata
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators.calibrated import calibrate
 from oee_tabular.tasks import (
@@ -549,3 +552,26 @@ def test_every_grid_of_cartpole_is_a_finite_mdp(rows, columns, floor, seed):
     assert_allclose(row_sums(model.mdp.transitions), 1.0, atol=1e-12)
     value = oee.policy_value(model.mdp, model.policy(half), horizon=50)
     assert 0 < value <= sum(0.99**t for t in range(50)) + 1e-9
+
+
+def test_cells_of_a_discretization(tmp_path):
+    path = tmp_path / "cells.npz"
+    cells = {"grid_low": -np.ones(2), "grid_high": np.ones(2)}
+    cells |= {"grid_shape": np.full(2, 4), "grid_periodic": np.zeros(2, bool)}
+    metadata = task_metadata(CartPole())
+    chain = oee.FiniteMDP(np.full((17, 2, 17), 1 / 17), np.zeros(17), np.full(17, 1 / 17), 0.9)
+    good = chain.arrays() | cells | {"points": np.zeros((3, 4)), "point_cell": np.array([0, 1, 15])}
+    good |= {"metadata": np.array(json.dumps(metadata))}
+    save_npz(path, "finite_mdp", good)
+    assert Discretization.load(path, CartPole()).cells.n_cells == 16
+    for changes, text in (
+        ({"grid_low": -np.ones(3)}, "must have a number for each coordinate"),
+        ({"grid_shape": np.full(2, 2**32)}, r"cells must be at most 17, .*; they are 18446744073709551616 of 2"),
+        ({"grid_high": -np.ones(2)}, "grid_low must be finite and below grid_high"),
+        ({"point_cell": np.array([0, 1, 16])}, r"point_cell must be in 0\.\.15; it is 0 to 16"),
+        ({"points": np.zeros((3, 3))}, r"points must have shape \(n, 4\)"),
+        ({"metadata": np.array("{")}, r"Expecting property name"),
+    ):
+        save_npz(path, "finite_mdp", good | changes)
+        with pytest.raises(ValueError, match=rf"cells\.npz'.*{text}"):
+            Discretization.load(path, CartPole())

@@ -1,7 +1,6 @@
 """Files that are broken, too large, elsewhere or written by other programs: one sentence each, naming the file."""
 
 import io
-import json
 import time
 import zipfile
 
@@ -125,31 +124,6 @@ def test_parts_of_a_simulator(tmp_path, changes, text):
     GRID.save(tmp_path / "s.npz")
     with pytest.raises(ValueError, match=rf"s\.npz'.*{text}"):
         oee.FiniteMDP.load(edited(tmp_path / "s.npz", **changes))
-
-
-def test_cells_of_a_discretization(tmp_path):
-    path = tmp_path / "cells.npz"
-    cells = {"grid_low": -np.ones(2), "grid_high": np.ones(2)}
-    cells |= {"grid_shape": np.full(2, 4), "grid_periodic": np.zeros(2, bool)}
-    from oee_tabular.continuous.task import task_metadata
-
-    metadata = task_metadata(CartPole())
-    chain = oee.FiniteMDP(np.full((17, 2, 17), 1 / 17), np.zeros(17), np.full(17, 1 / 17), 0.9)
-    good = chain.arrays() | cells | {"points": np.zeros((3, 4)), "point_cell": np.array([0, 1, 15])}
-    good |= {"metadata": np.array(json.dumps(metadata))}
-    _files.save_npz(path, "finite_mdp", good)
-    assert Discretization.load(path, CartPole()).cells.n_cells == 16
-    for changes, text in (
-        ({"grid_low": -np.ones(3)}, "must have a number for each coordinate"),
-        ({"grid_shape": np.full(2, 2**32)}, r"cells must be at most 17, .*; they are 18446744073709551616 of 2"),
-        ({"grid_high": -np.ones(2)}, "grid_low must be finite and below grid_high"),
-        ({"point_cell": np.array([0, 1, 16])}, r"point_cell must be in 0\.\.15; it is 0 to 16"),
-        ({"points": np.zeros((3, 3))}, r"points must have shape \(n, 4\)"),
-        ({"metadata": np.array("{")}, r"Expecting property name"),
-    ):
-        _files.save_npz(path, "finite_mdp", good | changes)
-        with pytest.raises(ValueError, match=rf"cells\.npz'.*{text}"):
-            Discretization.load(path, CartPole())
 
 
 # ---- sparse matrices that were edited after they were made
