@@ -102,9 +102,8 @@ class _FileCount:
         self.table, self.limits, self.name = table, limits, name
         self.sums = Sums()
         self.faults: dict[str, tuple[int, str, int]] = {}  # by kind: the first row, the words for it, how many rows
-        self.n_dropped = self.n_truncated = self.n_terminated = 0
-        # of the rows that have an episode, those of which follow each other and have the same one are a run
-        self.n_rows = self.n_runs = 0
+        self.n_dropped = self.n_truncated = 0
+        self.n_rows = self.n_runs = 0  # that have an episode; runs of such rows with the same one
         self.last: dict[str, Column] = {}  # the last row of the piece before
         self.last_row = self.last_lost = -1
         self.starts: list[IntArray] = []  # of the runs, among these rows and among those of the file
@@ -151,7 +150,6 @@ class _FileCount:
         good = _choose(columns, ~is_bad)
         self.n_dropped += len(piece.lost) + int(is_bad.sum())
         self.n_truncated += int(good["truncated"].sum()) if "truncated" in good else 0
-        self.n_terminated += int(good["terminated"].sum()) if "terminated" in good else 0
         self.sums.add(good)
 
     def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
@@ -212,31 +210,26 @@ class _FileCount:
 
     def result(self) -> FileCounts:
         """What was counted."""
-        facts, sample = {}, NO_SAMPLE
+        sample, entries = NO_SAMPLE, self.sums.entries()
+        recording = Recording(by_episodes="episode" in self.table.known, files=1, dropped=self.n_dropped)
         if self.n_rows:
             starts, first_rows = np.concatenate(self.starts, axis=1)
             self._find_repeated(first_rows)
             sample = self._cut_sample()
             length = np.diff(starts, append=self.n_rows)
             broken = np.unique(np.concatenate(self.broken))
-            facts = {
-                "episodes": len(length),
-                "shortest": int(length.min()),
-                "longest": int(length.max()),
-                "broken": int((broken >= 0).sum()),
-            }
+            recording = recording._replace(
+                episodes=len(length),
+                shortest=int(length.min()),
+                longest=int(length.max()),
+                broken=int((broken >= 0).sum()),
+            )
             if "truncated" not in self.table.known:
-                self.n_truncated = max(len(length) - self.n_terminated, 0)
+                n_terminated = int(entries["count"][entries["terminated"] == 1].sum())
+                self.n_truncated = max(len(length) - n_terminated, 0)
         known, unknown = frozenset(self.table.known), tuple(x for x in self.table.labels if x not in COLUMNS)
-        recording = Recording(
-            "episode" in known,
-            truncated=self.n_truncated,
-            files=1,
-            dropped=self.n_dropped,
-            reasons=self._reasons(),
-            **facts,
-        )
-        return FileCounts(self.sums.entries(), recording, sample, known, unknown)
+        recording = recording._replace(truncated=self.n_truncated, reasons=self._reasons())
+        return FileCounts(entries, recording, sample, known, unknown)
 
     def _find_repeated(self, first_rows: IntArray) -> None:
         """An episode's rows stand together: no run has the episode of another."""

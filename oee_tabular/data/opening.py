@@ -39,8 +39,8 @@ def open_log(
 
     Parameters
     ----------
-    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, or a
-        list of these
+    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, Minari
+        data set, or a list of these
     simulator : FiniteMDP, optional: whose states and actions there are, others are bad; where it has names, so may the log
     n_states, n_actions : int, optional, in its place: states and actions from there on are bad
     bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
