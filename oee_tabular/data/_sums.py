@@ -1,17 +1,15 @@
-"""Kernel of ``sums.py``: rows added to a table by hash, with open addressing."""
+"""Kernel of ``sums.py``: keys found in a table by hash, with open addressing."""
 
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def add_rows(rows, values, start, slots, key, sums, size):  # type: ignore[no-untyped-def]
-    """Add rows from ``start`` on until the table is half full; where it stopped, and the number of entries.
+def find_entries(state, action, next_state, ended, start, slots, key, size, entry):  # type: ignore[no-untyped-def]
+    """Find the ``entry`` of each row from ``start`` on, a new one where there is none, until the table is half full.
 
-    ``rows``: s, a, s', ended; ``values``: as in ``sums``, (n,) each. ``slots``: the entry at each place, -1 where it is free.
+    ``slots``: the entry at each place, -1 where it is free. Returns where it stopped and the number of entries.
     """
-    state, action, next_state, ended = rows
-    number, total, least, largest, paid = values
     mask = len(slots) - 1
     for i in range(start, len(state)):
         s, a, s2, e = state[i], action[i], next_state[i], ended[i]
@@ -29,14 +27,6 @@ def add_rows(rows, values, start, slots, key, sums, size):  # type: ignore[no-un
                 return i, size
             k = slots[slot] = size
             key[k, 0], key[k, 1], key[k, 2], key[k, 3] = s, a, s2, e
-            sums[k, 2] = sums[k, 3] = np.nan
             size += 1
-        sums[k, 0] += number[i]
-        if paid[i] > 0:
-            sums[k, 1] += total[i]
-            if not least[i] >= sums[k, 2]:
-                sums[k, 2] = least[i]
-            if not largest[i] <= sums[k, 3]:
-                sums[k, 3] = largest[i]
-            sums[k, 4] += paid[i]
+        entry[i] = k
     return len(state), size

@@ -126,8 +126,10 @@ class _FileCount:
                 return False
             if label in KEY:
                 groups[label] = values
-        if "reward" in labels and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
-            return False  # a reward that is nan is missing, and DuckDB adds it
+        if "reward" in labels:
+            if (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
+                return False  # a reward that is nan is missing, and DuckDB adds it
+            groups["reward_sum"] = np.nan_to_num(groups["reward_sum"])
         self.sums.add(groups)
         self.n_truncated = int(groups["truncated_sum"].sum()) if "truncated" in labels else 0
         return True

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Column
+from oee_tabular._checks import Array, Column, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data.labels import MOVE
 
@@ -44,35 +44,45 @@ class RowSums(NamedTuple):
 
 
 class Sums:
-    """Entries in the order in which they came: ``key`` (K, 4), s, a, s', ended, and ``sums`` (K, 5), those of ``RowSums``."""
+    """Entries in the order in which they came: ``key`` (K, 4), s, a, s', ended, and ``sums`` (5, K), those of ``RowSums``."""
 
     def __init__(self, n_slots: int = LEAST_SIZE) -> None:
         self.size, self.slots = 0, np.full(n_slots, -1, dtype=np.int64)
-        self.key, self.sums = np.zeros((n_slots // 2, 4), dtype=np.int64), np.zeros((n_slots // 2, 5))
+        self.key = np.zeros((n_slots // 2, 4), dtype=np.int64)
+        self.sums = np.zeros((5, n_slots // 2))
+        self.sums[2:4] = np.nan
+
+    def add(self, columns: Mapping[str, Column]) -> None:
+        """Add transitions, as the columns of a log, or what ``entries`` of another table gives."""
+        n = len(columns["state"])
+        entry = self._find_entries([columns.get(label, np.zeros(n, dtype=np.int64)) for label in KEY])
+        if "count" in columns:
+            rows = RowSums(*(columns.get(label) for label in COUNTED))  # type: ignore[arg-type]
+        else:
+            rows = RowSums.of_transitions(n, columns.get("reward"))
+        for total, add, values in zip(self.sums, (np.add, np.add, np.fmin, np.fmax, np.add), rows, strict=True):
+            if values is not None:
+                add.at(total, entry, values)
 
     @np.errstate(over="ignore")  # of hashes, where kernels are not compiled
-    def add(self, columns: Mapping[str, Any]) -> None:
-        """Add transitions, as the columns of a log, or what ``entries`` of another table gives."""
-        from oee_tabular.data._sums import add_rows  # numba is not imported before something is summed
+    def _find_entries(self, columns: list[Column]) -> IntArray:
+        """The entry of each row; the table grows to twice its size whenever it is half full."""
+        from oee_tabular.data import _sums  # numba is not imported before something is summed
 
-        n = len(columns["state"])
-        nothing = np.zeros(n)
-        values = [columns.get(label, nothing) for label in COUNTED]
-        if "count" not in columns:
-            values = list(RowSums.of_transitions(n, columns.get("reward", nothing * np.nan)))
-        key = tuple(np.require(columns.get(label, nothing), np.int64, ("C", "W")) for label in KEY)
-        arrays = tuple(np.require(value, np.float64, ("C", "W")) for value in values)
-        done, self.size = add_rows(key, arrays, 0, self.slots, self.key, self.sums, self.size)
-        while done < n:  # the table is half full: the same in one of twice the size
-            more = Sums(2 * len(self.slots))
-            more.add(self.entries())
-            self.slots, self.key, self.sums = more.slots, more.key, more.sums
-            done, self.size = add_rows(key, arrays, done, self.slots, self.key, self.sums, self.size)
+        find_entries: Any = _sums.find_entries
+        key = [np.require(column, np.int64, ("C", "W")) for column in columns]
+        entry = np.zeros(len(key[0]), dtype=np.int64)
+        done, self.size = find_entries(*key, 0, self.slots, self.key, self.size, entry)
+        while done < len(entry):
+            larger = Sums(2 * len(self.slots))
+            larger.add(self.entries())
+            self.slots, self.key, self.sums = larger.slots, larger.key, larger.sums
+            done, self.size = find_entries(*key, done, self.slots, self.key, self.size, entry)
+        return entry
 
     def entries(self) -> dict[str, Column]:
         """The entries as columns."""
-        key, sums = self.key[: self.size].T.copy(), self.sums[: self.size].T.copy()
-        return dict(zip((*KEY, *COUNTED), (*key, *sums), strict=True))
+        return dict(zip((*KEY, *COUNTED), (*self.key[: self.size].T, *self.sums[:, : self.size]), strict=True))
 
 
 def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:

@@ -33,24 +33,16 @@ def test_what_is_not_given_is_filled_in():
     assert not bag.truncated.any()
 
 
-def test_counts_and_discounted_counts():
-    log = small_log()
-    counts = log.counts(4, 2).toarray().reshape(4, 2, 4)
-    assert counts[0, 0, 1] == counts[1, 1, 2] == counts[2, 0, 3] == counts[0, 1, 2] == 1
-    assert counts.sum() == 4
-    discounted = log.counts(4, 2, discount=0.5).toarray().reshape(4, 2, 4)
-    assert_allclose(
-        [discounted[0, 0, 1], discounted[1, 1, 2], discounted[2, 0, 3], discounted[0, 1, 2]], [1, 0.5, 0.25, 1]
-    )
-
-
 @given(rngs)
 def test_counts_count(rng):
     n = int(rng.integers(1, 200))
     state, action, following = rng.integers(0, 5, n), rng.integers(0, 3, n), rng.integers(0, 5, n)
-    expected = np.zeros((15, 5))
-    np.add.at(expected, (state * 3 + action, following), 1)
-    assert_array_equal(Transitions(state, action, following).counts(5, 3).toarray(), expected)
+    timestep = rng.integers(0, 9, n)
+    log = Transitions(state, action, following, timestep=timestep)
+    for discount, weights in ((None, np.ones(n)), (0.5, 0.5**timestep)):
+        expected = np.zeros((15, 5))
+        np.add.at(expected, (state * 3 + action, following), weights)
+        assert_allclose(log.counts(5, 3, discount=discount).toarray(), expected, rtol=1e-12)
 
 
 def test_it_is_immutable():
@@ -61,10 +53,13 @@ def test_it_is_immutable():
         log.state[0] = 3
 
 
+GRID = oee.tasks.gridworld(4, 0.1)
+LOGS = [oee.sample_episodes(GRID, oee.uniform_policy(GRID), k, 50, seed=k) for k in (2, 3)]
+
+
 def test_drawing_is_without_replacement_and_reproducible():
-    mdp = oee.tasks.gridworld(4, 0.1)
-    log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 10, 50, seed=0)
-    drawn, again = log.draw(100, seed=3), log.draw(100, seed=3)
+    log = LOGS[0]
+    drawn, again = log.draw(30, seed=3), log.draw(30, seed=3)
     assert_array_equal(drawn.state, again.state)
     assert drawn.episode is None
     whole = log.draw(len(log), seed=1)
@@ -74,33 +69,23 @@ def test_drawing_is_without_replacement_and_reproducible():
 
 
 def test_logs_are_joined_in_order():
-    mdp = oee.tasks.gridworld(3, 0.1)
-    logs = [oee.sample_episodes(mdp, oee.uniform_policy(mdp), k, 20, seed=k) for k in (2, 3)]
-    both = oee.Transitions.concatenate(logs)
-    assert len(both) == len(logs[0]) + len(logs[1])
-    assert both.n_episodes == 5
-    assert_array_equal(both.next_state, np.concatenate([log.next_state for log in logs]))
-    assert_array_equal(both.timestep, np.concatenate([log.timestep for log in logs]))
-    assert_array_equal(both.episode[: len(logs[0])], logs[0].episode)
-    bag = oee.Transitions.concatenate([logs[0], logs[1].draw(4, seed=0)])
-    assert bag.episode is None
-    with pytest.raises(ValueError, match="logs must be one or more Transitions; got"):
-        oee.Transitions.concatenate([])
-    with pytest.raises(ValueError, match="logs must be one or more Transitions; got"):
-        oee.Transitions.concatenate([logs[0], "log"])
+    both = Transitions.concatenate(LOGS)
+    for name, column in both.columns().items():
+        parts = [getattr(log, name) for log in LOGS]
+        assert_array_equal(column, np.concatenate([parts[0], parts[1] + 2 * (name == "episode")]))
+    assert Transitions.concatenate([LOGS[0], LOGS[1].draw(4, seed=0)]).episode is None
+    for parts in ([], [LOGS[0], "log"]):
+        with pytest.raises(ValueError, match="logs must be one or more Transitions; got"):
+            Transitions.concatenate(parts)
 
 
-def test_the_first_rows_keep_their_episodes():
-    log = small_log().first(2)
-    assert_array_equal(log.episode, [7, 7])
-    assert_array_equal(log.truncated, [False, True])
-    assert_array_equal(small_log().first(3).truncated, [False, False, False])
-
-
-def test_selecting_by_mask_and_by_number():
+def test_rows_by_their_numbers_by_a_mask_and_from_the_first():
     log = small_log()
     assert_array_equal(log.select([3, 0]).state, [0, 0])
     assert_array_equal(log.select(log.reward > 0).reward, [0.5, 1.0])
+    assert_array_equal(log.first(2).episode, [7, 7])
+    assert_array_equal(log.first(2).truncated, [False, True])
+    assert_array_equal(log.first(3).truncated, [False, False, False])
 
 
 def test_it_prints_as_a_summary():
