@@ -193,8 +193,10 @@ class _FileCount:
         starts = np.flatnonzero(is_first)
         self.starts.append(np.stack([self.n_rows + starts, rows[starts]]))
         self.names.append(columns["episode"][starts])
-        self.last, self.last_row = {label: column[-1:] for label, column in columns.items()}, int(rows[-1])
-        self.n_rows, self.n_runs = self.n_rows + len(rows), int(run[-1]) + 1
+        self.last = {label: column[-1:] for label, column in columns.items()}
+        self.last_row = int(rows[-1])
+        self.n_rows += len(rows)
+        self.n_runs = int(run[-1]) + 1
         may_be_kept = hash_places(run, self.name) < np.uint64(self.limit)
         own = {label: columns[label] for label in COLUMNS if label in columns and label != "episode"}
         self.kept.append(_choose({"run": run} | own, may_be_kept))
@@ -207,12 +209,14 @@ class _FileCount:
         runs, length = np.unique(rows["run"], return_counts=True)
         sample = Sample(hash_places(runs, self.name), length, rows, self.limit)
         sample = sample.cut(self.limits.kept, ~np.isin(runs, np.concatenate(self.broken)))
-        self.kept, self.limit = [sample.rows], sample.limit
+        self.kept = [sample.rows]
+        self.limit = sample.limit
         return sample._replace(rows={label: column for label, column in sample.rows.items() if label != "run"})
 
     def result(self) -> FileCounts:
         """What was counted."""
-        sample, entries = NO_SAMPLE, self.sums.entries()
+        sample = NO_SAMPLE
+        entries = self.sums.entries()
         recording = Recording(by_episodes="episode" in self.table.known, files=1, dropped=self.n_dropped)
         if self.n_rows:
             starts, first_rows = np.concatenate(self.starts, axis=1)
@@ -229,7 +233,8 @@ class _FileCount:
             if "truncated" not in self.table.known:
                 n_terminated = int(entries["count"][entries["terminated"] == 1].sum())
                 self.n_truncated = max(len(length) - n_terminated, 0)
-        known, unknown = frozenset(self.table.known), tuple(x for x in self.table.labels if x not in COLUMNS)
+        known = frozenset(self.table.known)
+        unknown = tuple(label for label in self.table.labels if label not in COLUMNS)
         recording = recording._replace(truncated=self.n_truncated, reasons=self._reasons())
         return FileCounts(entries, recording, sample, known, unknown)
 

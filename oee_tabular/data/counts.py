@@ -229,7 +229,8 @@ def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     """Counts from the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
-    numbers, reasons = parts.pop("recording").tolist(), tuple(parts.pop("reasons").tolist())
+    numbers = parts.pop("recording").tolist()
+    reasons = tuple(parts.pop("reasons").tolist())
     if len(numbers) != len(Recording._fields) - 1:
         raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}")
     recording = Recording._make([bool(numbers[0]), *numbers[1:], reasons])

@@ -147,8 +147,10 @@ def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transition
     ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
     folder. ``name``: what errors call it.
     """
-    log, is_list = source, isinstance(source, list | tuple)
-    if all(isinstance(path, str | os.PathLike) for path in (source if is_list and source else (source,))):
+    log: Any = source
+    is_list = isinstance(source, list | tuple)
+    paths = source if is_list and source else (source,)
+    if all(isinstance(path, str | os.PathLike) for path in paths):
         try:
             is_counted = not is_list and holds_counts(source)
             log = TransitionCounts.load(source) if is_counted else Transitions.load(source)

@@ -92,7 +92,8 @@ class Table:
         names = () if label == "episode" else names  # an episode may be called by any text
         if self.file.suffix == ".csv":
             return check_column(raw, label, high=high, names=names)
-        kind, held, hint = KINDS.get(label, "number"), str(raw.dtype), ""
+        kind = KINDS.get(label, "number")
+        held, hint = str(raw.dtype), ""
         if raw.dtype.hasobject:
             first = next((item for item in raw.tolist() if not is_missing(item)), None)
             held = "texts" if isinstance(first, str) else type(first).__name__
@@ -305,7 +306,8 @@ def _csv_lines(table: Table) -> Iterator[tuple[int, list[str]]]:
 
 def _read_lines(table: Table, labels: list[str]) -> Iterator[Piece]:
     """The fields of the lines as texts."""
-    n, places = len(table.labels), {label: table.labels.index(label) for label in labels}
+    n = len(table.labels)
+    places = {label: table.labels.index(label) for label in labels}
     lines = enumerate(_csv_lines(table))
     while some := list(itertools.islice(lines, N_CSV)):
         good = [(row, fields) for row, (_, fields) in some if len(fields) == n]

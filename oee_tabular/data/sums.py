@@ -47,7 +47,8 @@ class Sums:
     """Entries in the order in which they came: ``key`` (K, 4), s, a, s', ended, and ``sums`` (5, K), those of ``RowSums``."""
 
     def __init__(self, n_slots: int = LEAST_SIZE) -> None:
-        self.size, self.slots = 0, np.full(n_slots, -1, dtype=np.int64)
+        self.size = 0
+        self.slots = np.full(n_slots, -1, dtype=np.int64)
         self.key = np.zeros((n_slots // 2, 4), dtype=np.int64)
         self.sums = np.zeros((5, n_slots // 2))
         self.sums[2:4] = np.nan
