@@ -16,17 +16,21 @@ def add_entry(columns, values, place, begin, filled, column, value):
 
 
 @njit(cache=True)
-def average_rows(rows, policy, columns, values):
+def average_rows(rows, policy, states, number, columns, values):
     """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them.
 
+    ``states`` : those whose rows are made, of which ``number`` has 1 + the new number of each that follows; or none: all rows.
     ``columns`` (uint32) and ``values`` have room for all entries; in numpy's memory, whose large pages save time.
     """
     indptr, indices, data = rows
-    n_states, n_actions = policy.shape
-    starts, place = np.zeros(n_states + 1, dtype=np.uint32), np.zeros(n_states, dtype=np.uint32)
+    n_rows, n_columns, n_actions = len(policy), len(policy), policy.shape[1]
+    is_part = len(number) > 0
+    if is_part:
+        n_rows, n_columns = len(states), min(len(number), len(states) + len(columns))
+    starts, place = np.zeros(n_rows + 1, dtype=np.uint32), np.zeros(n_columns, dtype=np.uint32)
     filled = np.uint64(0)
-    for state in range(n_states):
-        begin = filled
+    for i in range(n_rows):
+        begin, state = filled, np.int64(states[i]) if is_part else i
         for action in range(n_actions):
             weight = policy[state, action]
             if weight == 0.0:
@@ -34,8 +38,9 @@ def average_rows(rows, policy, columns, values):
             row = np.uint64(state * n_actions + action)
             for k in range(indptr[row], indptr[row + np.uint64(1)]):
                 if weight * data[k] != 0.0:
-                    filled = add_entry(columns, values, place, begin, filled, indices[k], weight * data[k])
-        starts[state + 1] = filled
+                    column = number[indices[k]] - np.uint32(1) if is_part else indices[k]
+                    filled = add_entry(columns, values, place, begin, filled, column, weight * data[k])
+        starts[i + 1] = filled
     return starts, columns[:filled], values[:filled]
 
 

@@ -18,9 +18,9 @@ from numba import njit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.exact._policy_rows import add_entry, average_rewards, transpose_rows
+from oee_tabular.exact._policy_rows import average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
+from oee_tabular.exact.system import Kernel, as_readonly, average_rows_of, policy_system, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp._policies import is_stochastic_matrix
 from oee_tabular.mdp.horizons import limit_horizon
@@ -44,27 +44,28 @@ class Cone(NamedTuple):
 
 def check_policy_in_place(policy: PolicyLike, model: Model, horizon: int) -> Array:
     """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    shape = (model.n_states, model.n_actions)
+    shape = model.rewards.shape
     if (
         type(policy) is np.ndarray
         and policy.dtype == np.float64
         and policy.flags.c_contiguous
         and policy.shape in (shape, (horizon, *shape))
-        and is_stochastic_matrix(as_readonly(policy.reshape(-1, model.n_actions)), STRICT_TOLERANCE)
     ):
-        return policy
+        read: Array = as_readonly(policy)
+        if is_stochastic_matrix(read if read.ndim == 2 else read.reshape(-1, shape[1]), STRICT_TOLERANCE):
+            return read
     return check_policy(policy, model, horizon=horizon)
 
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     """The states that ``horizon`` rewards of a stationary policy can depend on, with their rows and rewards."""
     # numpy's zeros cost nothing until they are touched, the kernel's own would be written
-    place = np.zeros(model.n_states, np.uint32)
-    read = as_readonly(policy), as_readonly(model.rewards), as_readonly(model.initial)
-    cone: Cone = reach_forward(rows_of(model.csr), *read, model.discount, horizon, place)
-    for part in cone.kernel[:3]:
-        part.flags.writeable = False  # so that sweeps are compiled for one kind of array
-    return cone
+    rows, place, ends = rows_of(model.csr), np.zeros(model.n_states, np.uint32), np.zeros(horizon, np.int64)
+    states, n_entries = reach_forward(rows, as_readonly(policy), as_readonly(model.initial), place, ends)
+    leaving = states[: ends[-2] if horizon > 1 else 0]  # of the others no transition counts any more
+    kernel = Kernel(*average_rows_of(leaving, rows, policy, place, n_entries), model.discount)
+    rewards, _ = average_rewards(policy[states], model.rewards[states])
+    return Cone(states, ends, kernel, rewards, model.initial[states[: ends[0]]])
 
 
 def values_by_horizon(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
@@ -192,29 +193,16 @@ def sweep(kernel, rewards, horizon, out):
 
 
 @njit(cache=True)
-def enlarge(array, size):
-    """The array, or a copy of twice the length where it is shorter than ``size``."""
-    if size <= len(array):
-        return array
-    longer = np.zeros(2 * size, array.dtype)
-    for i in range(len(array)):  # a slice's copy takes two seconds more to compile
-        longer[i] = array[i]
-    return longer
+def reach_forward(rows, policy, initial, place, ends):
+    """The states that len(ends) - 1 transitions reach, in the order in which they are; the entries of rows that count.
 
-
-@njit(cache=True)
-def reach_forward(rows, policy, rewards, initial, discount, horizon, place):
-    """What ``horizon`` rewards can depend on: a ``Cone``.
-
-    Rows are there only for states from which a transition still counts; a row's entries are in the order in which its actions
-    have them, as in ``_policy_rows.average_rows``. ``place`` (S,) must be zeros, uint32; what is not reached is not read.
+    ``ends`` takes how many of them k transitions reach, ``place`` (S,), zeros before, 1 + each state's number; what is not
+    reached is not read.
     """
     indptr, indices, data = rows
     n_actions = policy.shape[1]
-    ends = np.zeros(horizon, np.int64)
-    count, n_initial = 0, np.count_nonzero(initial)
-    states = np.zeros(2 * n_initial + 64, np.uint32)
-    last = np.zeros(len(states), np.uint32)  # the last entry that leads to a state
+    states, count, n_done, n_entries = np.empty(len(place), np.uint32), 0, 0, 0  # only what is filled becomes memory
+    n_initial = np.count_nonzero(initial)
     for s in range(len(initial)):
         if count == n_initial:
             break
@@ -223,39 +211,22 @@ def reach_forward(rows, policy, rewards, initial, discount, horizon, place):
             count += 1
             place[s] = count
     ends[0] = count
-    start, column, value = np.zeros(len(states), np.uint32), np.zeros(256, np.uint32), np.zeros(256)
-    n_rows, size = 0, np.uint64(0)
-    for t in range(1, horizon):
-        start = enlarge(start, count + 1)
-        for i in range(n_rows, ends[t - 1]):
-            row, begin = np.int64(states[i]) * n_actions, size
-            n_entries = np.int64(indptr[row + n_actions]) - np.int64(indptr[row])
-            states, last = enlarge(states, count + n_entries), enlarge(last, count + n_entries)
-            column, value = enlarge(column, np.int64(size) + n_entries), enlarge(value, np.int64(size) + n_entries)
+    for t in range(1, len(ends)):
+        for i in range(n_done, ends[t - 1]):
+            row = np.int64(states[i]) * n_actions
+            n_entries += np.int64(indptr[row + n_actions]) - np.int64(indptr[row])
             for a in range(n_actions):
                 share = policy[states[i], a]
                 if share == 0.0:
                     continue
                 for k in range(indptr[row + a], indptr[row + a + 1]):
-                    if data[k] == 0.0:
-                        continue
-                    j = indices[k]
-                    if place[j] == 0:
-                        states[count] = j
+                    if place[indices[k]] == 0 and share * data[k] != 0.0:
+                        states[count] = indices[k]
                         count += 1
-                        place[j] = count
-                    size = add_entry(column, value, last, begin, size, place[j] - np.uint32(1), share * data[k])
-            start[i + 1] = size
-        n_rows = ends[t - 1]
+                        place[indices[k]] = count
+        n_done = ends[t - 1]
         ends[t] = count
-    mean = np.zeros(count)
-    for i in range(count):
-        for a in range(n_actions):
-            mean[i] += policy[states[i], a] * rewards[states[i], a]
-    begins = np.zeros(ends[0])
-    for i in range(ends[0]):
-        begins[i] = initial[states[i]]
-    return Cone(states[:count], ends, Kernel(start[: n_rows + 1], column[:size], value[:size], discount), mean, begins)
+    return states[:count], n_entries
 
 
 @njit(cache=True)

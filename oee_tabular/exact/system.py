@@ -48,25 +48,25 @@ class Kernel(NamedTuple):
 
 def rows_of(matrix: sparse.csr_array) -> Csr:
     """The arrays of the matrix itself where they have 32 bits, so that each kernel is compiled for one kind of array."""
-    indptr, indices, data = matrix.indptr, matrix.indices, np.ascontiguousarray(matrix.data, dtype=np.float64)
+    indptr, indices, data = matrix.indptr, matrix.indices, matrix.data
     if indptr.dtype != np.int32 or indices.dtype != np.int32:
         if indptr[-1] >= 2**32:
             raise ValueError(f"transitions must have fewer than 2**32 entries; they have {int(indptr[-1])}")
         indptr, indices = indptr.astype(np.uint32), indices.astype(np.uint32)
-    parts = []
-    for part in (indptr, indices, data):
-        flags = part.flags
-        parts.append(part if flags.c_contiguous and not flags.writeable else as_readonly(part))
-    return Csr(parts[0].view(np.uint32), parts[1].view(np.uint32), parts[2])
+    return Csr(as_readonly(indptr).view(np.uint32), as_readonly(indices).view(np.uint32), as_readonly(data))
 
 
-def as_readonly(array: object) -> Any:
-    """A contiguous view that cannot be written through."""
+def as_readonly(array: Any) -> Any:
+    """The array, or a contiguous view of it, that cannot be written through."""
+    flags = array.flags
+    if flags.c_contiguous and not flags.writeable:
+        return array
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
 
 
+NO_STATES: Any = np.zeros(0, dtype=np.uint32)
 NO_ROWS = Csr(*map(as_readonly, (np.zeros(1, dtype=np.uint32), np.zeros(0, dtype=np.uint32), np.zeros(0))))
 
 
@@ -144,10 +144,15 @@ class System:
 
 def average_rows(rows: Csr, policy: Array) -> Csr:
     """sum_a policy[s, a] K(s' | s, a) of the rows s*A + a, without zeros, a row's entries in the order of its actions."""
-    room = np.empty(len(rows.data), dtype=np.uint32), np.empty(len(rows.data))
-    averaged = Csr(*_policy_rows.average_rows(rows, np.ascontiguousarray(policy, dtype=np.float64), *room))
+    return average_rows_of(NO_STATES, rows, policy, NO_STATES, len(rows.data))
+
+
+def average_rows_of(states: Any, rows: Csr, policy: Array, number: Any, n_entries: int) -> Csr:
+    """The same of these states, those that follow under a new number less 1; they have ``n_entries`` in all."""
+    room = np.empty(n_entries, dtype=np.uint32), np.empty(n_entries)
+    averaged = Csr(*_policy_rows.average_rows(rows, np.ascontiguousarray(policy), states, number, *room))
     for part in averaged:
-        part.flags.writeable = False
+        part.flags.writeable = False  # so that sweeps are compiled for one kind of array
     return averaged
 
 
