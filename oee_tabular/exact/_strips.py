@@ -10,8 +10,8 @@ between the s' it has sum q (z - mean)^2. All are squares. The last is had from 
 sum q d^2 - (sum q d)^2, of which at most a share 1 - q cancels: the first has at least half of the largest probability.
 
 States are taken LANES at a time, those with equally many s' together, and an entry's numbers stand side by side for such a
-strip: its arithmetic is done by vector instructions, with every sum in the order of its state. Entries are in the order of
-their columns: in grids those of a strip lead mostly to consecutive states and are read as such.
+strip: its arithmetic is done by vector instructions, with every sum in the order of its state. Entries are in the
+order in which actions have them: in grids those of a strip lead mostly to consecutive states and are read as such.
 """
 
 from collections import namedtuple
@@ -28,122 +28,95 @@ PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho
 Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
 
-@njit(cache=True)
-def merge_state(s, walk, place, to, numbers, outcomes, entries):
-    """Fill ``numbers`` (., PARTS) for the successors ``to`` of s, one of large probability first.
-
-    Returns their probability and the residual variance. ``outcomes`` (., 3) has room for q, b, e of each transition and
-    ``entries`` for its successor's place in ``to``.
-    """
-    indptr, indices, prob, w, acts, us, by_transition, rewards, _, _ = walk
-    act, u = acts[0], us[0]
-    n_actions, size = len(act) // len(place), len(to)
-    if size <= LANES:
-        for i in range(1, size):
-            j, k = to[i], i
-            while k > 0 and to[k - 1] > j:
-                to[k] = to[k - 1]
-                k -= 1
-            to[k] = j
-    for i in range(size):
-        place[to[i]] = i
-        for part in range(PARTS):
-            numbers[i, part] = 0.0
-    count, mass, residual = 0, 0.0, 0.0
-    for row in range(s * n_actions, (s + 1) * n_actions):
-        if act[row] == 0.0:
-            continue
-        for k in range(indptr[row], indptr[row + 1]):
-            q = act[row] * prob[k]
-            if q == 0.0:
-                continue
-            i, b = np.int64(place[indices[k]]), u[row] * w[k]
-            e = b * rewards[0, k] if by_transition else u[row] * rewards[0, row]
-            numbers[i, 0] += q
-            numbers[i, 1] += q * b
-            numbers[i, 2] += q * e
-            mass += q
-            outcomes[count, 0], outcomes[count, 1], outcomes[count, 2] = q, b, e
-            entries[count] = i
-            count += 1
-    largest = 0
-    for i in range(size):
-        numbers[i, 1] /= numbers[i, 0]
-        numbers[i, 2] /= numbers[i, 0]
-        if numbers[i, 0] > numbers[largest, 0]:
-            largest = i
-    for x in range(count):
-        i = entries[x]
-        b = outcomes[x, 1] - numbers[i, 1]
-        numbers[i, 3] += outcomes[x, 0] * b * b
-        numbers[i, 4] += outcomes[x, 0] * b * (outcomes[x, 2] - numbers[i, 2])
-    for i in range(size):
-        if numbers[i, 3] > SMALLEST_VARIANCE:
-            numbers[i, 4] /= numbers[i, 3]
-        else:  # all of e is residual
-            numbers[i, 3] = numbers[i, 4] = 0.0
-    for x in range(count):
-        i = entries[x]
-        off = outcomes[x, 2] - numbers[i, 2] - numbers[i, 4] * (outcomes[x, 1] - numbers[i, 1])
-        residual += outcomes[x, 0] * off * off
-    if size > 0 and numbers[largest, 0] > 2.0 * numbers[0, 0]:
-        for part in range(PARTS):
-            numbers[0, part], numbers[largest, part] = numbers[largest, part], numbers[0, part]
-        to[0], to[largest] = to[largest], to[0]
-    return mass, residual
+@njit(cache=True, error_model="numpy")
+def merge(walk):
+    """The transitions of each state merged by where they lead, as CSR with ``PARTS`` numbers an entry; residuals."""
+    indptr, indices, prob, w, acts, us, by_transition, rewards, initial, _ = walk
+    n_states, act, u = len(initial), acts[0], us[0]
+    n_actions, filled = len(act) // n_states, np.uint32(0)
+    starts, place = np.zeros(n_states + 1, np.uint32), np.zeros(n_states, np.uint32)
+    columns, numbers, residual = np.empty(len(indices), np.uint32), np.zeros((len(indices), PARTS)), np.zeros(n_states)
+    for s in range(n_states):
+        begin = filled
+        for turn in range(3):  # means, then variances and covariances, then what they leave
+            for row in range(s * n_actions, (s + 1) * n_actions):
+                for k in range(indptr[row], indptr[row + 1]):
+                    q, b, j = act[row] * prob[k], u[row] * w[k], indices[k]
+                    if q == 0.0:
+                        continue
+                    e, at = b * rewards[0, k] if by_transition else u[row] * rewards[0, row], place[j]
+                    if turn == 0:
+                        if not (begin <= at and at < filled and columns[at] == j):
+                            at, place[j], columns[filled] = filled, filled, j
+                            filled += np.uint32(1)
+                        numbers[at, 0] += q
+                        numbers[at, 1] += q * b
+                        numbers[at, 2] += q * e
+                        continue
+                    b -= numbers[at, 1]
+                    e -= numbers[at, 2]
+                    if turn == 1:
+                        numbers[at, 3] += q * b * b
+                        numbers[at, 4] += q * b * e
+                    else:
+                        residual[s] += q * (e - numbers[at, 4] * b) ** 2
+            for at in range(begin, filled):
+                if turn == 0:
+                    numbers[at, 1] /= numbers[at, 0]
+                    numbers[at, 2] /= numbers[at, 0]
+                elif turn == 1 and numbers[at, 3] > SMALLEST_VARIANCE:
+                    numbers[at, 4] /= numbers[at, 3]
+                elif turn == 1:  # all of e is residual
+                    numbers[at, 3] = numbers[at, 4] = 0.0
+        starts[s + 1] = filled
+    return starts, columns[:filled], numbers[:filled], residual
 
 
 @njit(cache=True)
-def strip_offsets(starts, order, n_states):
+def strip_offsets(lengths, order):
     """Where each strip's entries begin: it has as many as the longest of its states."""
-    offsets = np.zeros(len(order) // LANES + 1, np.int64)
+    offsets = np.zeros((len(order) + LANES - 1) // LANES + 1, np.int64)
     for strip in range(len(offsets) - 1):
-        longest = np.int64(0)
-        for i in range(strip * LANES, min(n_states, (strip + 1) * LANES)):
-            longest = max(longest, np.int64(starts[order[i] + 1]) - np.int64(starts[order[i]]))
-        offsets[strip + 1] = offsets[strip] + longest
+        offsets[strip + 1] = offsets[strip] + lengths[order[strip * LANES : (strip + 1) * LANES]].max()
     return offsets
 
 
-@njit(cache=True, error_model="numpy")
-def merge(walk, starts, successors):
-    """The ``Strips`` of a walk; those of ``successors`` from starts[s] to starts[s + 1] are the states after s, sorted here."""
-    n_states = len(starts) - 1
-    n_actions, n_strips = walk.act.shape[1] // n_states, (n_states + LANES - 1) // LANES
-    lengths = np.zeros(n_states, np.int64)
-    n_outcomes = 0
-    for s in range(n_states):
-        lengths[s] = np.int64(starts[s + 1]) - np.int64(starts[s])
-        n_outcomes = max(n_outcomes, np.int64(walk.indptr[(s + 1) * n_actions]) - np.int64(walk.indptr[s * n_actions]))
-    longest = lengths.max()
-    order = np.full(n_strips * LANES, n_states, np.int64)
-    order[:n_states] = np.arange(n_states)
-    offsets = strip_offsets(starts, order, n_states)
-    if offsets[n_strips] * LANES > 1.25 * len(successors):  # too much padding: states of one length go together
-        order[:n_states] = np.argsort(lengths, kind="mergesort")
-        offsets = strip_offsets(starts, order, n_states)
-    lane_of = np.zeros(n_states, np.uint32)
+@njit(cache=True)
+def lay_strips(starts, columns, numbers, residual):
+    """The ``Strips`` of merged transitions, the first of each state one of large probability."""
+    n_states, n_filled = len(residual), len(columns)
+    lengths, states = np.diff(starts.astype(np.int64)), np.arange(n_states)
+    offsets = strip_offsets(lengths, states)
+    if offsets[-1] * LANES > 1.25 * n_filled:  # too much padding: states of one length go together
+        states = np.argsort(lengths, kind="mergesort")
+        offsets = strip_offsets(lengths, states)
+    size, lane_of = (len(offsets) - 1) * LANES, np.zeros(n_states, np.uint32)
+    order = np.full(size, n_states, np.int64)
+    order[:n_states] = states
+    lane_of[states] = np.arange(n_states)
+    to, laid = np.full(offsets[-1] * LANES, size, np.uint32), np.zeros(offsets[-1] * LANES * PARTS)
+    fixed = np.zeros(2 * size)
     for i in range(n_states):
-        lane_of[order[i]] = i
-    columns = np.full(offsets[n_strips] * LANES, n_strips * LANES, np.uint32)
-    numbers = np.zeros(offsets[n_strips] * LANES * PARTS)
-    fixed = np.zeros(2 * n_strips * LANES)
-    place, own = np.zeros(n_states, np.uint32), np.zeros((longest, PARTS))
-    outcomes, entries = np.zeros((n_outcomes, 3)), np.zeros(n_outcomes, np.int64)
-    for i in range(n_states):
-        s, first, lane = order[i], offsets[i // LANES], i % LANES
-        to = successors[starts[s] : starts[s + 1]]
+        s, first, lane = states[i], offsets[i // LANES], i % LANES
+        begin, end = np.int64(starts[s]), np.int64(starts[s + 1])
         both = (i - lane) * 2 + lane
-        fixed[both], fixed[both + LANES] = merge_state(s, walk, place, to, own, outcomes, entries)
-        for entry in range(lengths[s]):
-            columns[(first + entry) * LANES + lane] = lane_of[to[entry]]
+        fixed[both + LANES] = residual[s]
+        largest = begin
+        for entry in range(begin, end):
+            fixed[both] += numbers[entry, 0]
+            if numbers[entry, 0] > 2.0 * numbers[largest, 0]:
+                largest = entry
+        for entry in range(begin, end):
+            source = begin if entry == largest else (largest if entry == begin else entry)
+            at = first + entry - begin
+            to[at * LANES + lane] = lane_of[columns[source]]
             for part in range(PARTS):
-                numbers[((first + entry) * PARTS + part) * LANES + lane] = own[entry, part]
-    aligned = np.ones(offsets[n_strips], np.bool_)
+                laid[(at * PARTS + part) * LANES + lane] = numbers[source, part]
+    aligned = np.ones(offsets[-1], np.bool_)
     for entry in range(len(aligned)):
         for lane in range(1, LANES):
-            aligned[entry] &= columns[entry * LANES + lane] == columns[entry * LANES] + np.uint32(lane)
-    return Strips(offsets, columns, aligned, numbers, fixed, order)
+            aligned[entry] &= to[entry * LANES + lane] == to[entry * LANES] + np.uint32(lane)
+    return Strips(offsets, to, aligned, laid, fixed, order)
 
 
 @njit(cache=True, error_model="numpy")

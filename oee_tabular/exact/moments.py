@@ -149,7 +149,8 @@ def policy_is_moments(
     behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=length)
     pi = check_policy(policy, mdp, horizon=length)
     if behavior.ndim != pi.ndim:
-        behavior, pi = np.broadcast_arrays(behavior, pi)
+        shape = (behavior if behavior.ndim == 3 else pi).shape
+        behavior, pi = np.broadcast_to(behavior, shape), np.broadcast_to(pi, shape)
     return compute_moments(walk_of(mdp, behavior, policy=pi), length, **options)
 
 

@@ -77,7 +77,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
             if actions.tobytes() not in met:
                 continue
         # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
-        return policy if mdp.discount == 1.0 else choices[first]
+        return policy if mdp.discount == 1.0 else np.asarray(choices[first])
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot
 from oee_tabular.exact import _moments, _strips
 from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
-from oee_tabular.exact.system import Csr, as_readonly, average_rows, exponent
+from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import Walk, radius_of
 from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
 
@@ -127,8 +127,7 @@ def per_decision_moments(
 def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: bool) -> tuple[Array, Array]:
     """``_moments.backward`` by strips."""
     n = walk.n_states
-    starts, successors, _ = average_rows(Csr(*walk[:3]), walk.act[0].reshape(n, -1))
-    strips = _strips.merge(walk, starts, successors.copy())
+    strips = _strips.lay_strips(*_strips.merge(walk))
     order = strips.order[:n]
     shifts = np.zeros((0 if offsets is None else len(discounts), len(strips.order)))
     if offsets is not None:
