@@ -32,7 +32,7 @@ ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSolution:
+class ProgramSolution:
     """w and g = offset + Phi w, the multipliers v and eta, the gap, and how far g is from the constraints."""
 
     weights: Array
@@ -125,7 +125,7 @@ def orthonormal(features: Array) -> tuple[Array, Array]:
     return left[:, kept], right[kept].T / values[kept]
 
 
-def solve(program: LinearProgram, *, tolerance: float = 1e-14) -> LinearSolution:
+def solve(program: LinearProgram, *, tolerance: float = 1e-14) -> ProgramSolution:
     """The optimum, to a gap of ``tolerance`` times max(1, |objective|) or where rounding stops it.
 
     Needs lower < upper, and lower < 1 < upper where the program is normalised. Without penalty the features are first
@@ -227,13 +227,13 @@ def _start(program: LinearProgram) -> _Point:
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
+def _iterate(program: LinearProgram, tolerance: float) -> ProgramSolution:
     """Differs from [2] in a line search on the residual's norm [1], and in ending at the certificate, not at the residual.
 
     Where the class has no room within the bounds, the points reach one (0 / 0), and the search ends.
     """
     point = _start(program)
-    best = LinearSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
+    best = ProgramSolution(point.w, point.g, point.tie, 0.0, np.inf, np.inf, 0)
     stalled, mark, local = 0, np.full(2, np.inf), _Linearised(program, point)
     for iteration in range(1, ITERATIONS + 1):
         total = point.complementarity
@@ -266,7 +266,7 @@ def _iterate(program: LinearProgram, tolerance: float) -> LinearSolution:
     return best
 
 
-def _measure(program: LinearProgram, local: _Linearised, iteration: int) -> LinearSolution | None:
+def _measure(program: LinearProgram, local: _Linearised, iteration: int) -> ProgramSolution | None:
     """The point that w gives, certified with its v, or with the one that its gradient and the bounds' multipliers suggest."""
     point = local.point
     g = program.offset + program.features @ point.w
@@ -275,7 +275,7 @@ def _measure(program: LinearProgram, local: _Linearised, iteration: int) -> Line
     suggested = program.p / g - program.b - point.eta * program.q + (local.side * point.z)[:-1].sum(axis=0)
     found = [(*certificate(program, point.w, g, tie, point.eta), tie) for tie in (point.tie, suggested)]
     gap, violation, tie = min(found, key=lambda item: item[0])
-    return LinearSolution(point.w, g, tie, point.eta, gap, violation, iteration)
+    return ProgramSolution(point.w, g, tie, point.eta, gap, violation, iteration)
 
 
 class _Bordered:

@@ -25,7 +25,7 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import interior, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
-from oee_tabular.ratio.interior import LinearSolution
+from oee_tabular.ratio.interior import ProgramSolution
 from oee_tabular.ratio.method import Given, Method
 from oee_tabular.ratio.result import Held, Influence, Part, TransitionRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend_linear
@@ -34,7 +34,7 @@ from oee_tabular.ratio.statements import LinearProgram
 N_CENTERS = 200
 
 
-def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
+def solve_class(program: LinearProgram, solver: str) -> ProgramSolution:
     """The optimum by the interior-point method or by a cvxpy solver, with its gap.
 
     What the constraints, and g = offset + Phi w, are missed by counts in the gap as it is.
@@ -49,7 +49,7 @@ def solve_class(program: LinearProgram, solver: str) -> LinearSolution:
         if program.penalty == 0.0:
             judged = replace(program, features=interior.orthonormal(program.features)[0])
         gap, violation = interior.certificate(judged, weights, np.maximum(g, 1e-300), tie, eta)
-        found = LinearSolution(weights, g, tie, eta, gap, violation, 0)
+        found = ProgramSolution(weights, g, tie, eta, gap, violation, 0)
     if not found.violation <= 1e-7:
         miss = interior.nearest_miss(program)
         if miss > -1e-9:
@@ -113,7 +113,7 @@ def fit_cells(
     solver: str,
     sgd: Sgd | None,
     seed: Seed = None,
-) -> tuple[LinearProgram, LinearSolution, SgdTrace | None]:
+) -> tuple[LinearProgram, ProgramSolution, SgdTrace | None]:
     """g = Phi w for distributions p and q on the same cells; the program, its solution and the trace of "sgd"."""
     _refuse_thin_box(box, normalized)
     program = LinearProgram(

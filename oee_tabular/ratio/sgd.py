@@ -92,7 +92,7 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd,
 
 
 def descend_linear(
-    program: LinearProgram, best: interior.LinearSolution, options: Sgd, seed: Seed
+    program: LinearProgram, best: interior.ProgramSolution, options: Sgd, seed: Seed
 ) -> tuple[Array, SgdTrace]:
     """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
     phi = np.ascontiguousarray(program.features)

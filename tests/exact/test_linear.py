@@ -235,14 +235,3 @@ def test_the_error_bound_is_residual_and_rounding_times_the_norm_of_the_inverse(
     sizes = kernel @ np.abs(found.x) + np.abs(found.x) + np.abs(b)
     missed = np.abs(b + kernel @ found.x - found.x) + 0.5 * np.finfo(float).eps * entries * sizes
     assert_allclose(found.error_bound, 10.0 * (missed.sum() if transpose else missed.max()), rtol=0.3)
-
-
-def test_a_singular_system_at_either_size_is_divergence():
-    for n in (2, 500):
-        ring = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
-        with pytest.raises(
-            ValueError, match=r"spectral radius of 1, which must be below 1 \(its rows sum to at most 1\)"
-        ):
-            solve_policy_system(ring, np.ones(n), 1.0)
-        with pytest.raises(ValueError, match=r"its rows sum to at most 1\.8"):
-            solve_policy_system(ring * 2.0, np.ones(n), 0.9)

@@ -73,7 +73,7 @@ SOLVERS: tuple[Solver, ...] = (
 STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))  # sweeps stop by the size of x
 
 
-class Answer(NamedTuple):
+class Iterate(NamedTuple):
     """x; b - M x, its largest magnitude, a bound on the exact one (transposed: on its sum), the largest rounding in it."""
 
     x: Array
@@ -84,14 +84,14 @@ class Answer(NamedTuple):
     method: str
 
 
-def answer(system: System, b: Array, near: Array | None = None, share: float = 0.0) -> Answer:
+def answer(system: System, b: Array, near: Array | None = None, share: float = 0.0) -> Iterate:
     """x, by one solver after the other that suits, each from where those before it got to, until rounding is what is left.
 
     ``near`` : what to begin with, where it is better than 0.
     ``share`` : of what ``near`` misses about this much may be left, and never more than a tenth. For systems that change a
         little from one to the next: on grids of 100 x 100 a share of .001 takes .3 of an exact solution's time.
     """
-    best, allowed = Answer(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none"), 0.0
+    best, allowed = Iterate(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none"), 0.0
     if near is not None:
         start, size = measure(system, b, near, "none"), np.abs(b).max()
         best = start if start.largest < size else best
@@ -113,14 +113,16 @@ def answer(system: System, b: Array, near: Array | None = None, share: float = 0
     return best
 
 
-def measure(system: System, b: Array, x: Array, method: str) -> Answer:
+def measure(system: System, b: Array, x: Array, method: str) -> Iterate:
     """x and what it misses."""
     n_roundings = float(system.n_roundings)
     missed, largest, bound, rounding = _policy_rows.residual(system.kernel, system.transpose, b, x, n_roundings)
-    return Answer(x, missed, largest, bound, rounding, method)
+    return Iterate(x, missed, largest, bound, rounding, method)
 
 
-def refine(system: System, b: Array, solver: Solver, best: Answer, share: float = 0.0, allowed: float = 0.0) -> Answer:
+def refine(
+    system: System, b: Array, solver: Solver, best: Iterate, share: float = 0.0, allowed: float = 0.0
+) -> Iterate:
     """Solve for what is missed until that is within rounding, or what is allowed, or stops falling."""
     solve = solver.prepare(system)
     for _ in range(9):
