@@ -110,15 +110,5 @@ def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedMo
     rewards = mdp.rewards
     if mdp.reward_data is not None:
         rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))
-    return ReweightedModel(
-        mdp.n_states,
-        mdp.n_actions,
-        kernel,
-        rewards,
-        mdp.reward_data,
-        mdp.initial,
-        mdp.discount,
-        mdp.terminal_state,
-        mdp.layout,
-        mdp.names,
-    )
+    about = (mdp.initial, mdp.discount, mdp.terminal_state, mdp.layout, mdp.names)
+    return ReweightedModel(mdp.n_states, mdp.n_actions, kernel, rewards, mdp.reward_data, *about)

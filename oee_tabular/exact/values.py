@@ -17,7 +17,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact import _policy_rows, finite
 from oee_tabular.exact.linear import solve
-from oee_tabular.exact.reweighted import MODELS, Model, require_model
+from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import Kernel, drop_states, policy_system, recurrent_states, rows_of
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
@@ -79,7 +79,7 @@ def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = N
     >>> result.values.round(6).tolist(), round(result.value, 6), result.error_bound < 1e-12
     ([0.5, 1.5], 1.0, True)
     """
-    _checks.instance(model, MODELS, "model", "FiniteMDP")
+    require_model(model, "model")
     steps = None if horizon is None else horizon_length(horizon, model, policy)
     pi = check_policy(policy, model, horizon=steps)
     if steps is None:
@@ -150,7 +150,7 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     >>> policy_value(mdp, np.ones((1, 1)), normalized=True)
     2.0
     """
-    _checks.instance(mdp, MODELS, "mdp", "FiniteMDP")
+    require_model(mdp)
     if _checks.boolean(normalized, "normalized") and mdp.discount == 1.0:
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     factor = 1.0 - mdp.discount if normalized else 1.0
@@ -158,12 +158,8 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
         value = factor * evaluate_policy(mdp, policy).value
         return value if isfinite(value) else float(warn_if_not_finite(value))
     steps = horizon_length(horizon, mdp, policy)
-    return float(
-        warn_if_not_finite(
-            factor
-            * finite.values_by_horizon(mdp, finite.check_policy_in_place(policy, mdp, steps), steps, is_each=False)[-1]
-        )
-    )
+    pi = finite.check_policy_in_place(policy, mdp, steps)
+    return float(warn_if_not_finite(factor * finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1]))
 
 
 def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
@@ -204,6 +200,5 @@ def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None)
     steps = optional_horizon_length(horizon, mdp, policy)
     if steps is None:
         return backup(mdp, state_values(mdp, policy))
-    return np.asarray(
-        warn_if_not_finite(backup(mdp, _backward(mdp, check_policy(policy, mdp, horizon=steps), steps - 1)))
-    )
+    pi = check_policy(policy, mdp, horizon=steps)
+    return np.asarray(warn_if_not_finite(backup(mdp, _backward(mdp, pi, steps - 1))))
