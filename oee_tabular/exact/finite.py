@@ -22,10 +22,8 @@ from oee_tabular.exact._policy_rows import average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import Kernel, as_readonly, average_rows_of, policy_system, rows_of
 from oee_tabular.mdp import check_policy
-from oee_tabular.mdp._policies import is_stochastic_matrix
 from oee_tabular.mdp.horizons import limit_horizon
 
-STRICT_TOLERANCE = 1e-9  # of a row's sum: stricter than check_policy, which decides where sums are odd
 CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
 
 
@@ -40,21 +38,6 @@ class Cone(NamedTuple):
     kernel: Kernel
     rewards: Array
     initial: Array
-
-
-def check_policy_in_place(policy: PolicyLike, model: Model, horizon: int) -> Array:
-    """``check_policy``; but a policy that one compiled look finds in order is not copied: it must only be read."""
-    shape = model.rewards.shape
-    if (
-        type(policy) is np.ndarray
-        and policy.dtype == np.float64
-        and policy.flags.c_contiguous
-        and policy.shape in (shape, (horizon, *shape))
-    ):
-        read: Array = as_readonly(policy)
-        if is_stochastic_matrix(read if read.ndim == 2 else read.reshape(-1, shape[1]), STRICT_TOLERANCE):
-            return read
-    return check_policy(policy, model, horizon=horizon)
 
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
@@ -147,7 +130,7 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
     require_model(mdp)
     length = _checks.positive_integer(horizon, "horizon")
     length = limit_horizon(length, 1.0, work=mdp.transitions.nnz, kept=3)
-    return values_by_horizon(mdp, check_policy_in_place(policy, mdp, length), length)
+    return values_by_horizon(mdp, check_policy(policy, mdp, horizon=length), length)
 
 
 @njit(cache=True)

@@ -6,8 +6,7 @@ norm of the inverse comes from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -21,8 +20,7 @@ from oee_tabular.exact.system import DivergentKernelError, Kernel, System, expon
 __all__ = ["DivergentKernelError", "LinearSolution", "exponent", "solve_policy_system"]
 
 
-@dataclass(frozen=True)
-class LinearSolution:
+class LinearSolution(NamedTuple):
     """A solution of ``solve_policy_system`` with a bound on its error.
 
     Attributes

@@ -13,7 +13,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
-from oee_tabular.exact.finite import check_policy_in_place, gradient_to_horizon, visits
+from oee_tabular.exact.finite import gradient_to_horizon, visits
 from oee_tabular.exact.linear import solve
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
@@ -72,7 +72,7 @@ def occupancy(
             raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
-        pi = check_policy_in_place(policy, mdp, steps)
+        pi = check_policy(policy, mdp, horizon=steps)
         pairs = visits(mdp, pi, steps) / (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
     if of == "state":
         return np.asarray(pairs.sum(axis=1))

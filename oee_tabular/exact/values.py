@@ -7,9 +7,8 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,8 +24,7 @@ from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 EPS = float(np.finfo(float).eps)
 
 
-@dataclass(frozen=True)
-class PolicyValues:
+class PolicyValues(NamedTuple):
     """V and J of a policy.
 
     ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a finite horizon, where the sums
@@ -158,7 +156,7 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
         value = factor * evaluate_policy(mdp, policy).value
         return value if isfinite(value) else float(warn_if_not_finite(value))
     steps = horizon_length(horizon, mdp, policy)
-    pi = finite.check_policy_in_place(policy, mdp, steps)
+    pi = check_policy(policy, mdp, horizon=steps)
     return float(warn_if_not_finite(factor * finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1]))
 
 

@@ -49,10 +49,15 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
     """
     require_sized(mdp)
     _checks.instance(name, str, "name")
+    n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
+    is_table = type(policy) is np.ndarray and policy.shape[-2:] == (n_states, n_actions) and policy.dtype == np.float64
+    if is_table and policy.shape in ((n_states, n_actions), (horizon, n_states, n_actions)):
+        array = np.array(policy, order="C")
+        if _are_distributions(array):
+            return array
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         policy = policy_table(policy, mdp, name)
     array, horizon = _checks.float_array(policy, name), _checks.optional_horizon(horizon)
-    n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
     if array.shape != (n_states, n_actions):
         shapes: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
         shapes += [] if horizon is None else [(horizon, *shape) for shape in shapes]
@@ -66,12 +71,17 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
     return array
 
 
-def _check_distributions(array: Array, given: object, name: str) -> Array:
-    """Return an array whose rows are distributions; rows that were ``given`` in single precision are scaled."""
+def _are_distributions(array: Array) -> bool:
+    """Say whether the rows of an array in C's order surely are distributions."""
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
-    rows = np.ascontiguousarray(array).reshape(math.prod(array.shape[:-1]), array.shape[-1])
-    if is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE):  # less than the tolerance by what rounding may do
+    rows = array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
+    return bool(is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE))  # less by what rounding may do
+
+
+def _check_distributions(array: Array, given: object, name: str) -> Array:
+    """Return an array whose rows are distributions; rows that were ``given`` in single precision are scaled."""
+    if _are_distributions(np.ascontiguousarray(array)):
         return array
     array = _checks.scale_if_single(array, given)
     _checks.require_nonnegative(array, name)
