@@ -50,8 +50,8 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
     require_sized(mdp)
     _checks.instance(name, str, "name")
     n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
-    is_table = type(policy) is np.ndarray and policy.shape[-2:] == (n_states, n_actions) and policy.dtype == np.float64
-    if is_table and policy.shape in ((n_states, n_actions), (horizon, n_states, n_actions)):
+    shapes = (n_states, n_actions), (horizon, n_states, n_actions)
+    if isinstance(policy, np.ndarray) and policy.dtype == np.float64 and policy.shape in shapes:
         array = np.array(policy, order="C")
         if _are_distributions(array):
             return array
@@ -59,10 +59,10 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
         policy = policy_table(policy, mdp, name)
     array, horizon = _checks.float_array(policy, name), _checks.optional_horizon(horizon)
     if array.shape != (n_states, n_actions):
-        shapes: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
-        shapes += [] if horizon is None else [(horizon, *shape) for shape in shapes]
-        if array.shape not in shapes:
-            rule = " or ".join(str(shape) for shape in shapes)
+        allowed: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
+        allowed += [] if horizon is None else [(horizon, *shape) for shape in allowed]
+        if array.shape not in allowed:
+            rule = " or ".join(str(shape) for shape in allowed)
             raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
     array = _check_distributions(array, policy, name)
     if array.shape[-2] < n_states:
