@@ -58,10 +58,10 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
 
 def as_readonly(array: Any) -> Any:
     """The array, or a contiguous view of it, that cannot be written through."""
-    flags = array.flags
-    if flags.c_contiguous and not flags.writeable:
-        return array
-    view = np.ascontiguousarray(array).view()
+    contiguous = np.ascontiguousarray(array)  # of an array that is broadcast a copy, whose flags may be asked for
+    if not contiguous.flags.writeable:
+        return contiguous
+    view = contiguous.view()
     view.flags.writeable = False
     return view
 
