@@ -16,7 +16,7 @@ def breadth_first(kernel, back, widest):
     n = len(kernel.indptr) - 1
     place, queue = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
     is_seen = np.zeros(n, dtype=np.bool_)
-    free, root, distance, n_done, n_ways = n, 0, 0.0, 0, 2 if len(back.indices) > 0 else 1
+    free, root, distance, n_done = n, 0, 0.0, 0
     while free > 0:
         while is_seen[root]:
             root += 1
@@ -24,11 +24,16 @@ def breadth_first(kernel, back, widest):
         head, tail = 0, 1
         while head < tail:
             state = queue[head]
-            for half in range(n_ways):
-                rows = kernel.indptr if half == 0 else back.indptr
-                columns = kernel.indices if half == 0 else back.indices
-                for k in range(rows[state], rows[state + np.uint32(1)]):
-                    j = columns[k]
+            for k in range(kernel.indptr[state], kernel.indptr[state + np.uint32(1)]):
+                j = kernel.indices[k]
+                if not is_seen[j]:
+                    is_seen[j] = True
+                    queue[tail] = j
+                    distance += tail - head
+                    tail += 1
+            if len(back.indices) > 0:
+                for k in range(back.indptr[state], back.indptr[state + np.uint32(1)]):
+                    j = back.indices[k]
                     if not is_seen[j]:
                         is_seen[j] = True
                         queue[tail] = j
