@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
@@ -50,6 +49,8 @@ def find_folder(identifier: str) -> Path:
 
 def save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
+    from unittest import mock  # asyncio comes with it, for which every command would wait .04 s
+
     require_minari()
     if log.state_names or log.action_names:
         raise ValueError("log must be in numbers to be a Minari data set; this one has names: log.numbered(simulator)")
