@@ -8,7 +8,7 @@ from typing import Any
 from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
-from oee_tabular.mdp.policies import is_time_dependent
+from oee_tabular.mdp.policies import count_dimensions
 
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
 LEAST_WEIGHT = 2.0**-200  # of a reward; far below rounding, so that late and unlikely rewards are not lost either
@@ -49,7 +49,7 @@ def limit_horizon(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.
 def horizon_length(horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0) -> int:
     """Return a horizon as an int, limited in ``model`` (FiniteMDP or ReweightedModel); with a policy (T, S, A) as it is."""
     length = _checks.positive_integer(horizon, "horizon")
-    if length <= SHORT_HORIZON or is_time_dependent(policy):
+    if length <= SHORT_HORIZON or count_dimensions(policy) == 3:
         return length
     growth = float(row_sums(model.transitions).max())  # rows of zeta * P may sum to more than 1
     rate = model.discount * (growth if growth > 1.0 + 2.0 * _checks.SUM_TOLERANCE else 1.0)

@@ -105,15 +105,17 @@ def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
     if isinstance(policies, Mapping) and not _checks.is_sparse(policies):  # a dok_array is a mapping
         known = numbers_of(names_of(mdp).states or ())
         are_states = all(to_plain(key) in known or _checks.is_integer(key) for key in policies)
-        are_choices = not any(callable(value) or _ndim(value) >= 2 for value in policies.values())
+        are_choices = not any(callable(value) or count_dimensions(value) >= 2 for value in policies.values())
         is_one = bool(policies) and are_states and are_choices
         return None if is_one else {str(key): policy for key, policy in policies.items()}
     if not isinstance(policies, list | tuple):
         return None
     sizes, first = (mdp.n_states, len(mdp.terminal_state)), policies[0] if policies else ()
-    is_row = _ndim(first) == 1 and len(policies) in sizes and len(first) == mdp.n_actions  # of a table (S, A)
-    is_policy = callable(first) or isinstance(first, Mapping) or _ndim(first) >= 2
-    is_policy |= _ndim(first) == 1 and len(first) in sizes and not is_row
+    is_row = (
+        count_dimensions(first) == 1 and len(policies) in sizes and len(first) == mdp.n_actions
+    )  # of a table (S, A)
+    is_policy = callable(first) or isinstance(first, Mapping) or count_dimensions(first) >= 2
+    is_policy |= count_dimensions(first) == 1 and len(first) in sizes and not is_row
     return {f"policy {k}": policy for k, policy in enumerate(policies)} if is_policy or not policies else None
 
 
@@ -186,11 +188,6 @@ def require_sized(mdp: object) -> None:
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
 
-def is_time_dependent(policy: PolicyLike | None) -> bool:
-    """Say whether a policy is (T, S, A)."""
-    return _ndim(policy) == 3
-
-
 def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
@@ -256,7 +253,7 @@ def _choice_row(choice: Any, names: tuple[Name, ...] | None, n_actions: int, nam
             row[a] += _checks.number_in(probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0)
     elif _checks.is_integer(given) or (isinstance(choice, str | tuple) and _is_action(given, names)):
         row[number_of(given, names, n_actions, name)] = 1.0
-    elif _ndim(choice) == 1 and len(choice) == n_actions:
+    elif count_dimensions(choice) == 1 and len(choice) == n_actions:
         row = _checks.float_array(choice, name, ndim=1)
     else:
         rule = f"an action, or a distribution over the {n_actions} actions"
@@ -290,7 +287,7 @@ def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
     )
 
 
-def _ndim(value: Any) -> int:
+def count_dimensions(value: Any) -> int:
     """Return the dimensions of an array; 0 of anything else."""
     try:
         return 0 if isinstance(value, Mapping) else int(np.ndim(value))

@@ -171,7 +171,7 @@ class Method:
             rows,
             log,
             policies=() if values_of is None else _policies(values_of, simulator),
-            horizon=None if horizon is None else optional_horizon_length(horizon, simulator),
+            horizon=optional_horizon_length(horizon, simulator),
             behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
             **beside,
         )
