@@ -154,10 +154,11 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
-        return value if isfinite(value) else float(warn_if_not_finite(value))
-    steps = horizon_length(horizon, mdp, policy)
-    pi = check_policy(policy, mdp, horizon=steps)
-    return float(warn_if_not_finite(factor * finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1]))
+    else:
+        steps = horizon_length(horizon, mdp, policy)
+        pi = check_policy(policy, mdp, horizon=steps)
+        value = factor * float(finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1])
+    return value if isfinite(value) else float(warn_if_not_finite(value))
 
 
 def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
@@ -176,7 +177,9 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) 
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    return np.asarray(warn_if_not_finite(evaluate_policy(mdp, policy, horizon=horizon).values))
+    found = evaluate_policy(mdp, policy, horizon=horizon)
+    is_finite = isfinite(found.error_bound)  # which it is of finite values alone
+    return found.values if is_finite else np.asarray(warn_if_not_finite(found.values))
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
