@@ -6,7 +6,8 @@ norm of the inverse comes from.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -20,7 +21,8 @@ from oee_tabular.exact.system import DivergentKernelError, Kernel, System, expon
 __all__ = ["DivergentKernelError", "LinearSolution", "exponent", "solve_policy_system"]
 
 
-class LinearSolution(NamedTuple):
+@dataclass(frozen=True)
+class LinearSolution:
     """A solution of ``solve_policy_system`` with a bound on its error.
 
     Attributes

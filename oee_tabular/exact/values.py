@@ -7,8 +7,9 @@ A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted s
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 EPS = float(np.finfo(float).eps)
 
 
-class PolicyValues(NamedTuple):
+@dataclass(frozen=True)
+class PolicyValues:
     """V and J of a policy.
 
     ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a finite horizon, where the sums

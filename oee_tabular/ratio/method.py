@@ -17,7 +17,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.mdp.policies import split_policies
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
@@ -171,7 +171,7 @@ class Method:
             rows,
             log,
             policies=() if values_of is None else _policies(values_of, simulator),
-            horizon=optional_horizon_length(horizon, simulator),
+            horizon=None if horizon is None else horizon_length(horizon, simulator),
             behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
             **beside,
         )

@@ -11,7 +11,7 @@ ASIDE = (
     "_threads.py",
     os.path.join("data", "columns.py"),
     os.path.join("data", "transitions.py"),
-    os.path.join("data", "moves.py"),
+    os.path.join("data", "sums.py"),
     "_sparse.py",
     os.path.join("ratio", "arguments.py"),
 )  # checks; from the third to the sixth: of Transitions.counts
