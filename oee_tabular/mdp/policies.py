@@ -49,6 +49,7 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
     """
     require_sized(mdp)
     _checks.instance(name, str, "name")
+    horizon = _checks.optional_horizon(horizon)
     n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
     shapes = (n_states, n_actions), (horizon, n_states, n_actions)
     if isinstance(policy, np.ndarray) and policy.dtype == np.float64 and policy.shape in shapes:
@@ -57,7 +58,7 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
             return array
     if not (isinstance(policy, np.ndarray) and policy.ndim > 1):
         policy = policy_table(policy, mdp, name)
-    array, horizon = _checks.float_array(policy, name), _checks.optional_horizon(horizon)
+    array = _checks.float_array(policy, name)
     if array.shape != (n_states, n_actions):
         allowed: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
         allowed += [] if horizon is None else [(horizon, *shape) for shape in allowed]

@@ -186,3 +186,10 @@ def test_the_last_entry_is_looked_at(change, words, order):
     else:
         with pytest.raises(ValueError, match=rf"policy\[{PLAIN.n_states - 1}.*{words}"):
             check_policy(given, PLAIN)
+
+
+@pytest.mark.parametrize("horizon", [-3, 0, True, 1.5])
+def test_a_bad_horizon_is_refused_whatever_the_policy(horizon):
+    mdp = oee.tasks.gridworld(2, slip=0.1)
+    with pytest.raises(ValueError, match=r"^horizon must be"):
+        check_policy(oee.uniform_policy(mdp), mdp, horizon=horizon)
