@@ -28,7 +28,7 @@ SUBJECTS = {
     "ratio": {
         "The ratio of transitions": ("transition_ratio", "true_ratio", "TransitionRatio"),
         "Methods": ("Method", "Conditional", "Tied", "InClass", "Quotient", "Joint", "Network", "Sgd", "SgdTrace"),
-        "Ratios of two densities": ("density_ratio", "RatioFit", "density_ratio_samples", "SampleRatio", "gaussian"),
+        "Ratios of two densities": ("density_ratio", "RatioFit", "gaussian"),
         "Support and assumptions": (
             "refuse_unsupported", "uncovered_share", "check_assumptions", "Assumptions", "action_displacement",
         ),

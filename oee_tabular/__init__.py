@@ -33,8 +33,7 @@ _EXPORTS = {
     "inference": "interval Interval",
     "mdp": "FiniteMDP uniform_policy mix",
     "plots": "",
-    "ratio": "density_ratio density_ratio_samples check_assumptions transition_ratio true_ratio RatioFit "
-    "TransitionRatio",
+    "ratio": "density_ratio check_assumptions transition_ratio true_ratio RatioFit TransitionRatio",
     "report": "evaluate Report",
     "simulate": "sample_episodes sample_returns sample_transitions",
     "tasks": "record_episodes",
@@ -65,7 +64,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.mdp import FiniteMDP as FiniteMDP, mix as mix, uniform_policy as uniform_policy
     from oee_tabular.ratio import RatioFit as RatioFit, TransitionRatio as TransitionRatio, true_ratio as true_ratio
     from oee_tabular.ratio import check_assumptions as check_assumptions, density_ratio as density_ratio
-    from oee_tabular.ratio import density_ratio_samples as density_ratio_samples, transition_ratio as transition_ratio
+    from oee_tabular.ratio import transition_ratio as transition_ratio
     from oee_tabular.report import Report as Report, evaluate as evaluate
     from oee_tabular.simulate import sample_episodes as sample_episodes, sample_returns as sample_returns
     from oee_tabular.simulate import sample_transitions as sample_transitions

@@ -49,7 +49,7 @@ ALIASES = {  # words of the command line, which the same errors serve
 }
 LEFT_OUT = """
 Method SgdTrace Basis Finding Comparison Contest corrected_value EstimationCounterexample Outlook RowChanges Selection
-Sides SimulationLemma Families League Assumptions SampleRatio Result ArmCells Closure Discretization KinovaHand
+Sides SimulationLemma Families League Assumptions Result ArmCells Closure Discretization KinovaHand
 MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy arm_cells train_expert
 fit_hand kinova_model check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
 reacher_log visited_states defensive_mixture logs mdp_pairs mdps policies horizons padded_log relabelled_log

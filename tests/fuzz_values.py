@@ -117,7 +117,6 @@ def own_values(known):
         "evaluate": {"target": None, "estimators": ["oee", "model-based"]}, "transition_ratio": dict.fromkeys(ratio_options),
         "InClass": {"features": np.arange(simulator.transitions.nnz) % 3.0, **kernel},
         "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3}, "density_ratio": kernel,
-        "density_ratio_samples": {"kernel": None},
         "interval": {"n_bootstrap": 20}, "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
         "ResidualSimulator": {"log": moves}, "LinearModel": {"log": moves}, "resimulate": {"log": moves},
         "record": {"policy": driver, "n_episodes": None, "n_transitions": 20}, "monte_carlo_value": {"policy": driver},

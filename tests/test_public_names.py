@@ -8,7 +8,7 @@ NAMES = {
     "oee_tabular": """
         ContinuousTransitions Estimate FiniteMDP Interval Moments Plan Problem RatioFit Report
         TransitionCounts TransitionRatio Transitions action_values bench check_assumptions data density_ratio
-        density_ratio_samples doubly_robust_moments efficiency_bound estimators evaluate exact
+        doubly_robust_moments efficiency_bound estimators evaluate exact
         inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
         policy_value ratio record_episodes report return_moments sample_episodes sample_returns sample_transitions
         simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
@@ -50,8 +50,8 @@ NAMES = {
         plot_grid plot_intervals plot_occupancy plot_ratio plot_states plot_values plot_variance_growth
     """,
     "oee_tabular.ratio": """
-        Assumptions Conditional InClass Joint Method Network Quotient RatioFit SampleRatio Sgd SgdTrace Tied
-        TransitionRatio action_displacement check_assumptions density_ratio density_ratio_samples gaussian
+        Assumptions Conditional InClass Joint Method Network Quotient RatioFit Sgd SgdTrace Tied
+        TransitionRatio action_displacement check_assumptions density_ratio gaussian
         refuse_unsupported transition_ratio true_ratio uncovered_share
     """,
     "oee_tabular.report": """

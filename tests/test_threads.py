@@ -53,9 +53,6 @@ def fingerprints():
     for estimator in (oee.estimators.OffEnvironment(), oee.estimators.Marginalized()):
         estimate = estimator(problem, policy, seed=0)
         found[type(estimator).__name__] = digest(estimate.value, estimate.standard_error or 0.0)
-    p, q = rng.normal(size=(4000, 2)), rng.normal(0.2, 1.1, size=(3000, 2))
-    for options in ({}, {"kernel": "gaussian"}):
-        found[f"samples {options}"] = digest(oee.density_ratio_samples(p, q, **options).at(q))
     return found
 
 

@@ -9,8 +9,6 @@ from oee_tabular.ratio.method import Method
 from oee_tabular.ratio.network import Network
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
-from oee_tabular.ratio.samples import density_ratio_samples
-from oee_tabular.ratio.samples.result import SampleRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace
 from oee_tabular.ratio.support import Assumptions, check_assumptions, refuse_unsupported, uncovered_share
 from oee_tabular.ratio.ties import Tied
@@ -25,7 +23,6 @@ __all__ = [
     "Network",
     "Quotient",
     "RatioFit",
-    "SampleRatio",
     "Sgd",
     "SgdTrace",
     "Tied",
@@ -33,7 +30,6 @@ __all__ = [
     "action_displacement",
     "check_assumptions",
     "density_ratio",
-    "density_ratio_samples",
     "gaussian",
     "refuse_unsupported",
     "transition_ratio",

@@ -1,10 +1,10 @@
-"""Ratios in classes by own programs: linear, kernel, tied, one tilt and one that varies, and ratios of two samples."""
+"""Ratios in classes by own programs: linear, kernel and tied, and one tilt or one that varies."""
 
 import numpy as np
 import pytest
 from audit.reference import Dense, table_of
 from numpy.testing import assert_allclose
-from scipy import optimize, sparse, stats
+from scipy import optimize, sparse
 
 import oee_tabular as oee
 from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
@@ -210,94 +210,3 @@ def test_tied_entries_by_their_own_sums():
             zeta[:, a][mine] = (seen + 4.0 * foreseen) / ((total + 4.0) * foreseen)
     zeta /= (P * zeta).sum(axis=2, keepdims=True)
     assert_allclose(fit.values.toarray().reshape(P.shape)[P > 0], zeta[P > 0], rtol=1e-9)
-
-
-def test_a_sample_ratio_of_the_log_linear_class_and_its_certificate():
-    rng = np.random.default_rng(0)
-    p, q = rng.normal(0.4, 0.8, (60, 2)), rng.normal(size=(90, 2))
-    fit = oee.density_ratio_samples(p, q, features="quadratic")
-
-    def features(x):
-        z = (x - q.mean(axis=0)) / q.std(axis=0)
-        return np.column_stack([z, z[:, 0] ** 2, z[:, 0] * z[:, 1], z[:, 1] ** 2])
-
-    at_q = features(q)
-    standard = [(features(x) - at_q.mean(axis=0)) / at_q.std(axis=0) for x in (p, q)]
-
-    def risk(theta):
-        up = standard[1] @ theta
-        return np.log(np.mean(np.exp(up - up.max()))) + up.max() - (standard[0] @ theta).mean() + theta @ theta / 120
-
-    theta = optimize.minimize(risk, np.zeros(5), method="BFGS", options={"gtol": 1e-10}).x
-    g = [np.exp(x @ theta) / np.mean(np.exp(standard[1] @ theta)) for x in standard]
-    assert_allclose(fit.p_ratio, g[0], rtol=1e-5)
-    assert_allclose(fit.q_ratio, g[1], rtol=1e-5)
-    assert_allclose(fit.at(p), g[0], rtol=1e-5)
-    assert_allclose(fit.q_ratio.mean(), 1.0, rtol=1e-12)
-    own = fit.details["theta"] * at_q.std(axis=0)
-    assert -1e-12 < risk(own) - risk(theta) < max(fit.gap, 1e-12) + 1e-12
-
-
-def test_a_sample_ratio_of_the_kernel_class_leaving_each_point_out():
-    rng = np.random.default_rng(1)
-    p, q = rng.normal(0.5, 0.7, (14, 1)), rng.normal(size=(17, 1))
-    fit = oee.density_ratio_samples(p, q, kernel="gaussian", n_centers=6)
-    c = fit.details["centers"]
-    for (h, ridge), score in list(fit.details["scores"].items())[::9]:
-        k_p, k_q = (np.exp(-((x - c.T) ** 2) / (2 * h * h)) for x in (p, q))
-
-        def weights(k_p, k_q, ridge=ridge):
-            return np.linalg.solve(k_q.T @ k_q / len(k_q) + ridge * np.eye(6), k_p.mean(axis=0))
-
-        left_q = np.mean([0.5 * (k_q[i] @ weights(k_p, np.delete(k_q, i, 0))) ** 2 for i in range(17)])
-        left_p = np.mean([k_p[i] @ weights(np.delete(k_p, i, 0), k_q) for i in range(14)])
-        assert_allclose(score, left_q - left_p, rtol=1e-8)
-    scores = np.array(list(fit.details["scores"].values()))
-    shares = np.exp((scores.min() - scores) * 2 / (1 / 14 + 1 / 17))
-    shares = np.where(shares > 1e-6 * shares.sum(), shares, 0.0)
-    assert_allclose(list(fit.details["shares"].values()), shares / shares.sum(), rtol=1e-12)
-    g = np.zeros(14)
-    for (h, ridge), share in fit.details["shares"].items():
-        k_p, k_q = (np.exp(-((x - c.T) ** 2) / (2 * h * h)) for x in (p, q))
-        g += share * (k_p @ np.linalg.solve(k_q.T @ k_q / 17 + ridge * np.eye(6), k_p.mean(axis=0)))
-    assert_allclose(fit.p_ratio, np.maximum(g, 0.0), rtol=1e-8)
-    assert_allclose(fit.at(p), np.maximum(g, 0.0), rtol=1e-8)
-    assert fit.gap < 1e-12
-
-
-@pytest.mark.parametrize("shape", ["normal", "skewed"])
-def test_the_test_that_may_refuse_the_quadratic_class(shape):
-    """Means of six bumps over p and over g q, their regression on the features taken off, as a chi-square."""
-    rng = np.random.default_rng(0)
-    p = rng.normal(0.3, 0.9, (600, 1)) if shape == "normal" else rng.gamma(4.0, 0.4, (600, 1)) - 1.2
-    q = rng.normal(size=(700, 1))
-    fit = oee.density_ratio_samples(p, q)
-    z = [(x[:, 0] - q.mean()) / q.std() for x in (p, q)]
-    phi = [np.column_stack([x, x**2]) for x in z]
-    size = phi[1].std(axis=0)
-    phi = [(x - phi[1].mean(axis=0)) / size for x in phi]
-
-    def risk(theta):
-        return np.log(np.mean(np.exp(phi[1] @ theta))) - (phi[0] @ theta).mean() + theta @ theta / 1200
-
-    theta = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-10}).x
-    g = np.exp(phi[1] @ theta)
-    g /= g.mean()
-    places = np.concatenate([phi[0][::200, 0], phi[1][::234, 0]])
-    psi = [np.exp(-2 * (x[:, :1] - places) ** 2) for x in phi]
-    mean = (g[:, None] * phi[1]).mean(axis=0)
-    inner = ((phi[1] - mean) * g[:, None]).T
-    slope = np.linalg.solve(inner @ phi[1] / 700 + np.eye(2) / 600, inner @ psi[1] / 700)
-    left = [x - y @ slope for x, y in zip(psi, phi, strict=True)]
-    center = (g[:, None] * left[1]).mean(axis=0)
-    rise = left[0].mean(axis=0) - center
-    V = (
-        np.cov(left[0].T, bias=True) / 600
-        + ((left[1] - center) * g[:, None]).T @ ((left[1] - center) * g[:, None]) / 700**2
-    )
-    values, vectors = np.linalg.eigh(V)
-    known = values > 1e-6 * values[-1]
-    own = stats.chi2.sf((((rise @ vectors) ** 2)[known] / values[known]).sum(), known.sum())
-    assert_allclose(fit.details["p_value"], own, rtol=1e-4, atol=1e-12)
-    assert fit.method == ("log-linear" if own > 0.2 else "kernel")
-    assert (shape == "skewed") == (fit.method == "kernel")

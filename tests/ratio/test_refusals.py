@@ -9,7 +9,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
-from oee_tabular.ratio import Sgd, density_ratio_samples
+from oee_tabular.ratio import Sgd
 from oee_tabular.ratio.features import action_displacement
 from oee_tabular.ratio.support import check_assumptions
 
@@ -17,9 +17,6 @@ zeta = functools.partial(functools.partial, oee.transition_ratio, sparse.csr_arr
 
 
 density = functools.partial(functools.partial, oee.density_ratio, [1, 2], [2, 1])
-
-
-drawn = functools.partial(functools.partial, density_ratio_samples, [1.0, 2.0, 3.0], [1.0, 2.0, 4.0])
 
 
 SGD = {"solver": "sgd", "normalized": False, "lower": 0.1, "upper": 9.0}
@@ -96,7 +93,6 @@ WRONG = {
         density(kernel="gaussian", coordinates=[0, 1], n_centers=0),
         r"^n_centers must be a positive integer; it is 0$",
     ),
-    "centres of samples": (drawn(n_centers=0), r"^n_centers must be a positive integer; it is 0$"),
     "a discount for counts": (
         zeta(discount=0.9),
         r"^discount must be left out where counts are given: they have no timesteps$",
@@ -169,10 +165,6 @@ WRONG = {
         density(kernel=lambda x, c: np.full((len(x), len(c)), np.nan), coordinates=[0, 1]),
         r"^kernel\[0, 0\] must be finite; it is nan$",
     ),
-    "samples of three dimensions": (
-        lambda: density_ratio_samples(np.ones((2, 2, 2)), [1, 2]),
-        r"^x_p must have 1 or 2 dimension\(s\); it has shape \(2, 2, 2\)$",
-    ),
     "assumptions: p": (lambda: check_assumptions([-1], [1], lower=0, upper=1), r"^p\[0\] must be nonnegative"),
     "assumptions: q": (
         lambda: check_assumptions([1], [0], lower=0, upper=1),
@@ -214,11 +206,6 @@ WRONG = {
         lambda: check_assumptions([1], [1, 1], lower=0, upper=1),
         r"^p and q must have one length; they have 1 and 2$",
     ),
-    "samples: x_p": (lambda: density_ratio_samples([np.nan, 1], [1, 2]), r"^x_p\[0\] must be finite; it is nan$"),
-    "samples: x_q": (lambda: density_ratio_samples([1, 2], [1.0]), r"^x_q must have at least 2 points; it has 1$"),
-    "samples: features": (drawn(features="q"), r"^features must be one of 'linear', 'quadratic'; got 'q'$"),
-    "samples: kernel": (drawn(kernel="q"), r"^kernel must be one of 'gaussian'; got 'q'$"),
-    "samples: seed": (drawn(seed="q"), r"^seed must be what numpy.random.default_rng takes"),
     "another simulator's ratio": (
         lambda: exact.reweight(SIMULATOR, oee.true_ratio(*[FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.5)] * 2)),
         r"^ratio must be sparse of shape \(6, 3\)",
