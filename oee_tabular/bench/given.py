@@ -71,7 +71,8 @@ def resolved(spec: str) -> Estimator:
         with own_modules():
             made: Estimator = own_estimator(spec)
             return made
-    return named_estimators([spec])[spec]
+    (estimator,) = named_estimators([spec]).values()
+    return estimator
 
 
 def estimator_of(name: str, given: Any, family: Family) -> Estimator:

@@ -22,7 +22,7 @@ _ENTRIES = (
 )
 FEATURES_HELP = f"Your own features of moves, as a row oee-features: {_ENTRIES}, with a last axis for several."
 TIE_HELP = f"Integer keys, moves with one key share one ratio, as a row oee-tied: {_ENTRIES}."
-ESTIMATORS_HELP = f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))}"
+ESTIMATORS_HELP = f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))}; fqe is model-based"
 
 
 def write_array(path: Path, array: Array) -> None:

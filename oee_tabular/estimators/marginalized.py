@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from scipy import linalg, sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
@@ -15,7 +17,7 @@ from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, expecte
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
 from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rewards import simulator_rewards
+from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import policy_kernel
@@ -25,23 +27,42 @@ from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.method import Population
 
+MAX_CONDITION = 1e12  # of the saddle point's matrix, its columns scaled: above it no digit of theta is sure
+RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Marginalized(ExactLimit):
     """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
 
-    beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's rows), and
-    w = d_target / d_sim, here the exact tabular solution: the occupancy in zeta * P over the simulator's.
+    beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's pairs), and
+    w = d_target / d_sim: the exact tabular solution (the occupancy in zeta * P over the simulator's), or with ``features``
+    the published saddle point in the class w = phi theta,
+
+        A = E_log[beta phi (gamma phi'_pi - phi)^T],    A^T theta = -(1 - gamma) E phi_0,
+
+    with phi'_pi the mean of phi(s', a') under the policy, and phi_0 that at the start.
 
     Parameters
     ----------
-    ratio : as in ``OffEnvironment``: where zeta is from
-    lower, upper : lower <= beta <= upper where the log has rows (None: no bound; then beta is exact there)
+    ratio : as in ``OffEnvironment``: where zeta is from; not with ``features``, which need none
+    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; then beta is exact there)
+    features : phi(s, a), which need no zeta and no density of the target: an array of shape (S, A), (S, A, d) or (S*A, d), or
+        a function of (s, a) arrays. Without a horizon only. They are 0 where the episode is over; those that are 0 in every
+        recorded pair are left out
 
     Notes
     -----
-    Rows that the log never visited pay nothing: their share of the policy's time is in the diagnostics. Source: [1] P. Katdare,
-    N. Jiang and K. Driggs-Campbell, Marginalized importance sampling for off-environment policy evaluation, CoRL 2023.
+    Pairs that the log never visited pay nothing: their share of the policy's time is in the diagnostics. One-hot features of
+    the pairs give maximum likelihood on the recorded pairs. Limit: exact, with ``features`` that of the class, which depends
+    on how the pairs are recorded unless the class contains d_target / d_sim. Source: [1] P. Katdare, N. Jiang and
+    K. Driggs-Campbell, Marginalized importance sampling for off-environment policy evaluation, CoRL 2023.
+
+    Raises
+    ------
+    ValueError
+        When called: features of another shape, all constant, or linearly dependent (the columns are named); a horizon, or
+        discount 1, with features.
 
     Examples
     --------
@@ -55,85 +76,155 @@ class Marginalized(ExactLimit):
     ratio: RatioOption = "conditional"
     lower: float | None = None
     upper: float | None = None
+    features: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         OffEnvironment(ratio=self.ratio)  # or an error
         check_box(self.lower, self.upper, normalized=False)
+        if self.features is not None and not (isinstance(self.ratio, str) and self.ratio == "conditional"):
+            raise ValueError("ratio must be left out with features, which need no zeta")
 
     @one_thread
     @without_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
         pi = checked_policy(problem, policy)
-        zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
-        model = reweight(problem.model, zeta)
-        counts = row_sums(problem.counts)
-        pay = _rewards_of_rows(problem)
-        value, weights, gap = self._value(model, problem.simulator, pi, problem.horizon, counts, pay)
-        share = counts / counts.sum()
-        worst, seen = max(gap, zeta.gap), coverage(problem, model, pi, counts.reshape(model.n_states, -1))
+        total = problem.counts.sum()
+        share = row_sums(problem.counts) / total
+        beta, gap = self._fit_beta(problem.simulator, pi, problem.horizon, share)
+        model: Model = problem.model
+        if self.features is None:
+            zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
+            model, gap = reweight(problem.model, zeta), max(gap, zeta.gap)
+            shift = _occupancy_ratio(model, problem.simulator, pi, problem.horizon)
+        else:
+            shift = self._solve_class(problem.simulator, pi, problem.horizon, problem.counts / total, beta)
+        weights = beta * shift
+        time = coverage(problem, model, pi, row_sums(problem.counts).reshape(pi.shape))
         return Estimate(
-            value,
+            total_discount(model.discount, problem.horizon) * float(share @ (weights * mean_rewards(problem))),
             diagnostics={
-                "gap": worst,
+                "gap": gap,
                 "largest_weight": float(weights.max()),
                 "mean_weight": float(share @ weights),
-                **seen,
+                **time,
             },
-            findings=(*findings.unseen_time(seen.get("fallback_share", 0.0)), *findings.gap(worst)),
+            findings=(*findings.unseen_time(time.get("fallback_share", 0.0)), *findings.gap(gap)),
         )
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``: rows that the log never visited pay nothing, so that rewards cannot be shifted."""
+        """Words of ``testing.CLAIMS``: pairs that the log never visited pay nothing, so that rewards cannot be shifted."""
+        if self.features is not None:
+            return frozenset({"scale", "infinite"})
         known = of_ratio(self.ratio) - {"shift"}
         boxed = self.lower is not None or self.upper is not None
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
-    def _value(
-        self, model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None, counts: Array, pay: Array
-    ) -> tuple[float, Array, float]:
-        """J, the weights beta w on (S*A,), and beta's gap."""
-        share = counts / counts.sum()
-        here = occupancy(simulator, policy, horizon=horizon).reshape(-1)
-        there = occupancy(model, policy, horizon=horizon).reshape(-1)
-        seen = share > 0
+    def limit_of(self, people: Population) -> float:
+        """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P, or of the class."""
+        simulator, policy, horizon = people.simulator, people.policy, people.horizon
+        share = people.distribution.reshape(-1)
+        beta, _ = self._fit_beta(simulator, policy, horizon, share)
+        if self.features is None:
+            model = OffEnvironment(ratio=self.ratio).limit_model(people)
+            shift = _occupancy_ratio(model, simulator, policy, horizon)
+        else:
+            transitions = sparse.csr_array(sparse.diags_array(share) @ people.target.transitions)
+            shift = self._solve_class(simulator, policy, horizon, transitions, beta)
+        pay = expected_rewards(simulator, people.target.transitions)
+        return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * pay))
+
+    def _fit_beta(self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array) -> tuple[Array, float]:
+        """Beta on (S*A,), 0 where the log has nothing, and its gap."""
+        if self.features is not None and horizon is not None:
+            raise ValueError(f"horizon must be None with features, for the infinite sum; it is {horizon}")
+        if self.features is not None and simulator.discount == 1.0:
+            raise ValueError("discount must be below 1 with features; it is 1")
+        time = occupancy(simulator, policy, horizon=horizon).reshape(-1)
+        recorded = share > 0
         beta, gap = np.zeros_like(share), 0.0
-        inside = float(here[seen].sum())
+        inside = float(time[recorded].sum())
         if inside > 0:  # the fit scales both to distributions: its ratio is beta / inside, and so is its box
             box = check_box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
-                here[seen], share[seen], lower=box.lower / inside, upper=box.upper / inside, normalized=False
+                time[recorded], share[recorded], lower=box.lower / inside, upper=box.upper / inside, normalized=False
             )
-            beta[seen], gap = fit.ratio * inside, fit.gap
-        shift = np.divide(there, here, out=np.zeros_like(there), where=here > 0)
-        weights = beta * shift
-        return total_discount(model.discount, horizon) * float(share @ (weights * pay)), weights, gap
+            beta[recorded], gap = fit.ratio * inside, fit.gap
+        return beta, gap
 
-    def limit_of(self, people: Population) -> float:
-        """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P."""
-        model = OffEnvironment(ratio=self.ratio).limit_model(people)
-        pay = expected_rewards(people.simulator, people.target.transitions)
-        share = people.distribution.reshape(-1)
-        return self._value(model, people.simulator, people.policy, people.horizon, share, pay)[0]
+    def _solve_class(
+        self, simulator: FiniteMDP, policy: Array, horizon: int | None, transitions: sparse.csr_array, beta: Array
+    ) -> Array:
+        """w = phi theta on (S*A,) by the saddle point; ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
+        gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
+        phi, names = _pair_features(self.features, simulator)
+        share = row_sums(transitions)
+        used = np.flatnonzero((phi[share * beta > 0] != 0.0).any(axis=0))
+        phi, names = phi[:, used], names[used]
+        _refuse_dependent(phi[share * beta > 0], names, " in the pairs that the log and the policy share")
+        by_state = np.einsum("sa,sad->sd", policy, phi.reshape(*shape, -1))
+        ahead = gamma * (transitions @ by_state) - share[:, None] * phi
+        matrix = phi.T @ (beta[:, None] * ahead)
+        scale = np.sqrt(np.einsum("xd,x,xd->d", phi, share * beta, phi))
+        matrix, start = matrix / np.outer(scale, scale), simulator.initial @ by_state / scale
+        if np.linalg.cond(matrix) > MAX_CONDITION:
+            raise ValueError(
+                f"features must make the saddle point's matrix A regular; its condition exceeds {MAX_CONDITION:g}"
+            )
+        theta = np.linalg.solve(matrix.T, -(1.0 - gamma) * start)
+        return np.asarray(phi @ (theta / scale))
 
 
-def _rewards_of_rows(problem: Problem) -> Array:
-    """(S*A,) mean reward of the log's moves in each row (0 where there are none)."""
-    log, n_actions = problem.log, problem.simulator.n_actions
-    rows = log.state * n_actions + log.action
-    size = problem.simulator.n_states * n_actions
-    moves = log.moves()
-    if moves.reward_sum is None or moves.reward_count is None:
-        total, count = simulator_rewards(problem.simulator, log) * moves.number, moves.number
-    else:
-        total, count = moves.reward_sum, moves.reward_count
-        unpaid = np.bincount(rows, weights=count, minlength=size)[rows] == 0  # rewards are missing: the simulator's
-        total = np.where(unpaid, simulator_rewards(problem.simulator, log) * moves.number, total)
-        count = np.where(unpaid, moves.number, count)
-    paid = np.bincount(rows, weights=total, minlength=size)
-    number = np.bincount(rows, weights=count, minlength=size)
-    return np.divide(paid, number, out=np.zeros(size), where=number > 0)
+def _occupancy_ratio(model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None) -> Array:
+    """The policy's occupancy in the model over that in the simulator, (S*A,), 0 where the simulator has none."""
+    here, there = (occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model))
+    return np.divide(there, here, out=np.zeros_like(there), where=here > 0)
+
+
+def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntArray]:
+    """phi as (S*A, d), 0 where the episode is over, and the columns' numbers."""
+    shape = (simulator.n_states, simulator.n_actions)
+    size = shape[0] * shape[1]
+    array = features(*np.divmod(np.arange(size), shape[1])) if callable(features) else features
+    array = _checks.float_array(array, "features")
+    if array.shape[:2] == shape and array.ndim in (2, 3):
+        array = array.reshape(size, -1)
+    if array.ndim not in (1, 2) or len(array) != size or array.size == 0:
+        raise ValueError(
+            f"features must have shape {shape} (+ d), or {size} rows, one for each state-action pair; "
+            f"they have shape {array.shape}"
+        )
+    _checks.require_finite(array, "features")
+    going = np.repeat(~simulator.absorbing(), shape[1])
+    given = array.reshape(size, -1)
+    empty = np.flatnonzero((given == 0.0).all(axis=0))
+    if empty.size:
+        raise ValueError(f"features must not be 0 in every state-action pair; column {empty[0]} is")
+    if (np.ptp(given[going], axis=0) == 0.0).all():
+        raise ValueError("features must differ between state-action pairs; every column is constant")
+    phi = given * going[:, None]
+    names = np.flatnonzero((phi != 0.0).any(axis=0))
+    _refuse_dependent(phi[np.ix_(going, names)], names)
+    return phi[:, names], names
+
+
+def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
+    """A ValueError that names columns of which one is a combination of the others: they make A singular."""
+    lengths = np.sqrt((phi**2).sum(axis=0))
+    scaled = phi / np.where(lengths > 0, lengths, 1.0)
+    triangle, order = linalg.qr(scaled, mode="r", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    rank = int((sizes > RANK_TOLERANCE).sum())
+    if rank == phi.shape[1]:
+        return
+    parts = linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank])
+    columns = np.sort(np.append(order[:rank][np.abs(parts) > RANK_TOLERANCE], order[rank]))
+    constant = [f" (column {names[c]} is constant)" for c in columns if np.ptp(phi[:, c]) == 0.0]
+    raise ValueError(
+        f"features must be linearly independent{where}; columns {', '.join(map(str, names[columns]))} are not"
+        + "".join(constant)
+    )
 
 
 @dataclass(frozen=True)

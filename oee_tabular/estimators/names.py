@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,96 +22,95 @@ class Named:
     """
 
     kind: str
-    options: Mapping[str, Any]
     meaning: str
+    options: Mapping[str, Any] = field(default_factory=dict)
     needs_target: bool = False
 
     def __call__(self, target: FiniteMDP | None = None) -> Estimator:
         """The estimator."""
         make = getattr(importlib.import_module("oee_tabular.estimators"), self.kind)
-        made: Estimator = make(target, **self.options) if self.needs_target else make(**self.options)
-        return made
-
-
-def _named(kind: str, meaning: str, /, **options: object) -> Named:
-    return Named(kind, options, meaning)
-
-
-def _of_target(kind: str, meaning: str, /, **options: object) -> Named:
-    return Named(kind, options, meaning, needs_target=True)
+        estimator: Estimator = make(target, **self.options) if self.needs_target else make(**self.options)
+        return estimator
 
 
 NAMED: Mapping[str, Named] = {
-    "simulator": _named(
+    "simulator": Named(
         "Simulator", "The policy's exact value in the simulator as it is: what one would believe without a log."
     ),
-    "oee": _named(
+    "oee": Named(
         "OffEnvironment",
         "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log "
         "supports, and the policy is evaluated exactly in the corrected simulator; where the log speaks against "
         "that, the value moves towards the one-step value, which rests on the log alone wherever the log has moves.",
     ),
-    "oee-product": _named(
+    "oee-product": Named(
         "OffEnvironment",
         "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
-        evaluation="monte_carlo",
+        {"evaluation": "monte_carlo"},
     ),
-    "oee-product-sn": _named(
-        "OffEnvironment", "Products of ratios, divided by their sum.", evaluation="monte_carlo", self_normalized=True
+    "oee-product-sn": Named(
+        "OffEnvironment",
+        "Products of ratios, divided by their sum.",
+        {"evaluation": "monte_carlo", "self_normalized": True},
     ),
-    "oee-trajectory": _named(
+    "oee-trajectory": Named(
         "OffEnvironment",
         "One product of ratios for each whole simulated episode.",
-        evaluation="monte_carlo",
-        weighting="trajectory",
+        {"evaluation": "monte_carlo", "weighting": "trajectory"},
     ),
-    "ratio-of-ratios": _named(
+    "ratio-of-ratios": Named(
         "OffEnvironment",
         "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
-        ratio="ratio_of_ratios",
+        {"ratio": "ratio_of_ratios"},
     ),
-    "model-based": _named(
+    "model-based": Named(
         "ModelBased", "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves."
     ),
-    "is": _named(
+    "is": Named(
         "ImportanceSampling",
         "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
-        kind="trajectory",
+        {"kind": "trajectory"},
     ),
-    "wis": _named(
+    "wis": Named(
         "ImportanceSampling",
         "Importance sampling with weights that are divided by their sum.",
-        kind="trajectory",
-        self_normalized=True,
+        {"kind": "trajectory", "self_normalized": True},
     ),
-    "pdis": _named("ImportanceSampling", "Importance sampling, reward by reward (per decision); needs no simulator."),
-    "wpdis": _named(
+    "pdis": Named("ImportanceSampling", "Importance sampling, reward by reward (per decision); needs no simulator."),
+    "wpdis": Named(
         "ImportanceSampling",
         "Importance sampling reward by reward, with weights that are divided by their sum.",
-        self_normalized=True,
+        {"self_normalized": True},
     ),
-    "dr": _named("DoublyRobust", "Doubly robust: a model's value, corrected by the log."),
-    "dr-beta": _named("DoublyRobust", "Doubly robust, with the ratio of occupancies as weights.", weights="beta"),
-    "dr-rollouts": _named("DoublyRobust", "Doubly robust on simulated episodes.", data="rollouts"),
-    "dr-episodes": _named("DoublyRobust", "Doubly robust on the log's episodes.", data="episodes"),
-    "wdr": _named(
+    "dr": Named("DoublyRobust", "Doubly robust: a model's value, corrected by the log."),
+    "dr-beta": Named("DoublyRobust", "Doubly robust, with the ratio of occupancies as weights.", {"weights": "beta"}),
+    "dr-rollouts": Named("DoublyRobust", "Doubly robust on simulated episodes.", {"data": "rollouts"}),
+    "dr-episodes": Named("DoublyRobust", "Doubly robust on the log's episodes.", {"data": "episodes"}),
+    "wdr": Named(
         "DoublyRobust",
         "Doubly robust on the log's episodes, with weights that are divided by their sum.",
-        data="episodes",
-        self_normalized=True,
+        {"data": "episodes", "self_normalized": True},
     ),
-    "magic": _named("Magic", "A blend of model and importance sampling, chosen for the smallest error."),
-    "marginalized": _named(
+    "magic": Named("Magic", "A blend of model and importance sampling, chosen for the smallest error."),
+    "marginalized": Named(
         "Marginalized", "The log's rewards, weighted by how much more often the policy is in each place."
     ),
-    "dualdice": _named("DualDice", "The same weights, from a saddle-point problem."),
-    "oracle": _of_target("Oracle", "The value with the true ratio, which only someone who knows the target has."),
-    "oracle-product": _of_target(
+    "dualdice": Named("DualDice", "The same weights, from a saddle-point problem."),
+    "oracle": Named(
+        "Oracle", "The value with the true ratio, which only someone who knows the target has.", needs_target=True
+    ),
+    "oracle-product": Named(
         "Oracle",
         "Products of the true ratio along simulated episodes: what the noise alone does.",
-        evaluation="monte_carlo",
+        {"evaluation": "monte_carlo"},
+        needs_target=True,
     ),
 }
+
+
+ALIASES: Mapping[str, str] = {  # from the literature: in a table, fitted Q evaluation and the direct method are the model
+    "fqe": "model-based", "dm": "model-based", "mle": "model-based", "mis": "marginalized", "snis": "wis",
+}  # fmt: skip
 
 
 def names(*, needs_target: bool = False) -> list[str]:
@@ -120,29 +119,30 @@ def names(*, needs_target: bool = False) -> list[str]:
 
 
 def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
-    """The estimators of these names; a ValueError with the nearest names for an unknown one."""
-    found: dict[str, Estimator] = {}
-    for name in names:
+    """The estimators of these names or aliases, by name; a ValueError with the nearest name for an unknown one."""
+    estimators: dict[str, Estimator] = {}
+    for given in names:
+        name = ALIASES.get(given, given)
         if name not in NAMED:
-            near = difflib.get_close_matches(name, NAMED, n=1)
+            near = difflib.get_close_matches(name, [*NAMED, *ALIASES], n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
             raise ValueError(f"estimators must be among {', '.join(NAMED)}; got {name!r}{hint}")
         if NAMED[name].needs_target and target is None:
             raise ValueError(f"estimator {name!r} needs the target environment, which is not given (--target)")
-        found[name] = NAMED[name](target)
-    if not found:
+        estimators[name] = NAMED[name](target)
+    if not estimators:
         raise ValueError("estimators must name at least one; it is empty")
-    return found
+    return estimators
 
 
 def default_names(problem: Problem) -> tuple[list[str], list[str]]:
     """The estimators that this problem's data allow, and a sentence for each that they do not."""
-    found, left_out = ["simulator", "oee", "model-based"], []
+    chosen, left_out = ["simulator", "oee", "model-based"], []
     log = problem.recorded
     if log.episode is None:
         left_out.append("Importance sampling is left out: the log has no episodes.")
     elif log.behavior_probability is None and problem.behavior_policy is None:
         left_out.append("Importance sampling is left out: the behaviour policy is not known.")
     else:
-        found += ["pdis", "wpdis"]
-    return found, left_out
+        chosen += ["pdis", "wpdis"]
+    return chosen, left_out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -12,6 +13,9 @@ from oee_tabular._sparse import align, find
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
+
+if TYPE_CHECKING:
+    from oee_tabular.estimators.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,23 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
         own = np.repeat(simulator.rewards.reshape(-1), np.diff(matrix.indptr))
     data = np.where(known, paid / np.where(known, often, 1.0), own)
     return simulator.with_rewards(sparse.csr_array((data, matrix.indices, matrix.indptr), shape=shape))
+
+
+def mean_rewards(problem: Problem) -> Array:
+    """(S*A,) mean reward of the log's transitions in each state-action pair (0 where there are none)."""
+    log, simulator = problem.log, problem.simulator
+    moves, size = log.moves(), simulator.n_states * simulator.n_actions
+    pairs = log.state * simulator.n_actions + log.action
+    if moves.reward_sum is None or moves.reward_count is None:
+        total, count = simulator_rewards(simulator, log) * moves.number, moves.number
+    else:
+        total, count = moves.reward_sum, moves.reward_count
+        unpaid = np.bincount(pairs, weights=count, minlength=size)[pairs] == 0  # rewards are missing: the simulator's
+        total = np.where(unpaid, simulator_rewards(simulator, log) * moves.number, total)
+        count = np.where(unpaid, moves.number, count)
+    paid = np.bincount(pairs, weights=total, minlength=size)
+    number = np.bincount(pairs, weights=count, minlength=size)
+    return np.divide(paid, number, out=np.zeros(size), where=number > 0)
 
 
 def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:

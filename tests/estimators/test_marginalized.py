@@ -2,19 +2,12 @@
 
 import numpy as np
 import pytest
-from estimators.four_states import FULL, POLICY, recorded_problem, reweighted_zeta
+from estimators.four_states import FULL, POLICY, environments, recorded_problem, reweighted_zeta
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import Problem
 from oee_tabular.estimators import DualDice, Marginalized, ModelBased
-from oee_tabular.estimators.marginalized import total_discount
-
-
-def test_sums_of_discounts():
-    assert_allclose(total_discount(0.5, None), 2.0)
-    assert_allclose(total_discount(0.5, 3), 1.75)
-    assert total_discount(1.0, 3) == 3.0
 
 
 @pytest.mark.parametrize("form", [2, 3])
@@ -62,3 +55,73 @@ def test_dualdice_against_dense_equations():
     endless = Problem(simulator.with_discount(1.0), problem.log)
     with pytest.raises(ValueError, match=r"^discount must be below 1 for DualDICE; it is 1$"):
         DualDice()(endless, POLICY)
+
+
+ONE_HOT = np.eye(8).reshape(4, 2, 8)
+
+
+@pytest.mark.parametrize("form", [2, 3])
+def test_one_hot_features_are_maximum_likelihood(form):
+    """A^T theta = -(1 - gamma) E phi_0 is then the flow of the log's frequencies: every pair that goes on is recorded."""
+    problem, target = recorded_problem(form, n=80)
+    likelihood = ModelBased()(problem, POLICY).value
+    found = Marginalized(features=ONE_HOT)(problem, POLICY)
+    assert_allclose(found.value, likelihood, rtol=1e-10)
+    assert_allclose(Marginalized(features=np.eye(8))(problem, POLICY).value, likelihood, rtol=1e-10)
+    by_state = Marginalized(features=lambda s, a: np.stack([s == 0, s == 1, s == 2], axis=1))
+    assert_allclose(by_state(problem, POLICY).value, likelihood, rtol=0.2)  # the policy is known: w depends on s alone
+    for estimator in (by_state, Marginalized(features=ONE_HOT, lower=0.1, upper=9.0)):
+        limit = estimator.limit(problem.simulator, target, POLICY, data_distribution=FULL)
+        assert_allclose(limit, oee.policy_value(target, POLICY), rtol=1e-10)
+
+
+def test_the_saddle_point_pair_by_pair():
+    """Two features, and pairs that the log lacks: sums over the log's rows, as the equations are printed."""
+    problem, _ = recorded_problem(3, n=3, length=4)
+    simulator, log = problem.simulator, problem.log
+    counts = problem.counts.sum(axis=1)
+    assert (counts[:6] == 0).any()
+    phi = np.stack([np.ones((4, 2)), np.arange(8.0).reshape(4, 2) % 3], axis=2)
+    live = phi * (np.arange(4) < 3)[:, None, None]  # state 3 is over
+    mean = (POLICY[:, :, None] * live).sum(axis=1)
+    beta = oee.occupancy(simulator, POLICY) / np.maximum(counts.reshape(4, 2) / len(log), 1e-300)
+    rows = [(beta[s, a], live[s, a], mean[j], r)
+            for s, a, j, r in zip(log.state, log.action, log.next_state, log.reward, strict=True)]  # fmt: skip
+    matrix = np.mean([b * np.outer(f, 0.9 * ahead - f) for b, f, ahead, _ in rows], axis=0)
+    theta = np.linalg.solve(matrix.T, -0.1 * simulator.initial @ mean)
+    found = Marginalized(features=phi)(problem, POLICY)
+    assert_allclose(found.value, np.mean([b * (f @ theta) * r for b, f, _, r in rows]) / 0.1, rtol=1e-10)
+    assert_allclose(found.diagnostics["mean_weight"], np.mean([b * (f @ theta) for b, f, _, _ in rows]), rtol=1e-10)
+    assert found.diagnostics["fallback_share"] > 0.02
+    assert found.findings[0].kind == "coverage"
+
+
+TWINS = np.stack([np.arange(8.0), np.ones(8), 3 - np.arange(8.0)], axis=1)
+BAD_FEATURES = {
+    "constant": (np.ones((4, 2)), "features must differ between state-action pairs; every column is constant"),
+    "zero": (np.eye(8)[:, [0, 1, 1]] * [1, 1, 0], "column 2 is$"),
+    "collinear": (TWINS, r"linearly independent; columns 0, 1, 2 are not \(column 1 is constant\)$"),
+    "rows": (np.ones(7), r"features must have shape \(4, 2\) \(\+ d\), or 8 rows, .*; they have shape \(7,\)"),
+    "nan": (np.full((4, 2), np.nan), r"features\[0, 0\] must be finite; it is nan"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FEATURES)
+def test_bad_features(case):
+    features, text = BAD_FEATURES[case]
+    with pytest.raises(ValueError, match=text):
+        Marginalized(features=features)(recorded_problem()[0], POLICY)
+
+
+def test_features_that_the_log_does_not_tell_apart_and_problems_without_a_saddle_point():
+    simulator, _ = environments()
+    problem = Problem(simulator, oee.Transitions([0, 1], [0, 1], [1, 2]))
+    apart = np.stack([np.arange(8) % 3 == 0, np.ones(8), np.arange(8) == 5], axis=1)
+    with pytest.raises(ValueError, match="in the pairs that the log and the policy share; columns 0, 1 are not"):
+        Marginalized(features=apart)(problem, POLICY)
+    with pytest.raises(ValueError, match="horizon must be None with features, for the infinite sum; it is 4"):
+        Marginalized(features=ONE_HOT)(recorded_problem(horizon=4)[0], POLICY)
+    with pytest.raises(ValueError, match="discount must be below 1 with features; it is 1"):
+        Marginalized(features=ONE_HOT)(Problem(simulator.with_discount(1.0), problem.log), POLICY)
+    with pytest.raises(ValueError, match="ratio must be left out with features"):
+        Marginalized("joint", features=ONE_HOT)

@@ -44,7 +44,8 @@ def test_short_names_and_what_they_stand_for():
         "oracle": Oracle(target),
         "oracle-product": Oracle(target, evaluation="monte_carlo"),
     }
-    assert named_estimators(list(expected), target) == expected
+    named = named_estimators(list(expected), target)
+    assert {name: repr(estimator) for name, estimator in named.items()} == {k: repr(v) for k, v in expected.items()}
     with pytest.raises(ValueError, match=r"^estimators must be among simulator, oee, .*, dualdice, oracle, oracle-product; "
                                          r"got 'q'$"):  # fmt: skip
         named_estimators(["q"])
@@ -52,6 +53,16 @@ def test_short_names_and_what_they_stand_for():
         named_estimators([])
     with pytest.raises(ValueError, match=r"^estimator 'oracle-product' needs the target environment"):
         named_estimators(["oracle-product"])
+
+
+def test_names_that_people_type():
+    ragged = oee.testing.case("ragged")
+    assert named_estimators(["fqe", "oee", "model-based"]) == named_estimators(["model-based", "oee"])
+    problem = ragged.problem(20, seed=0)
+    rows = [oee.evaluate(problem, ragged.policy, estimators=name).records() for name in ("fqe", ["dm"], "model-based")]
+    assert rows[0] == rows[1] == rows[2]
+    with pytest.raises(ValueError, match=r"did you mean 'fqe'\?"):
+        named_estimators(["fqee"])
 
 
 def test_the_default_estimators_and_what_is_left_out():
