@@ -28,15 +28,12 @@ if TYPE_CHECKING:
 BOX = {"lower_ratio": 0.25, "upper_ratio": 1.6}
 METHODS: dict[str, dict[str, Any]] = {
     "delta": {"method": "delta"},
-    "bootstrap percentile": {"method": "bootstrap", "n_bootstrap": 400},
-    "bootstrap basic": {"method": "bootstrap", "bootstrap": "basic", "n_bootstrap": 400},
+    "bootstrap": {"method": "bootstrap", "n_bootstrap": 400},
     "likelihood": {**BOX},
     "likelihood without box": {},
     "robust, box": {"method": "robust", **BOX},
     "robust": {"method": "robust"},
     "robust, anytime": {"method": "robust", "radius": "anytime"},
-    "robust, l1": {"method": "robust", "ball": "l1"},
-    "robust, l1 and box": {"method": "robust", "ball": "l1", **BOX},
 }
 
 
@@ -95,7 +92,7 @@ def coverage_finding(table: pd.DataFrame) -> str:
     wider = (cases.width["robust"] / cases.width["likelihood without box"]).max()
     return (
         f"Least coverage of {table.repetition.nunique()} logs: likelihood {percent(least['likelihood'])}, delta "
-        f"{percent(least['delta'])}, bootstrap {percent(least[['bootstrap basic', 'bootstrap percentile']].min())}, robust "
+        f"{percent(least['delta'])}, bootstrap {percent(least['bootstrap'])}, robust "
         f"{percent(least['robust'])}, at most {number(wider)} times as wide as likelihood"
     )
 

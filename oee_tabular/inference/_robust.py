@@ -1,4 +1,4 @@
-"""The largest mean of v over a row's set of distributions: KL balls around the counts within a box, and L1 balls.
+"""The largest mean of v over a row's set of distributions: KL balls around the counts within a box.
 
     maximise sum P v  over  sum phat log(phat / P) <= epsilon,  low <= P <= high,  sum P = 1.
 
@@ -201,62 +201,3 @@ def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
             lam[k], kl[k] = 0.0, 0.0
         else:
             lam[k], above[k], kl[k] = worst_row(epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare)
-
-
-@njit(cache=True, error_model="numpy")
-def worst_l1(radius, phat, v, low, high, indptr, order, out):
-    """max sum P v over |P - phat|_1 <= radius and the box: mass moves from the smallest v to the largest.
-
-    ``order`` sorts each row's entries by v, rising. phat is first moved into the box, which costs its share of the radius;
-    returns False in rows where that is more than the radius.
-    """
-    feasible = np.ones(len(indptr) - 1, dtype=np.bool_)
-    for k in range(len(indptr) - 1):
-        start, stop = indptr[k], indptr[k + 1]
-        total, moved = 0.0, 0.0
-        for i in range(start, stop):
-            out[i] = min(max(phat[i], low[i]), high[i])
-            total += out[i]
-            moved += abs(out[i] - phat[i])
-        excess = total - 1.0  # to be taken from the smallest v, or given to the largest
-        for step in range(stop - start):
-            i = order[start + step] if excess > 0.0 else order[stop - 1 - step]
-            change = min(out[i] - low[i], excess) if excess > 0.0 else -min(high[i] - out[i], -excess)
-            before = abs(out[i] - phat[i])
-            out[i] -= change
-            moved += abs(out[i] - phat[i]) - before
-            excess -= change
-            if excess == 0.0:
-                break
-        if moved > radius[k] * (1.0 + 1e-12) + 1e-15:
-            feasible[k] = False
-            continue
-        top, bottom = stop - 1, start
-        while top > bottom and moved < radius[k]:
-            i, j = order[top], order[bottom]
-            room = min(high[i] - out[i], out[j] - low[j])
-            if room <= 0.0:
-                if high[i] - out[i] <= 0.0:
-                    top -= 1
-                else:
-                    bottom += 1
-                continue
-            cost = 0.0
-            free = room  # while the moves go back towards phat they cost nothing
-            if out[i] < phat[i]:
-                free = min(free, phat[i] - out[i])
-                cost -= 1.0
-            else:
-                cost += 1.0
-            if out[j] > phat[j]:
-                free = min(free, out[j] - phat[j])
-                cost -= 1.0
-            else:
-                cost += 1.0
-            step_size = free if cost <= 0.0 else min(free, (radius[k] - moved) / cost)
-            if step_size <= 0.0:
-                break
-            out[i] += step_size
-            out[j] -= step_size
-            moved += cost * step_size
-    return feasible

@@ -16,7 +16,7 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.ambiguity import Evidence, simulated_rows
+from oee_tabular.inference.evidence import Evidence, simulated_rows
 
 FEWEST_EPISODES = 10
 
@@ -35,12 +35,9 @@ def delta_ends(evidence: Evidence, confidence: float) -> tuple[float, float, flo
     return value - z * error, value + z * error, error
 
 
-def bootstrap_values(
-    problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed
-) -> tuple[float, Array]:
-    """J of the model, and of the models of ``n_bootstrap`` resamples of transitions or of whole episodes."""
+def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed) -> Array:
+    """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes."""
     generator = _checks.generator(seed)
-    value = policy_value(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
     log = problem.log
     rows = log.state * problem.simulator.n_actions + log.action
     entry, _ = find(evidence.model.transitions, rows, log.next_state)
@@ -71,7 +68,7 @@ def bootstrap_values(
         total = np.add.reduceat(drawn, evidence.indptr[:-1])[evidence.rows]
         p = np.where(total > 0, drawn / np.maximum(total, 1.0), base)
         values[b] = _quick_value(evidence, p)
-    return value, values
+    return values
 
 
 def _quick_value(evidence: Evidence, p: Array) -> float:

@@ -16,7 +16,8 @@ from scipy.special import rel_entr
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators import Problem
-from oee_tabular.inference.ambiguity import anytime_radius, gather, independent_radius
+from oee_tabular.inference.evidence import gather
+from oee_tabular.inference.robust import anytime_radius, independent_radius
 from oee_tabular.mdp import uniform_policy
 
 

@@ -15,8 +15,8 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.inference.ambiguity import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.asymptotic import bootstrap_values
+from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulated_rows
 from oee_tabular.inference.margins import sampling_margin, stray_swing
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
@@ -161,7 +161,7 @@ def compare_policies(
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         fixed = int(generator.integers(1 << 62))  # the same resamples for every policy
         draws = np.column_stack(
-            [bootstrap_values(problem, e, by="transitions", n_bootstrap=number, seed=fixed)[1] for e in evidences]
+            [bootstrap_values(problem, e, by="transitions", n_bootstrap=number, seed=fixed) for e in evidences]
         )
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T

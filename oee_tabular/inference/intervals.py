@@ -14,22 +14,12 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.inference.ambiguity import (
-    Evidence,
-    Extreme,
-    contradicted_rows,
-    describe_rows,
-    extreme_value,
-    gather,
-    radii,
-    reached_rows,
-    require_squares,
-    unseen_time,
-)
 from oee_tabular.inference.ascent import ProfileEnd
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
+from oee_tabular.inference.evidence import Evidence, describe_rows, gather, reached_rows, require_squares, unseen_time
 from oee_tabular.inference.likelihood import Start, profile_end
 from oee_tabular.inference.margins import Found, sampling_margin, stray_end, stray_share
+from oee_tabular.inference.robust import Extreme, contradicted_rows, extreme_value, radii
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -42,8 +32,8 @@ class Interval:
     Attributes
     ----------
     lower, upper : the ends (nan where ``status`` says why there is none)
-    confidence : the level asked for; at least that for "robust", asymptotically for the others
-    method : "likelihood", "delta", "bootstrap" or "robust"
+    confidence : the level asked for; at least that for "robust", asymptotically for the others; 1 of a ``value_range``
+    method : "likelihood", "delta", "bootstrap" or "robust"; "range" of a ``value_range``
     diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
         that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
         the share of the policy's time that they may have been (``dropped_share``)
@@ -76,7 +66,9 @@ class Interval:
         return isinstance(value, int | float) and self.lower <= value <= self.upper
 
     def __str__(self) -> str:
-        what = f"{100 * self.confidence:.4g}% {self.method} interval"
+        what = "range over all models in the box"
+        if self.method != "range":
+            what = f"{100 * self.confidence:.4g}% {self.method} interval"
         if self.status != "ok":
             return f"no {what}: {self.status}"
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
@@ -101,8 +93,6 @@ def interval(
     lower_ratio: float | None = None,
     upper_ratio: float | None = None,
     radius: Literal["auto", "independent", "anytime"] = "auto",
-    ball: Literal["kl", "l1"] = "kl",
-    bootstrap: Literal["percentile", "basic"] = "percentile",
     resample: Literal["transitions", "episodes"] = "transitions",
     n_bootstrap: int = 400,
     seed: Seed = None,
@@ -125,8 +115,7 @@ def interval(
         simulator's support
     radius : of the balls: "independent" rows, "anytime" (counts that are random, as in episodes), "auto": anytime for a log
         with episodes
-    ball : "kl", or "l1" for comparison
-    bootstrap, resample, n_bootstrap, seed : which bootstrap interval, over what, how many, and its seed
+    resample, n_bootstrap, seed : over what the (percentile) bootstrap resamples, how often, and its seed
 
     Returns
     -------
@@ -153,8 +142,6 @@ def interval(
     _checks.instance(problem, Problem, "problem")
     _checks.one_of(method, "method", METHODS)
     _checks.one_of(radius, "radius", ("auto", "independent", "anytime"))
-    _checks.one_of(ball, "ball", ("kl", "l1"))
-    _checks.one_of(bootstrap, "bootstrap", ("percentile", "basic"))
     _checks.one_of(resample, "resample", ("transitions", "episodes"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
@@ -200,16 +187,14 @@ def interval(
         return _varied(told(lower, upper, {"standard_error": error}), evidence)
     if method == "bootstrap":
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        value, values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
+        values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
         tail = (1.0 - level) / 2.0
         low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
-        if bootstrap == "basic":
-            low, high = 2.0 * value - high, 2.0 * value - low
         return _varied(told(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
         return told(*_likeliest(reached, level))
     require_squares(problem.model)
-    low_end, high_end = _guaranteed(reached, level, kind, ball)
+    low_end, high_end = _guaranteed(reached, level, kind)
     if low_end.contradicted.size:
         status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
         return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
@@ -240,12 +225,11 @@ def _guaranteed(
     reached: Callable[[float, Callable[[Evidence], Extreme]], Extreme],
     level: float,
     kind: str,
-    ball: Literal["kl", "l1"],
 ) -> tuple[Extreme, Extreme]:
     """The extremes over all rows' balls, certified."""
 
     def extreme(found: Evidence, sign: float) -> Extreme:
-        return extreme_value(found, radii(found, level, kind, ball), sign, ball=ball)
+        return extreme_value(found, radii(found, level, kind), sign)
 
     low, high = (reached(sign, partial(extreme, sign=sign)) for sign in (-1.0, 1.0))
     return low, high

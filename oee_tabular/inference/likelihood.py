@@ -20,8 +20,8 @@ from scipy.special import gammaincinv
 
 from oee_tabular._checks import Array
 from oee_tabular.exact import policy_value
-from oee_tabular.inference.ambiguity import Evidence, simulated_rows
 from oee_tabular.inference.ascent import EXACT, Ascent, ProfileEnd, extreme, step
+from oee_tabular.inference.evidence import Evidence, simulated_rows
 from oee_tabular.inference.taken import FINE, Point, Taken
 
 DRAWN = 16  # ascents from drawn rows, of small problems (25 ms for 100 states)

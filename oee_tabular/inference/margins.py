@@ -38,7 +38,7 @@ from oee_tabular._sparse import align, canonical, row_of_entry
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
 from oee_tabular.exact.system import policy_kernel
-from oee_tabular.inference.ambiguity import Evidence, evidence_of
+from oee_tabular.inference.evidence import Evidence, evidence_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.mdp.horizons import horizon_length, total_discount

@@ -14,7 +14,7 @@ import numpy as np
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import solvers
 from oee_tabular.exact.system import Kernel, System, as_readonly
-from oee_tabular.inference.ambiguity import Evidence, reached_rows
+from oee_tabular.inference.evidence import Evidence, reached_rows
 from oee_tabular.mdp.horizons import optional_horizon_length
 
 DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms), and needs no compiling

@@ -15,7 +15,8 @@ from oee_tabular._checks import Array
 from oee_tabular.design.costs import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
-from oee_tabular.inference.ambiguity import Evidence, gather, independent_radius, reached_rows
+from oee_tabular.inference.evidence import Evidence, gather, reached_rows
+from oee_tabular.inference.robust import independent_radius
 from oee_tabular.mdp.rows import Rows
 
 LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes

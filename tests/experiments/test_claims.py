@@ -253,7 +253,7 @@ def test_coverage():
     assert f"interval covers {likelihood}%, the delta method {delta}%, the guaranteed ones always" in PAGES
     assert (covered[[name.startswith("robust") for name in covered.index.get_level_values("method")]] == 100).all()
     silent = covered["rare", 20_000]
-    narrow = silent[["delta", "bootstrap percentile", "bootstrap basic"]]
+    narrow = silent[["delta", "bootstrap"]]
     assert f"delta and bootstrap cover {span(narrow, '.1f')}%, the likelihood interval with the box" in PAGES
     assert silent["likelihood"] == 100
     assert f"400 logs: {100 * saved('coverage_lake').covered.mean():.1f}%" in PAGES

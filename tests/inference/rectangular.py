@@ -1,4 +1,4 @@
-"""The robust interval's program as cvxpy states it: the reference for ``inference.ambiguity``."""
+"""The robust interval's program as cvxpy states it: the reference for ``inference.robust``."""
 
 import cvxpy as cp
 import numpy as np

@@ -13,8 +13,8 @@ import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import _profile, ascent, likelihood
 from oee_tabular.inference import taken as rows_taken
-from oee_tabular.inference.ambiguity import gather
 from oee_tabular.inference.ascent import Ascent
+from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.taken import Chain, Direction, Taken
 
 LIMIT = stats.chi2.ppf(0.95, 1) / 2

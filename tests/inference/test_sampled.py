@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.inference.ambiguity import gather
+from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.margins import sampling_margin
 from oee_tabular.mdp.empirical import Sampling
 

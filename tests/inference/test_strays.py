@@ -10,9 +10,10 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular.estimators.findings import moves_dropped
 from oee_tabular.inference import compare_policies
-from oee_tabular.inference.ambiguity import evidence_of, extreme_value, gather, radii
+from oee_tabular.inference.evidence import evidence_of, gather
 from oee_tabular.inference.likelihood import profile_end
 from oee_tabular.inference.margins import _ahead, stray_swing
+from oee_tabular.inference.robust import extreme_value, radii
 
 S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 
@@ -60,7 +61,7 @@ def test_each_end_is_the_most_extreme_of_all_places(method, form, horizon):
                 if method == "likelihood":
                     every.append(profile_end(evidence, 0.95, sign).value)
                 else:
-                    every.append(extreme_value(evidence, radii(evidence, 0.95, "independent", "kl"), sign).bound)
+                    every.append(extreme_value(evidence, radii(evidence, 0.95, "independent"), sign).bound)
             assert_allclose(end, sign * max(sign * value for value in every), rtol=1e-9)
 
 
