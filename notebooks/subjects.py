@@ -13,7 +13,7 @@ SUBJECTS = {
     "mdp": {"Simulators": ("FiniteMDP", "displacements"), "Policies": ("check_policy", "uniform_policy", "mix")},
     "data": {"Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions")},
     "inference": {
-        "How sure": ("interval", "Interval"),
+        "How sure": ("interval", "Interval", "value_range"),
         "Which policy is better": ("compare_policies", "Comparison", "selection_measures", "Selection"),
         "Where the log contradicts the simulator": ("row_changes", "RowChanges"),
     },

@@ -30,7 +30,7 @@ _EXPORTS = {
     "exact": "policy_value state_values action_values occupancy optimal_policy Moments return_moments "
     "weighted_return_moments policy_is_moments doubly_robust_moments efficiency_bound "
     "trajectory_efficiency_bound",
-    "inference": "interval Interval",
+    "inference": "interval Interval value_range",
     "mdp": "FiniteMDP uniform_policy mix",
     "plots": "",
     "ratio": "density_ratio check_assumptions transition_ratio true_ratio RatioFit TransitionRatio",
@@ -60,7 +60,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.exact import trajectory_efficiency_bound as trajectory_efficiency_bound
     from oee_tabular.exact import weighted_return_moments as weighted_return_moments
     from oee_tabular.exact.occupancy import occupancy as occupancy
-    from oee_tabular.inference import Interval as Interval, interval as interval
+    from oee_tabular.inference import Interval as Interval, interval as interval, value_range as value_range
     from oee_tabular.mdp import FiniteMDP as FiniteMDP, mix as mix, uniform_policy as uniform_policy
     from oee_tabular.ratio import RatioFit as RatioFit, TransitionRatio as TransitionRatio, true_ratio as true_ratio
     from oee_tabular.ratio import check_assumptions as check_assumptions, density_ratio as density_ratio

@@ -12,7 +12,7 @@ NAMES = {
         inference interval mdp mix occupancy optimal_policy plan_data_collection plots policy_is_moments
         policy_value ratio record_episodes report return_moments sample_episodes sample_returns sample_transitions
         simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
-        weighted_return_moments
+        value_range weighted_return_moments
     """,
     "oee_tabular.bench": """
         Families Family League families garnet_worse league_of run tandem
@@ -40,7 +40,7 @@ NAMES = {
         kl_path_bound kl_path_sides normalised_bound normalised_sides path_kl plan_data_collection ratio_error_bound
         ratio_error_sides renyi_divergence row_changes selection_measures simulation_lemma squared_error_sides
         sup_error_bound universal_constant_counterexample unnormalised_bound unnormalised_sides
-        value_bound_counterexample value_error_bound value_error_sides
+        value_bound_counterexample value_error_bound value_error_sides value_range
     """,
     "oee_tabular.mdp": """
         FiniteMDP check_policy displacements mix uniform_policy

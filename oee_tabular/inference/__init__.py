@@ -10,6 +10,7 @@ import importlib
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
 from oee_tabular.inference.intervals import Interval, interval
+from oee_tabular.inference.ranges import value_range
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ __all__ = [
     "interval",
     "row_changes",
     "selection_measures",
+    "value_range",
 ]
 
 

@@ -1,0 +1,133 @@
+"""The value range of Assumption V.1 against linear programs, closed forms and what is refused."""
+
+import numpy as np
+import pytest
+from helpers import dense, random_mdp, random_policy
+from numpy.testing import assert_allclose
+from scipy.optimize import linprog
+
+import oee_tabular as oee
+
+INF = float("inf")
+
+
+def best_row(v, p, nu, mu):
+    """max q v over nu p <= q <= min(mu p, 1), sum q = 1, as a linear program."""
+    bounds = [(nu * x, min(mu * x, 1.0) if x > 0 else 0.0) for x in p]
+    answer = linprog(-v, A_eq=np.ones((1, len(p))), b_eq=[1.0], bounds=bounds)
+    assert answer.status == 0
+    return answer.x
+
+
+def brute_force(mdp, policy, nu, mu, sign, horizon=None):
+    """Value iteration with a linear program a row, ended by the value of its rows (without a horizon)."""
+    P, r = dense(mdp)
+    values = np.zeros(len(P))
+    for _ in range(60 if horizon is None else horizon):
+        ahead = sign * (r + mdp.discount * values)
+        q = np.array([[best_row(ahead[s, a], P[s, a], nu, mu) for a in range(P.shape[1])] for s in range(len(P))])
+        if horizon is None:  # policy iteration of whoever picks the rows: 60 rounds are many more than it takes
+            kernel, paid = np.einsum("sa,sat->st", policy, q), np.einsum("sa,sat,sat->s", policy, q, r)
+            new = np.linalg.solve(np.eye(len(P)) - mdp.discount * kernel, paid)
+            if np.abs(new - values).max() < 1e-13:
+                break
+            values = new
+        else:
+            values = np.einsum("sa,sat,sat->s", policy, q, r + mdp.discount * values)
+    return float(mdp.initial @ values)
+
+
+@pytest.mark.parametrize("horizon", [None, 4])
+def test_value_range_equals_a_linear_program_in_each_row(horizon):
+    for seed in range(50 if horizon is None else 10):
+        rng = np.random.default_rng(seed)
+        mdp = random_mdp(rng, n_states=3, n_actions=2, discount=float(rng.choice([0.5, 0.9])))
+        policy, nu, mu = random_policy(rng, mdp), rng.choice([0.0, 0.3, 0.8]), rng.choice([1.3, 4.0])
+        found = oee.value_range(mdp, policy, nu, mu, horizon=horizon)
+        peer = [brute_force(mdp, policy, nu, mu, sign, horizon) for sign in (-1.0, 1.0)]
+        assert_allclose([found.lower, found.upper], peer, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("horizon", [None, 1, 7])
+def test_value_range_is_monotone_and_ends_at_the_value(horizon):
+    boxes = [(1.0, 1.0), (0.9, 1.0), (0.9, 1.2), (0.5, 1.2), (0.5, 3.0), (0.0, 3.0), (0.0, INF)]
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        mdp = random_mdp(rng, discount=0.9)
+        target, policy = random_mdp(rng, like=mdp), random_policy(rng, mdp)
+        ranges = [oee.value_range(mdp, policy, *box, horizon=horizon) for box in boxes]
+        value = oee.policy_value(mdp, policy, horizon=horizon)
+        for one in ranges[:2]:  # a row that can be raised nowhere can be lowered nowhere
+            assert_allclose([one.lower, one.upper], value, rtol=1e-11, atol=1e-11)
+        slack = 1e-10 * max(1.0, abs(value))
+        for narrow, wide in zip(ranges, ranges[1:], strict=False):
+            assert wide.lower <= narrow.lower + slack
+            assert wide.upper >= narrow.upper - slack
+        assert ranges[-1].lower - slack <= oee.policy_value(target, policy, horizon=horizon) <= ranges[-1].upper + slack
+
+
+def test_value_range_is_cvar_in_closed_form():
+    """One step: nu E u + (1 - nu) CVaR_tau(u), tau = (1 - nu) / (mu - nu), of four equally likely rewards."""
+    rewards = np.array([[[0.0, 1.0, 2.0, 10.0]]])
+    P = np.full((1, 1, 4), 0.25)
+    P = np.concatenate([P, np.eye(4)[None, 1:].transpose(1, 0, 2)]).reshape(4, 1, 4)
+    r = np.where(P > 0, np.concatenate([rewards, np.zeros((3, 1, 4))]), 0.0)
+    mdp = oee.FiniteMDP(P, r, 0, 0.5)
+    found = oee.value_range(mdp, np.ones((4, 1)), 0.5, 1.5, horizon=1)  # tau = 1/2: the two worst, the two best
+    assert_allclose([found.lower, found.upper], [0.5 * 3.25 + 0.5 * 0.5, 0.5 * 3.25 + 0.5 * 6.0])
+    assert (found.confidence, found.method) == (1.0, "range")
+    assert str(found) == "[1.875, 4.625], range over all models in the box; discounted sum of rewards, not normalised"
+
+
+def test_value_range_is_the_interval_s_where_nothing_is_recorded():
+    mdp = oee.tasks.gridworld(3, 0.3, discount=0.9)
+    policy = oee.tasks.gridworld_expert(3)
+    elsewhere = int(np.flatnonzero(policy[0] == 0)[0])  # an action that the policy never takes
+    problem = oee.Problem(mdp, oee.Transitions([0], [elsewhere], [int(mdp.transitions[[elsewhere]].indices[0])]))
+    found, interval = (
+        oee.value_range(mdp, policy, 0.5, 2.0),
+        oee.interval(problem, policy, lower_ratio=0.5, upper_ratio=2.0),
+    )
+    assert_allclose([found.lower, found.upper], [interval.lower, interval.upper], rtol=1e-9)
+
+
+def test_value_range_follows_a_policy_of_each_step():
+    mdp = oee.tasks.gridworld(3, 0.3, discount=0.9)
+    policy = np.stack([oee.tasks.gridworld_policy(3, d) for d in (0.2, 0.9, 0.5)])
+    one = oee.value_range(mdp, policy, 1.0, 1.0, horizon=3)
+    assert_allclose(one.upper, oee.policy_value(mdp, policy, horizon=3), rtol=1e-12)
+    same = [oee.value_range(mdp, p, 0.5, 2.0, horizon=3) for p in (policy[0], np.stack([policy[0]] * 3))]
+    assert_allclose([same[0].lower, same[0].upper], [same[1].lower, same[1].upper], rtol=1e-13)
+
+
+def walk(stay):
+    """From 0 to the end 1 with probability 1 - stay, -1 a step."""
+    return oee.FiniteMDP([[[stay, 1 - stay]], [[0, 1.0]]], [-1.0, 0.0], 0, 1.0)
+
+
+def test_value_range_at_discount_1_where_the_policy_ends():
+    """1 - stay lies between nu .5 and mu .5: as many steps as its inverse."""
+    found = oee.value_range(walk(0.5), [0, 0], 0.4, 1.5)
+    assert_allclose([found.lower, found.upper], [-1 / 0.25, -1 / 0.75], rtol=1e-12)
+    assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.0, 1.5).lower, -4.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: oee.value_range(walk(0.5), [0, 0], 1.2, 2.0), r"lower_ratio must be in \[0, 1\]; it is 1.2"),
+        (lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 0.5), r"upper_ratio must be in \[1, inf\]; it is 0.5"),
+        (lambda: oee.value_range(walk(0.5), [0, 0], "half", 2.0), "lower_ratio must be a number; got 'half'"),
+        (lambda: oee.value_range(walk(0.5), [0, 0], 0.0, 2.0), "horizon must be given: .* stay for ever .* s=0 is one"),
+        (lambda: oee.value_range(walk(1.0), [0, 0], 0.5, 2.0), "horizon must be given: .* s=0 pays -1 a step"),
+        (
+            lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 2.0, horizon=0),
+            "horizon must be a positive integer; it is 0",
+        ),
+        (lambda: oee.value_range(walk(0.5), [0, 7], 0.5, 2.0), r"policy\[1\]"),
+        (lambda: oee.value_range(3, [0, 0], 0.5, 2.0), "simulator must be a FiniteMDP"),
+    ],
+)
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call()
