@@ -34,9 +34,14 @@ from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 
 @one_thread
 def value_range(
-    simulator: FiniteMDP, policy: PolicyLike, lower_ratio: float | None, upper_ratio: float | None, *, horizon: int | None = None
+    simulator: FiniteMDP,
+    policy: PolicyLike,
+    lower_ratio: float | None,
+    upper_ratio: float | None,
+    *,
+    horizon: int | None = None,
 ) -> Interval:
-    """All values of a policy in targets with lower_ratio * P <= P' <= upper_ratio * P, before any log (Assumption V.1).
+    """Return the values of a policy in all targets with lower_ratio * P <= P' <= upper_ratio * P (Assumption V.1).
 
     Parameters
     ----------
