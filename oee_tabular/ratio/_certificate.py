@@ -76,6 +76,15 @@ def row_gaps(program, box, indptr, g, m, tied):
 
 
 @njit(cache=True, error_model="numpy")
+def excesses(slope, p, g, lower, upper):
+    """The sum of what l(g) = slope g - p log g is above its least value in [lower, upper_x], entry by entry."""
+    total = 0.0
+    for x in range(len(p)):
+        total += excess(slope[x], 0.0, p[x], g[x], lower, upper[x])
+    return total
+
+
+@njit(cache=True, error_model="numpy")
 def joint_gaps(f, point):
     """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in the program ``f`` of ``ratio.joint``."""
     moves, pairs, theta, eta, xi = point

@@ -20,8 +20,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge, check_weights
 from oee_tabular.ratio.features import Kernel
-from oee_tabular.ratio.interior import objective
-from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
+from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells, objective
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
@@ -147,8 +146,8 @@ def density_ratio(
 
     Notes
     -----
-    Cost: O(n) times a few Newton steps with "dual"; with features about fifteen steps of O(n d^2). Collinear features are
-    solved, with a warning and their rank.
+    Cost: O(n) times a few Newton steps with "dual"; with features, solved by Clarabel, about forty steps of O(n d^2).
+    Collinear features are solved, with a warning and their rank.
 
     Examples
     --------
@@ -170,12 +169,12 @@ def density_ratio(
                 "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
             )
         if sgd is not None:
-            _check_sgd(box, normalized, loss)
+            raise ValueError('solver "sgd" must be left out with features or kernel: Algorithm 1 is for tables')
         matrix, details = class_features(
             features, kernel, coordinates, _checks.positive_integer(n_centers, "n_centers"), len(weights[0])
         )
         pk, qk = (w / total for w, total in zip(weights, totals, strict=True))
-        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver, sgd, seed)
+        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver)
     if coordinates is not None:
         raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
@@ -228,17 +227,15 @@ def _certified(
 
 def _class_fit(
     p: Array, q: Array, totals: list[float], matrix: Array, details: dict[str, Any], box: Box, ridge: float,
-    normalized: bool, solver: Any, sgd: Sgd | None, seed: Seed,
+    normalized: bool, solver: Any,
 ) -> RatioFit:  # fmt: skip
     """``density_ratio`` over g = Phi w."""
-    program, found, trace = fit_cells(
-        p, q, matrix, box=box, ridge=ridge, normalized=normalized, solver=solver, sgd=sgd, seed=seed
-    )
+    program, found = fit_cells(p, q, matrix, box, ridge, normalized, solver)
     g = found.ratio
     return _certified(
         (p, q), totals, g, objective(program, found.weights, g), found.gap, "kl", ratio=_checks.freeze(g),
         enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)), normalizer=found.eta, n_undetermined=0,
-        trace=trace, weights=found.weights, details=details,
+        weights=found.weights, details=details,
     )  # fmt: skip
 
 

@@ -4,8 +4,7 @@ At each iteration N points are drawn from p and N from q, and
 
     g <- clip(g - step (count_q / N - count_p / (N g) + ridge term), lower, upper),
 
-one parameter an entry; for a linear class g = Phi w the step is Phi^T of the same, and w is projected onto
-{lower <= Phi w <= upper}. Its trace is measured against the exact optimum of the same program.
+one parameter an entry. Its trace is measured against the exact optimum of the same program.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
-from oee_tabular.ratio import dual, interior
-from oee_tabular.ratio._sgd import project
-from oee_tabular.ratio.statements import LinearProgram
+from oee_tabular.ratio import dual
 
 
 @dataclass(frozen=True)
@@ -88,30 +85,6 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd,
         return dual.objective(g, program) - optimum, float(np.abs(g - best).mean())
 
     start = np.full(len(program.p), min(max(1.0, lower), upper))
-    return _trained(start, step, measure, _Draws(program.p, program.q, options.batch_size, seed), options.n_iterations)
-
-
-def descend_linear(
-    program: LinearProgram, best: interior.ProgramSolution, options: Sgd, seed: Seed
-) -> tuple[Array, SgdTrace]:
-    """w after all iterations, from the projection of the w whose Phi w is nearest to 1; ``best`` is the exact optimum."""
-    phi = np.ascontiguousarray(program.features)
-    lengths = (phi**2).sum(axis=1)
-    optimum = interior.objective(program, best.weights, best.ratio)
-
-    def inside(w: Array) -> Array:
-        project(w, phi, lengths, program.lower, program.upper)
-        return w
-
-    def step(w: Array, from_p: Array, from_q: Array) -> Array:
-        g = np.clip(phi @ w, program.lower, program.upper)
-        return inside(w - options.step_size * (phi.T @ (from_q - from_p / g) + program.penalty * w))
-
-    def measure(w: Array) -> tuple[float, float]:
-        g = np.clip(phi @ w, program.lower, program.upper)
-        return interior.objective(program, w, g) - optimum, float(np.abs(g - best.ratio).mean())
-
-    start = inside(np.array(np.linalg.lstsq(phi, np.ones(len(phi)))[0], dtype=np.float64))
     return _trained(start, step, measure, _Draws(program.p, program.q, options.batch_size, seed), options.n_iterations)
 
 

@@ -60,17 +60,16 @@ class JointPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram:
-    """The program of ``ratio.interior`` over g = offset + features w.
+    """The program of ``ratio.linear`` over g = offset + features w.
 
-    b, p, q, offset are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized`` says whether sum q g = 1 is
-    imposed. ``ceiling`` is an upper bound on every feasible g that the constraints imply, for the certificate's sake.
+    p, q are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized`` says whether sum q g = 1 is imposed.
+    ``ceiling`` (n,) is an upper bound on every feasible g that the constraints imply, for the certificate's sake.
     """
 
-    b: Array
     p: Array
     q: Array
-    offset: Array
     features: Array
+    offset: float
     penalty: float
     lower: float
     upper: float
@@ -199,33 +198,44 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
 
 
 def state_linear(program: LinearProgram) -> tuple[Any, Any, Any, Any]:
-    """The linear class: (problem, w, the constraint g = offset + Phi w, the constraint sum q g = 1 or None)."""
+    """The linear class: (problem, w, the constraint g = offset + Phi w, the constraint sum q g = 1 or None).
+
+    Here alone the square stands in the objective: without a scaling of the rows Clarabel then gets further.
+    """
     import cvxpy as cp
 
-    n, d = program.features.shape
-    g, weights = cp.Variable(n), cp.Variable(d)
+    g, weights = cp.Variable(len(program.p)), cp.Variable(program.features.shape[1])
     tie = g == program.offset + program.features @ weights
     constraints = [tie, g >= program.lower]
     if program.upper < np.inf:
         constraints.append(g <= program.upper)
     seen = np.flatnonzero(program.p > 0)
-    cost = program.b @ g - program.p[seen] @ cp.log(g[seen])
+    cost = program.q @ g - program.p[seen] @ cp.log(g[seen])
     if program.penalty > 0:
-        height = cp.Variable()
-        constraints.append(cp.sum_squares(weights) <= height)
-        cost = cost + 0.5 * program.penalty * height
-    one = None
-    if program.normalized:
-        one = program.q @ g == 1
-        constraints.append(one)
-    return cp.Problem(cp.Minimize(cost), constraints), weights, tie, one
+        cost = cost + 0.5 * program.penalty * cp.sum_squares(weights)
+    one = program.q @ g == 1 if program.normalized else None
+    return cp.Problem(cp.Minimize(cost), constraints + ([] if one is None else [one])), weights, tie, one
 
 
-def solve_linear(program: LinearProgram, *, solver: str = "CLARABEL") -> tuple[Array, Array, float]:
-    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1."""
+def solve_linear(
+    program: LinearProgram, *, solver: str = "CLARABEL", step_fraction: float = 0.99
+) -> tuple[Array, Array, float] | None:
+    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1; None where no w meets the constraints.
+
+    Clarabel's steps end at ``step_fraction`` of the way to the boundary, and what it reaches is handed over whatever its
+    status: the caller has a certificate. Any other solver must report "optimal".
+    """
     check_solver(solver)
     problem, weights, tie, one = state_linear(program)
-    _solve(problem, solver)
+    if solver == "CLARABEL":
+        settings = clarabel_options(TOLERANCES[0]) | {"equilibrate_enable": False, "max_step_fraction": step_fraction}
+        status = attempt(problem, solver, settings)
+    else:
+        status = attempt(problem, solver, {})
+        if status not in ("optimal", "infeasible"):
+            raise SolverStatusError(_refusal(solver, status))
+    if weights.value is None or tie.dual_value is None or "infeasible" in status:
+        return None
     eta = 0.0 if one is None else float(np.ravel(one.dual_value)[0])
     return np.asarray(weights.value, dtype=np.float64), np.ravel(tie.dual_value), eta
 
@@ -266,25 +276,32 @@ def _solve(problem: object, solver: str) -> None:
     """Solve to the status "optimal", or SolverStatusError."""
     status = run(problem, solver)
     if status != "optimal":
-        raise SolverStatusError(
-            f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
-        )
+        raise SolverStatusError(_refusal(solver, status))
+
+
+def _refusal(solver: str, status: str) -> str:
+    return f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
 
 
 def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -> str:
     """Solve, Clarabel at falling demands; the status that was reached (a failure is one)."""
-    import cvxpy as cp
-
     settings = [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]
     status = "failed"
     for options in settings:
-        try:
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", message="Solution may be inaccurate")
-                problem.solve(solver=solver, warm_start=False, **options)
-            status = str(problem.status)
-        except cp.error.SolverError as error:
-            status = f"failed: {error}"
+        status = attempt(problem, solver, options)
         if status == "optimal":
             break
     return status
+
+
+def attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
+    """Solve once; the status that was reached (a failure is one)."""
+    import cvxpy as cp
+
+    try:
+        with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
+            warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+            problem.solve(solver=solver, warm_start=False, **options)
+    except cp.error.SolverError as error:
+        return f"failed: {error}"
+    return str(problem.status)
