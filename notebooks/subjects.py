@@ -19,7 +19,7 @@ SUBJECTS = {
     },
     "design": {"What to record next": ("plan_data_collection", "Plan", "Outlook")},
     "estimators": {
-        "The problem, and what an estimator returns": ("Problem", "Estimator", "Estimate", "Finding", "Basis"),
+        "The problem, and what an estimator returns": ("Problem", "Estimator", "Estimate", "Finding"),
         "From the simulator and the log": ("OffEnvironment", "ModelBased", "Simulator", "Oracle"),
         "From the log's episodes": ("ImportanceSampling", "DoublyRobust", "Magic"),
         "From occupancies": ("Marginalized", "DualDice"),

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, ModelBased
-from oee_tabular.estimators.base import Basis
 from oee_tabular.report.contents import answers, first_words
 
 
@@ -89,8 +88,7 @@ def test_single_precision_is_scaled():
 
 def corrected(value, one_step):
     """Stands for an estimator that corrects by the log."""
-    basis = Basis(model_value=value, one_step_value=one_step)
-    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, basis=basis)
+    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, model_value=value, one_step_value=one_step)
 
 
 @pytest.mark.parametrize("value", [-20.0, 40.0])

@@ -14,7 +14,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
-from oee_tabular.estimators.base import IN_VALUES_UNIT, Basis
+from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.estimators.findings import Finding, uncovered
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
@@ -107,7 +107,7 @@ class Refitted:
             "standard_error_of": "log and rollouts", "n_rollouts": mc.n_episodes, "refits": self.refits,
             "standard_error_of_the_log": of_log, "interval_method": "refits",
         }  # fmt: skip
-        return Estimate(mc.value, error, (mc.value - reach, mc.value + reach), facts, basis=Basis(normal=True))
+        return Estimate(mc.value, error, (mc.value - reach, mc.value + reach), facts, is_normal=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +122,11 @@ class Residual(Refitted):
         hidden = [c for c in self.learned.coordinates if c.hidden]
         told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
         status = _wrong(hidden, self.learned.units)
-        basis = replace(found.basis, corrected=status == "ok")
         facts = found.diagnostics | {"explained": told, "beyond_log": share}
         return replace(
-            found, diagnostics=facts, status=status, basis=basis, findings=(*found.findings, *beyond_log(share))
-        )
+            found, diagnostics=facts, status=status, findings=(*found.findings, *beyond_log(share)),
+            is_headline=status == "ok",
+        )  # fmt: skip
 
     def _beyond(self, function: StatePolicy) -> float:
         """Share of the policy's moves, of 200 episodes, that begin beyond what the log has seen."""
@@ -250,9 +250,11 @@ class Calibrated:
         if apart > 1.01 * own + 2.0 * mc.standard_error:
             told.append(calibrated_far(apart * self.scale, own * self.scale))
         ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
-        basis = Basis(normal=True, measured=found.basis.measured)
-        return replace(found, value=value, standard_error=error, interval=ends, diagnostics=kept, basis=basis,
-                       findings=tuple(told))  # fmt: skip
+        return replace(
+            found, value=value, standard_error=error, interval=ends, diagnostics=kept, findings=tuple(told),
+            model_value=None, one_step_value=None, is_normal=True, is_from_log=True, is_from_episodes=False,
+            is_headline=False,
+        )  # fmt: skip
 
     def _by(self, raw: Estimate, mc: MonteCarlo, below: float) -> Estimate:
         return calibrate(

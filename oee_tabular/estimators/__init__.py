@@ -8,7 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from oee_tabular.estimators.base import Basis, Estimate, Estimator
+    from oee_tabular.estimators.base import Estimate, Estimator
     from oee_tabular.estimators.calibrated import calibrate
     from oee_tabular.estimators.doubly_robust import DoublyRobust
     from oee_tabular.estimators.findings import Finding
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from oee_tabular.estimators.simulator import Oracle, Simulator
 
 _EXPORTS = {  # module -> names, imported on first use: ``oee --help`` reads the table of names alone
-    "base": "Basis Estimate Estimator",
+    "base": "Estimate Estimator",
     "calibrated": "calibrate",
     "doubly_robust": "DoublyRobust",
     "findings": "Finding",
@@ -34,7 +34,6 @@ _EXPORTS = {  # module -> names, imported on first use: ``oee --help`` reads the
     "simulator": "Oracle Simulator",
 }
 __all__ = [
-    "Basis",
     "DoublyRobust",
     "DualDice",
     "Estimate",

@@ -25,46 +25,6 @@ from oee_tabular.ratio.support import refuse_unsupported, require_pair
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
 
-@dataclass(frozen=True)
-class Basis:
-    """What a value rests on, for whoever acts on it: ``Estimate.diagnostics`` are for reading.
-
-    Attributes
-    ----------
-    model_value : of what the log corrects, the exact value of zeta * P, whose rows sum to 1; None of any other value
-    one_step_value : of such a value, what it is when moved all the way to the log; None where that is not known
-    moved : by what share of that way it was moved
-    replaced_value, replaced_by : in a report, a value that the log rules out, and what stands in its place
-    normal : whether the interval is the value plus or minus 1.96 standard errors, so that it follows the level
-    measured : share of the policy's time in state-action pairs whose variance the standard error counts
-    log : False of what the simulator alone says
-    episodes : whether the log's own episodes and rewards are averaged
-    corrected : whether the simulator is corrected by the log before anything is cut into cells: such a value is said first
-    weightless : whether every weight of the log's episodes is 0: none of them bears on the policy
-
-    Examples
-    --------
-    >>> import oee_tabular as oee
-    >>> pair = oee.testing.case("ragged")
-    >>> oee.estimators.Simulator()(pair.problem(1000, seed=0), pair.policy).basis.log
-    False
-    """
-
-    model_value: float | None = None
-    one_step_value: float | None = None
-    moved: float = 0.0
-    replaced_value: float | None = None
-    replaced_by: str = ""
-    normal: bool = False
-    measured: float = 1.0
-    log: bool = True
-    episodes: bool = False
-    corrected: bool = False
-    weightless: bool = False
-
-
-EPISODES = Basis(episodes=True)
-
 IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
     (
         "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
@@ -91,7 +51,13 @@ class Estimate:
         ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs)
     status : "ok", or what is wrong and what would help
     findings : what to know before the value is used; a report prints them
-    basis : what the value rests on
+    model_value : of what the log corrects, the exact value of zeta * P, whose rows sum to 1; None of any other value
+    one_step_value : of such a value, the one-step value; None where that is not known
+    measured : share of the policy's time in state-action pairs whose variance the standard error counts
+    is_normal : whether the interval is the value plus or minus a quantile times the standard error: it follows the level
+    is_from_log : False of what the simulator alone says
+    is_from_episodes : whether the log's own episodes and rewards are averaged
+    is_headline : whether a report says it first: the simulator is corrected by the log before anything is cut into cells
 
     Examples
     --------
@@ -108,12 +74,17 @@ class Estimate:
     diagnostics: dict[str, Any] = field(default_factory=dict)
     status: str = "ok"
     findings: tuple[Finding, ...] = ()
-    basis: Basis = Basis()
+    model_value: float | None = None
+    one_step_value: float | None = None
+    measured: float = 1.0
+    is_normal: bool = False
+    is_from_log: bool = True
+    is_from_episodes: bool = False
+    is_headline: bool = False
 
     def __post_init__(self) -> None:
         for k, finding in enumerate(_checks.collection(self.findings, "findings", "Findings")):
             _checks.instance(finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)")
-        _checks.instance(self.basis, Basis, "basis")
         _checks.instance(self.status, str, "status", "string")
         number = isinstance(self.value, float | int | np.number)
         if number and self.status == "ok" and not np.isfinite(self.value):

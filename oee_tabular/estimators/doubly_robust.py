@@ -14,7 +14,6 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
-    Basis,
     Estimate,
     ExactLimit,
     identified,
@@ -148,7 +147,7 @@ class DoublyRobust(ExactLimit):
             told,
             diagnostics=diagnostics | time,
             findings=(*unseen, *findings.varied(told), *unsolved),
-            basis=Basis(measured=time.get("coverage", 1.0)),
+            measured=time.get("coverage", 1.0),
         )
 
     def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:

@@ -8,7 +8,7 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import EPISODES, Estimate, effective_sample_size, mean_and_error
+from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
 from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, weight_status
@@ -67,7 +67,7 @@ def episode_estimate(
         },
         status=weight_status(value),
         findings=(*findings.varied(error), *findings.weights(effective, n, "episodes"), *findings.gap(zeta.gap)),
-        basis=EPISODES,
+        is_from_episodes=True,
     )
 
 

@@ -49,6 +49,13 @@ NEVER_VARIED = Finding(
 )
 
 
+WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
+    "weightless",
+    1.0,
+    "the weight of every whole episode is 0: none of the log is one that the policy could have made",
+)
+
+
 def varied(error: float | None) -> tuple[Finding, ...]:
     """Whether the data vary: what does not has no standard error."""
     return (NEVER_VARIED,) if error is None else ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import EPISODES, Estimate, ExactLimit, effective_sample_size
+from oee_tabular.estimators.base import Estimate, ExactLimit, effective_sample_size
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import Weighted, combine, rollout_horizon, segment_products, weight_status
 from oee_tabular.exact import policy_is_moments
@@ -105,7 +105,7 @@ class ImportanceSampling(ExactLimit):
         weightless = not last.any()
         if weightless:
             error = None
-            status = "the weight of every whole episode is 0: none of the log is one that the policy could have made"
+            status = str(findings.WEIGHTLESS)
         return Estimate(
             value,
             error,
@@ -120,7 +120,7 @@ class ImportanceSampling(ExactLimit):
                 "foreign_starts_share": foreign,
             },
             status=status,
-            findings=()  # the status says it all
+            findings=(findings.WEIGHTLESS,)
             if weightless
             else (
                 *findings.varied(error),
@@ -128,7 +128,7 @@ class ImportanceSampling(ExactLimit):
                 *findings.truncated(cut_off, n, bound, value, error),
                 *findings.foreign_starts(foreign),
             ),
-            basis=replace(EPISODES, weightless=weightless),
+            is_from_episodes=True,
         )
 
     @property

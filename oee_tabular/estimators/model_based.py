@@ -16,7 +16,6 @@ from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
     ROUNDING,
-    Basis,
     Estimate,
     ExactLimit,
     expected_rewards,
@@ -94,7 +93,7 @@ class ModelBased(ExactLimit):
                 *findings.single_moves(single, error),
                 *told,
             ),
-            basis=Basis(measured=known),
+            measured=known,
         )
 
     @property

@@ -14,7 +14,7 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Basis, Estimate, ExactLimit, identified
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, identified
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate, rollout_horizon
 from oee_tabular.exact import (
@@ -220,8 +220,9 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
     diagnostics |= seen
     diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
     diagnostics["standard_error_of"] = None
-    basis = Basis(model_value=found.value, measured=seen["coverage"])
-    exact = Estimate(found.value, diagnostics=diagnostics, findings=told, basis=basis)
+    exact = Estimate(
+        found.value, diagnostics=diagnostics, findings=told, model_value=found.value, measured=seen["coverage"]
+    )
     step = _moved(problem, zeta, policy, model, exact, found.values, time)
     unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied=zeta.tied)
     return replace(step, findings=(*unseen, *step.findings))
@@ -269,7 +270,8 @@ def _moved(
         interval=interval,
         diagnostics=diagnostics,
         findings=(*findings.varied(told), *findings.moved(share), *exact.findings),
-        basis=replace(exact.basis, one_step_value=exact.value + step.change, moved=share, normal=True),
+        one_step_value=exact.value + step.change,
+        is_normal=True,
     )
 
 

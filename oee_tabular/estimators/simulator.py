@@ -9,7 +9,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Basis, Estimate, ExactLimit, without_divergence
+from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, ExactLimit, without_divergence
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, checked_policy
 from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
@@ -19,7 +19,6 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 
-ALONE = Basis(log=False)
 NORMAL_QUANTILE = 1.959963984540054  # of a 95% interval
 MAX_UNKNOWN_SHARE = 0.1  # of the policy's time in pairs with one sample or none: above it there is no interval
 
@@ -50,12 +49,12 @@ class Simulator(ExactLimit):
         told = findings.linear_algebra(found.error_bound, found.value)
         error = compute_sampling_error(problem.simulator, pi, problem.horizon)
         if error is None:
-            return Estimate(found.value, diagnostics=facts, findings=told, basis=ALONE)
+            return Estimate(found.value, diagnostics=facts, findings=told, is_from_log=False)
         is_known = error.unknown_share <= MAX_UNKNOWN_SHARE
         told += short_samples(error, has_interval=is_known)
         reach = NORMAL_QUANTILE * error.standard_error
         if not reach > ROUNDING * abs(found.value):  # the samples never varied
-            return Estimate(found.value, diagnostics=facts, findings=told, basis=ALONE)
+            return Estimate(found.value, diagnostics=facts, findings=told, is_from_log=False)
         ends = (found.value - reach, found.value + reach) if is_known else None
         return Estimate(
             found.value,
@@ -63,7 +62,9 @@ class Simulator(ExactLimit):
             ends,
             diagnostics=facts | {"standard_error_of": "simulator's samples", "interval_method": "simulator's samples"},
             findings=told,
-            basis=Basis(log=False, normal=True, measured=1.0 - error.unknown_share),
+            is_from_log=False,
+            is_normal=True,
+            measured=1.0 - error.unknown_share,
         )
 
     @property

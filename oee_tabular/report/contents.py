@@ -73,7 +73,7 @@ def answers(report: Evaluation) -> list[Answer]:
         own = [result for result in report.results if result.policy == policy]
         first = headline(own)
         best = rows[report.results.index(first)]
-        known = next((r.estimate for r in own if not r.estimate.basis.log), None)
+        known = next((r.estimate for r in own if not r.estimate.is_from_log), None)
         alone = None if known is None else known.value * report.scale
         error = None if known is None or known.standard_error is None else known.standard_error * report.scale
         sure = report.sureness.intervals.get(policy, {}).get(LIKELIHOOD)
@@ -82,7 +82,7 @@ def answers(report: Evaluation) -> list[Answer]:
             Answer(
                 policy, best["value"], best["estimator"], best["lower"], best["upper"], best["interval_method"],
                 alone, best["true_value"], best.get("coverage"), unseen,
-                sentence(report.sureness.policies.get(policy, "")), first.estimate.basis.log, error,
+                sentence(report.sureness.policies.get(policy, "")), first.estimate.is_from_log, error,
             )
         )  # fmt: skip
     return found

@@ -11,6 +11,7 @@ from oee_tabular import _checks, _files, _progress
 from oee_tabular._checks import Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem, Simulator
+from oee_tabular.estimators.findings import WEIGHTLESS
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
@@ -215,8 +216,8 @@ def evaluate(
 
 def _weighted(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
     """Without importance sampling that has no positive weight, and a sentence about that."""
-    kept = [result for result in raw if not result.estimate.basis.weightless]
-    lost = [result for result in raw if result.estimate.basis.weightless]
+    kept = [result for result in raw if WEIGHTLESS not in result.estimate.findings]
+    lost = [result for result in raw if WEIGHTLESS in result.estimate.findings]
     if not lost:
         return kept, []
     names = ", ".join(dict.fromkeys(result.policy for result in lost))
@@ -265,7 +266,7 @@ def _noted(
     on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
     told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
     notes = {
-        (r.policy, r.estimator): (() if r.estimate.basis.episodes else on_models)
+        (r.policy, r.estimator): (() if r.estimate.is_from_episodes else on_models)
         + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)
         for r in results
     }

@@ -38,7 +38,7 @@ def quoted(
     counts what matters: not below ``ENOUGH``, not where the variance is not known.
     ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
     """
-    if sure is not None and sure.status == "ok" and estimate.basis.model_value is not None:
+    if sure is not None and sure.status == "ok" and estimate.model_value is not None:
         found = _inside(estimate, sure, problem, policy, scale)
     else:
         found = _with_own_interval(estimate, level)
@@ -53,13 +53,13 @@ def quoted(
 def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
     if estimate.interval is not None:
-        if not estimate.basis.normal or level == _OWN_LEVEL:
+        if not estimate.is_normal or level == _OWN_LEVEL:
             return estimate
         factor = quantile / NormalDist().inv_cdf(0.5 + _OWN_LEVEL / 2.0)
         lower, upper = (estimate.value + factor * (end - estimate.value) for end in estimate.interval)
         return replace(estimate, interval=(lower, upper))
     error, facts = estimate.standard_error, estimate.diagnostics
-    if error is None or not math.isfinite(estimate.value) or estimate.basis.measured < ENOUGH:
+    if error is None or not math.isfinite(estimate.value) or estimate.measured < ENOUGH:
         return estimate
     if error <= 1e-12 * abs(estimate.value):  # 0, to roundoff: what does not vary has no error to show
         told = (*estimate.findings, NEVER_VARIED)
@@ -76,7 +76,7 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array,
         ends = (min(sure.lower, value), max(sure.upper, value))
         return replace(estimate, interval=ends, diagnostics=facts)
     own, by = value, "the one-step value"
-    value = math.nan if estimate.basis.one_step_value is None else estimate.basis.one_step_value
+    value = math.nan if estimate.one_step_value is None else estimate.one_step_value
     if not low <= value <= high:
         by = "the maximum-likelihood value"
         value = ModelBased(fallback="simulator")(problem, policy).value
@@ -88,7 +88,6 @@ def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array,
         interval=ends,
         diagnostics=facts | {"replaced_value": own, "replaced_by": by},
         findings=(*estimate.findings, outside(shown, max(ends[0] - own, own - ends[1]), by)),
-        basis=replace(estimate.basis, replaced_value=own, replaced_by=by),
     )
 
 
@@ -114,29 +113,17 @@ def sentences(told: list[tuple[str, str, Finding]]) -> list[tuple[str, frozenset
 
 
 def way(estimates: Mapping[str, Estimate], simulator: float, scale: float) -> str:
-    """How the values that the log corrects, by estimator, move from the ``simulator``'s, and where they were left."""
-    told = {
-        name: _steps(estimate, scale) for name, estimate in estimates.items() if estimate.basis.model_value is not None
-    }
-    if not told:
+    """What the ``simulator`` says, and the values that the log corrects, by estimator."""
+    corrected = {name: estimate for name, estimate in estimates.items() if estimate.model_value is not None}
+    if not corrected:
         return ""
-    listed = ": " + "; ".join(f"{name} {text}" for name, text in told.items())
-    said = listed if len(told) > 1 else f" {next(iter(told.values()))}"
-    return f"The simulator says {simulator * scale:.4g}; corrected by the log{said}."
+    values = [f"{name} {_show(estimate, scale)}" for name, estimate in corrected.items()]
+    if len(values) == 1:
+        values = [_show(estimate, scale) for estimate in corrected.values()]
+    return f"The simulator says {simulator * scale:.4g}. Corrected by the log: {'; '.join(values)}."
 
 
-def _steps(estimate: Estimate, scale: float) -> str:
-    basis = estimate.basis
+def _show(estimate: Estimate, scale: float) -> str:
+    """The value, to the digits that its interval carries."""
     form = ".4g" if estimate.interval is None else _printing.spec(*(end * scale for end in estimate.interval))
-
-    def show(value: float | None) -> str:
-        return "" if value is None else format(value * scale, form)
-
-    steps = [f"exact value of zeta * P {show(basis.model_value)}"]
-    if basis.one_step_value is not None:
-        steps.append(f"one-step {show(basis.one_step_value)}")
-        steps.append(f"moved {basis.moved:.0%}")
-    if basis.replaced_by:
-        steps[-1] += f" to {show(basis.replaced_value)}" if basis.one_step_value is not None else ""
-        steps[-1] += f": outside the interval, so this is {basis.replaced_by}"
-    return f"{show(estimate.value)} ({', '.join(steps)})"
+    return format(estimate.value * scale, form)

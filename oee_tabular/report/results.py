@@ -57,8 +57,8 @@ def headline(results: Sequence[Result]) -> Result:
     """Of one policy's, the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
 
     def order(result: Result) -> tuple[bool, bool, bool, bool]:
-        value, basis = result.estimate.value, result.estimate.basis
-        return not math.isfinite(value), not basis.corrected, basis.model_value is None, not basis.log
+        found = result.estimate
+        return not math.isfinite(found.value), not found.is_headline, found.model_value is None, not found.is_from_log
 
     return min(results, key=order)
 

@@ -11,7 +11,6 @@ from scipy import optimize, special, stats
 
 import oee_tabular as oee
 from oee_tabular import inference
-from oee_tabular.estimators.base import Basis
 from oee_tabular.report.quoting import quoted
 from oee_tabular.theory import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
 from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides
@@ -206,7 +205,7 @@ def test_path_bounds_by_every_path(form):
 @pytest.mark.parametrize("value", [1.0 + 5e-10, -5e-10, 0.4])
 def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_goes_with_it(value):
     simulator, _, log, policy = tiny(0)
-    estimate = oee.Estimate(value, basis=Basis(model_value=value))
+    estimate = oee.Estimate(value, model_value=value)
     sure = inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
     found = quoted(estimate, sure, oee.Problem(simulator, log), policy, 0.95)
     assert found.value == value

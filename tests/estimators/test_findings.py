@@ -105,21 +105,21 @@ def test_what_a_report_acts_on():
     problem, _ = recorded_problem(n=8)
     found = OffEnvironment()(problem, POLICY)
     facts = found.diagnostics
-    assert found.basis.model_value == facts["model_value"]
-    assert (found.basis.one_step_value, found.basis.moved) == (facts["one_step_value"], facts["moved"])
-    assert found.basis.normal
-    assert found.basis.measured == facts["coverage"]
+    assert found.model_value == facts["model_value"]
+    assert found.one_step_value == facts["one_step_value"]
+    assert found.is_normal
+    assert found.measured == facts["coverage"]
     model = ModelBased()(problem, POLICY)
-    assert model.basis.model_value is None
-    assert model.basis.measured == pytest.approx(model.diagnostics["coverage"] - model.diagnostics["single_share"])
+    assert model.model_value is None
+    assert model.measured == pytest.approx(model.diagnostics["coverage"] - model.diagnostics["single_share"])
     few = DoublyRobust()(Problem(problem.simulator, Transitions([0, 1], [0, 1], [1, 2])), POLICY)
-    assert few.basis.measured == few.diagnostics["coverage"] < 0.99
-    assert not Simulator()(problem, POLICY).basis.log
+    assert few.measured == few.diagnostics["coverage"] < 0.99
+    assert not Simulator()(problem, POLICY).is_from_log
     assert [
-        e(problem, POLICY).basis.episodes for e in (ImportanceSampling(), DoublyRobust(data="episodes"), Magic())
+        e(problem, POLICY).is_from_episodes for e in (ImportanceSampling(), DoublyRobust(data="episodes"), Magic())
     ] == [True] * 3
     assert not any(
-        e(problem, POLICY).basis.episodes for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
+        e(problem, POLICY).is_from_episodes for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
     )
 
 
@@ -142,7 +142,6 @@ def test_what_a_problem_s_data_contradict():
 @pytest.mark.parametrize(("options", "text"), [
     ({"findings": "look out"}, "findings must be Findings; got str"),
     ({"findings": ("look out",)}, r"findings\[0\] must be a Finding\(kind, severity, text\); got str"),
-    ({"basis": {"log": False}}, "basis must be Basis; got dict"),
 ])  # fmt: skip
 def test_what_is_no_finding(options, text):
     with pytest.raises(ValueError, match=text):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import _files
-from oee_tabular.estimators import Basis, Estimate, OffEnvironment, Problem
+from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED
 from oee_tabular.report import Result
 from oee_tabular.report.results import headline
@@ -238,8 +238,8 @@ def test_wrong_kinds_of_arguments(problem, call, text):
 
 
 def test_of_one_policy_s_values_the_one_that_the_log_corrects_is_said_first_and_the_simulator_s_last():
-    alone, other = Estimate(1.0, basis=Basis(log=False)), Estimate(2.0)
-    corrected, lost = Estimate(3.0, basis=Basis(model_value=3.0)), Estimate(math.nan, basis=Basis(model_value=3.0))
+    alone, other = Estimate(1.0, is_from_log=False), Estimate(2.0)
+    corrected, lost = Estimate(3.0, model_value=3.0), Estimate(math.nan, model_value=3.0)
     every = [Result("p", str(k), estimate) for k, estimate in enumerate((alone, other, lost, corrected))]
     assert headline(every).estimate is corrected
     assert headline(every[:3]).estimate is other
