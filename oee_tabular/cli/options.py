@@ -19,8 +19,9 @@ SHAPES: Mapping[str, Mapping[str, str]] = {
     "evaluate": {
         "version": "of oee_tabular", "unit": "what a value is", "discount": "", "horizon": "", "normalized": "",
         "confidence": "of the intervals", "interval": "what each kind of interval is", "seed": "", "facts": "inputs",
-        "results": "a row each policy and estimator: value, standard_error, lower, upper, interval_method, notes, ...",
-        "intervals": "a row each policy and method: lower, upper, confidence, status",
+        "results": "a row each policy and estimator: value, standard_error, lower, upper, sampling_lower, sampling_upper, "
+        "interval_method, notes, ...",
+        "intervals": "a row each policy and method: lower, upper, sampling_lower, sampling_upper, confidence, status",
         "conclusion": "sentences", "warnings": "sentences to read before use",
     },
     "compare": {

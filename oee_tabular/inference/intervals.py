@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from statistics import NormalDist
 from typing import Any, Literal
@@ -11,12 +11,21 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import PolicyLike, Seed
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import OffEnvironment, Problem
+from oee_tabular.exact import reweight
 from oee_tabular.inference.ascent import ProfileEnd
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
-from oee_tabular.inference.evidence import Evidence, describe_rows, gather, reached_rows, require_squares, unseen_time
+from oee_tabular.inference.evidence import (
+    Evidence,
+    describe_rows,
+    gather,
+    hold_unobserved,
+    reached_rows,
+    require_squares,
+    unseen_time,
+)
 from oee_tabular.inference.likelihood import Start, profile_end
 from oee_tabular.inference.margins import Found, sampling_margin, stray_end, stray_share
 from oee_tabular.inference.robust import Extreme, contradicted_rows, extreme_value, radii
@@ -38,6 +47,8 @@ class Interval:
         that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
         the share of the policy's time that they may have been (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
+    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone, with state-action pairs that were
+        never recorded, and impossible moves that were dropped, as the default estimates them; None for the other methods
 
     Examples
     --------
@@ -56,6 +67,7 @@ class Interval:
     method: str
     diagnostics: dict[str, Any] = field(default_factory=dict, repr=False)
     status: str = "ok"
+    sampling: tuple[float, float] | None = None
 
     @property
     def width(self) -> float:
@@ -79,6 +91,8 @@ class Interval:
             ("lower", format(self.lower, spec)), ("upper", format(self.upper, spec)), ("width", f"{self.width:.4g}"),
             ("confidence", f"{100 * self.confidence:.4g}%"), ("method", self.method),
         ]  # fmt: skip
+        if self.sampling is not None:
+            rows.append(("from the recorded transitions alone", _printing.interval(*self.sampling)))
         rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
         return _printing.facts(f"Interval for a value: {_printing.SUM}", [*rows, ("status", self.status)])
 
@@ -192,7 +206,13 @@ def interval(
         low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
         return _varied(told(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
-        return told(*_likeliest(reached, level))
+        lower, upper, added = _likeliest(reached, level)
+        sampling = (lower, upper)
+        if strayed or diagnostics["unvisited_rows"]:
+            held = hold_unobserved(evidence, estimated_rows(problem, evidence.policy))
+            sampling = _likeliest(lambda _, end: end(held), level)[:2]
+            lower, upper = min(lower, sampling[0]), max(upper, sampling[1])  # whose models are possible, too
+        return replace(told(lower, upper, added), sampling=sampling)
     require_squares(problem.model)
     low_end, high_end = _guaranteed(reached, level, kind)
     if low_end.contradicted.size:
@@ -204,6 +224,12 @@ def interval(
         "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
     }
     return told(low_end.bound, high_end.bound, certified)
+
+
+def estimated_rows(problem: Problem, policy: Array) -> Array:
+    """(entries,) the default's model zeta P (eq. 4.2), which stands behind the point estimate."""
+    zeta = OffEnvironment().fit(problem, policy, np.random.default_rng(0))  # which draws nothing
+    return np.asarray(reweight(problem.model, zeta).transitions.data)
 
 
 def _likeliest(

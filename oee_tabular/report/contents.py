@@ -11,12 +11,12 @@ from importlib import metadata
 
 from oee_tabular import __version__, _printing
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.inference import Interval
 from oee_tabular.report.quoting import LIKELIHOOD, METHODS
 from oee_tabular.report.results import Evaluation, headline
 
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
+SAMPLING = "sampling interval"
 CALLED: Mapping[str, str] = {"robust": "guaranteed"}
 
 
@@ -119,19 +119,24 @@ def _worth(answer: Answer, report: Evaluation) -> str:
     return told
 
 
-def alone(report: Evaluation, policy: str) -> dict[str, Interval]:
-    """The intervals of a policy that stand beside no value, by what they are called."""
+def alone(report: Evaluation, policy: str) -> dict[str, tuple[float, float] | None]:
+    """The intervals of a policy that stand beside no value, by what they are called; None where the method gave none."""
     beside = {row["interval_method"] for row in report.records() if row["policy"] == policy}
-    return {
-        f"{CALLED.get(method, method)} interval": found
-        for method, found in report.sureness.intervals.get(policy, {}).items()
+    intervals = report.sureness.intervals.get(policy, {})
+    shown = {
+        f"{CALLED.get(method, method)} interval": (found.lower, found.upper) if found.status == "ok" else None
+        for method, found in intervals.items()
         if method not in beside
     }
+    likelihood = intervals.get(LIKELIHOOD)
+    if likelihood is not None and likelihood.sampling not in (None, (likelihood.lower, likelihood.upper)):
+        shown[SAMPLING] = likelihood.sampling
+    return shown
 
 
-def interval_words(found: Interval, scale: float) -> str:
-    """An Interval in a table cell."""
-    return between(found.lower * scale, found.upper * scale) if found.status == "ok" else "none"
+def interval_words(ends: tuple[float, float] | None, scale: float) -> str:
+    """An interval in a table cell."""
+    return "none" if ends is None else between(ends[0] * scale, ends[1] * scale)
 
 
 def method_facts(report: Evaluation) -> list[tuple[str, str]]:
@@ -193,6 +198,9 @@ def glossary(report: Evaluation) -> list[tuple[str, str]]:
         found.append(
             ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
         )
+    if any(SAMPLING in alone(report, policy) for policy in report.sureness.intervals):
+        meaning = "From the recorded transitions alone: state-action pairs that were never recorded are as estimated."
+        found.append((SAMPLING, meaning))
     methods = dict.fromkeys([*(row["interval_method"] for row in report.records()), LIKELIHOOD])
     return [
         *found,

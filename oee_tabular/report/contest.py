@@ -16,7 +16,7 @@ from oee_tabular.inference import Comparison, Interval
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.report.quoting import LIKELIHOOD, quoted
 from oee_tabular.report.results import aligned
-from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked
+from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked, sampling_columns
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class Contest:
                     "value": value,
                     "lower": None if ends is None else ends.lower,
                     "upper": None if ends is None else ends.upper,
+                    **sampling_columns(ends, 1.0),
                     "probability_best": float(found.probability_best[i]) if told else None,
                     "unseen_share": float(found.unseen_share[i]),
                 }

@@ -158,13 +158,13 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
 def forest(report: Evaluation, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
-    sure = {name: found for name, found in alone(report, answer.policy).items() if found.status == "ok"}
+    sure = {name: ends for name, ends in alone(report, answer.policy).items() if ends is not None}
     labels = [*(row["estimator"] for row in rows), *sure]
     values = [*(row["value"] for row in rows), *(math.nan for _ in sure)]
     lower, upper = (
         [*(math.nan if row[end] is None else row[end] for row in rows),
-         *(getattr(found, end) * report.scale for found in sure.values())]
-        for end in ("lower", "upper")
+         *(ends[k] * report.scale for ends in sure.values())]
+        for k, end in enumerate(("lower", "upper"))
     )  # fmt: skip
     span = credible_span(rows, margin=0.15)
     inside = [*lower[len(rows) :], *upper[len(rows) :]]

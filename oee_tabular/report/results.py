@@ -17,9 +17,10 @@ from oee_tabular import __version__, _files, _printing
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import IN_VALUES_UNIT
+from oee_tabular.inference import Interval
 from oee_tabular.report.files import check_output
-from oee_tabular.report.quoting import METHODS, OWN
-from oee_tabular.report.sureness import Sureness, as_records
+from oee_tabular.report.quoting import LIKELIHOOD, METHODS, OWN
+from oee_tabular.report.sureness import Sureness, as_records, sampling_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,6 +117,7 @@ class Evaluation:
                     "standard_error": None if error is None else error * factor,
                     "lower": None if interval is None else interval[0] * factor,
                     "upper": None if interval is None else interval[1] * factor,
+                    **sampling_columns(self._likelihood(result), factor),
                     "interval_method": None if interval is None else estimate.diagnostics.get("interval_method", OWN),
                     "true_value": None if truth is None else truth * factor,
                     "error": None if truth is None else (estimate.value - truth) * factor,
@@ -129,6 +131,12 @@ class Evaluation:
                 }
             )
         return rows
+
+    def _likelihood(self, result: Result) -> Interval | None:
+        """The likelihood interval, where the result quotes it."""
+        if result.estimate.diagnostics.get("interval_method") != LIKELIHOOD:
+            return None
+        return self.sureness.intervals.get(result.policy, {}).get(LIKELIHOOD)
 
     @property
     def table(self) -> pd.DataFrame:

@@ -26,6 +26,7 @@ SOFT = (
     "moves, are left out."
 )
 OVERLAP = " Their intervals overlap, but differences are surer: the same moves count for both."
+MUCH_WIDER = 1.5  # times the interval from the recorded transitions alone: from there on the report explains both
 ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
 
 
@@ -197,21 +198,44 @@ def _width(found: Mapping[str, Interval], confidence: float, scale: float) -> st
     shown = found["likelihood"]
     if shown.status != "ok":
         return f"{shown.status}."
-    text = f"{_between(shown, scale)} with {confidence:.0%} confidence by the likelihood interval, the one to quote"
+    between = _between(shown.lower, shown.upper, scale)
+    text = f"{between} with {confidence:.0%} confidence by the likelihood interval, the one to quote"
     unseen = int(shown.diagnostics["unvisited_rows"])
     if unseen == 1:
         text += " (the reachable state-action pair never recorded at its worst)"
     elif unseen:
         text += f" (the {unseen} reachable state-action pairs never recorded at their worst)"
     if "robust" in found:
-        text += f"; guaranteed, {_between(found['robust'], scale)}"
-    return text + "."
+        text += f"; guaranteed, {_between(found['robust'].lower, found['robust'].upper, scale)}"
+    return f"{text}.{_assumptions(shown, scale)}"
 
 
-def _between(found: Interval, scale: float) -> str:
-    lower, upper = found.lower * scale, found.upper * scale
-    form = _printing.spec(lower, upper)
-    return f"between {lower:{form}} and {upper:{form}}"
+def _assumptions(shown: Interval, scale: float) -> str:
+    """What the quoted interval assumes, and what the narrower one, where the two differ by more than ``MUCH_WIDER``."""
+    if shown.sampling is None or shown.width <= MUCH_WIDER * (shown.sampling[1] - shown.sampling[0]):
+        return ""
+    share = _printing.share(shown.diagnostics["unvisited_share"])
+    dropped = shown.diagnostics.get("dropped_moves", 0.0)
+    also = " and dropped transitions lead anywhere" if dropped else ""
+    return (
+        f" It lets state-action pairs that were never recorded ({share} of the policy's time) do anything that the simulator "
+        f"allows{also}; from the recorded transitions alone, with those pairs as estimated, the value lies "
+        f"{_between(*shown.sampling, scale)}."
+    )
+
+
+def _between(lower: float, upper: float, scale: float) -> str:
+    form = _printing.spec(lower * scale, upper * scale)
+    return f"between {lower * scale:{form}} and {upper * scale:{form}}"
+
+
+def sampling_columns(found: Interval | None, scale: float) -> dict[str, float | None]:
+    """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
+    lower, upper = (None, None) if found is None or found.sampling is None else found.sampling
+    return {
+        "sampling_lower": None if lower is None else lower * scale,
+        "sampling_upper": None if upper is None else upper * scale,
+    }
 
 
 def as_records(sureness: Sureness, scale: float) -> list[dict[str, Any]]:
@@ -222,6 +246,7 @@ def as_records(sureness: Sureness, scale: float) -> list[dict[str, Any]]:
             "method": method,
             "lower": found.lower * scale,
             "upper": found.upper * scale,
+            **sampling_columns(found, scale),
             "confidence": found.confidence,
             "status": found.status,
         }

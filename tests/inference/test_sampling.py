@@ -1,0 +1,123 @@
+"""The interval from the recorded transitions alone: what is held, what it covers, and where people read it."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+import oee_tabular as oee
+
+LIMIT = stats.chi2.ppf(0.95, 1) / 2
+
+
+def chain(recorded):
+    """From 0 to 1 (pays 1) or 2; from 2, which may be unrecorded, to 1 or to the end 3."""
+    rows = np.array([[[0, 0.5, 0.5, 0]], [[0, 0, 0, 1.0]], [[0, 0.5, 0, 0.5]], [[0, 0, 0, 1.0]]])
+    simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0, 0.0]), 0, 0.9)
+    moves = [(0, 1)] * 12 + [(0, 2)] * 8 + [(2, 1)] * recorded + [(2, 3)] * recorded
+    state, following = np.array(moves).T
+    return oee.Problem(simulator, oee.Transitions(state, np.zeros(len(state), int), following)), np.ones((4, 1))
+
+
+def test_pairs_never_recorded_are_held_where_the_estimate_has_them():
+    """V(0) = .9 p + .81 (1 - p) q: the log bounds p, nothing bounds q but the simulator."""
+    problem, policy = chain(0)
+    found = oee.interval(problem, policy)
+    q = oee.transition_ratio(problem.log, problem.simulator, values_of=policy).target_model(problem.simulator)
+    q = q.transitions.toarray()[2, 1]
+    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
+    inside = grid[20 * (0.6 * np.log(0.6 / grid) + 0.4 * np.log(0.4 / (1 - grid))) <= LIMIT]
+    ends = np.array([inside.min(), inside.max()])
+    assert 0.3 < q < 0.7
+    assert_allclose(found.sampling, 0.9 * ends + 0.81 * (1 - ends) * q, rtol=1e-4)
+    assert_allclose([found.lower, found.upper], [0.9 * ends[0], 0.9 * ends[1] + 0.81 * (1 - ends[1])], rtol=1e-4)
+    assert "from the recorded transitions alone" in found._repr_html_()
+
+
+def test_where_all_is_recorded_both_are_one():
+    problem, policy = chain(5)
+    found = oee.interval(problem, policy)
+    assert found.sampling == (found.lower, found.upper)
+    for method in ("delta", "robust"):
+        assert oee.interval(problem, policy, method=method).sampling is None
+
+
+def test_held_rows_stay_in_the_box():
+    """An estimate far from the simulator's 1/2 is followed as far as the box allows."""
+    rows = np.array([[[0, 0.5, 0.5]]] * 2 + [[[0, 0, 1.0]]])
+    simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0]), 0, 0.9)
+    log = oee.Transitions([1] * 400, [0] * 400, [1] * 396 + [2] * 4)
+    problem, policy = oee.Problem(simulator, log), np.ones((3, 1))
+    narrow = oee.interval(problem, policy, lower_ratio=0.01, upper_ratio=2.0)
+    assert narrow.lower <= narrow.sampling[0] < narrow.sampling[1] <= narrow.upper
+
+
+def unrecorded(seed, n_next=30):
+    """60 states with many successors each, a third of which were never recorded."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((60, 1, 60))
+    for s in range(60):
+        rows[s, 0, rng.choice(60, n_next, replace=False)] = rng.dirichlet(np.ones(n_next))
+    simulator = oee.FiniteMDP(rows, rng.normal(size=60), 0, 0.9)
+    other = rows * np.exp(0.3 * rng.normal(size=rows.shape))
+    target = simulator.with_transitions(other / other.sum(axis=2, keepdims=True))
+    share = np.zeros((60, 1))
+    share[:40] = 1 / 40
+    return simulator, target, oee.sample_transitions(target, share, 800, seed=seed)
+
+
+def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
+    simulator, _, log = unrecorded(0)
+    problem, policy = oee.Problem(simulator, log), np.ones((60, 1))
+    found = oee.interval(problem, policy)
+    assert found.lower < found.sampling[0] < found.sampling[1] < found.upper
+    assert found.width > 1.5 * np.diff(found.sampling)[0]
+    report = oee.evaluate(problem, policy, seed=0, normalized=True)
+    row = report.table.set_index("estimator").loc["oee"]
+    assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
+    assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
+    share = f"{100 * found.diagnostics['unvisited_share']:.1f}% of the policy's time"
+    sentence = next(x for x in report.sureness.sentences if "from the recorded transitions alone" in x)
+    assert f"that were never recorded ({share}) do anything that the simulator allows" in sentence
+    assert "with those pairs as estimated, the value lies between" in sentence
+    report.save(tmp_path)
+    kept = next(r for r in csv.DictReader((tmp_path / "table.csv").read_text().splitlines()) if r["estimator"] == "oee")
+    results = json.loads((tmp_path / "report.json").read_text())
+    told = next(r for r in results["results"] if r["estimator"] == "oee")
+    assert float(kept["sampling_upper"]) == told["sampling_upper"] == results["intervals"][0]["sampling_upper"]
+    page = report.to_html()
+    assert "sampling interval" in page
+    assert "from the recorded transitions alone" in page
+
+
+def test_the_report_says_it_once_where_both_are_alike():
+    problem, policy = chain(5)
+    report = oee.evaluate(problem, policy, seed=0)
+    assert "never recorded" not in str(report)
+    assert "sampling interval" not in report.to_html()
+
+
+@pytest.mark.parametrize("recorded", [0.9, 1.0])
+def test_it_covers_where_most_of_the_time_is_recorded(recorded):
+    """Of 60 logs at least 48: a coverage of 91% has fewer with a probability of .002."""
+    rng = np.random.default_rng(3)
+    rows = np.zeros((8, 2, 8))
+    for row in rows.reshape(16, 8):
+        row[rng.choice(8, 3, replace=False)] = rng.dirichlet(np.ones(3))
+    simulator = oee.FiniteMDP(rows, rng.normal(size=(8, 2)), rng.dirichlet(np.ones(8)), 0.9)
+    policy, held = np.full((8, 2), 0.5), 0
+    share = np.full((8, 2), 1 / 16)
+    time = oee.occupancy(simulator, policy)
+    least = np.argsort(time, axis=None)[: round(16 * (1 - recorded))]
+    share.reshape(-1)[least] = 0
+    for seed in range(60):
+        noise = np.random.default_rng(seed)
+        other = rows * np.exp(0.3 * noise.normal(size=rows.shape))
+        target = simulator.with_transitions(other / other.sum(axis=2, keepdims=True))
+        log = oee.sample_transitions(target, share / share.sum(), 160, seed=seed)
+        lower, upper = oee.interval(oee.Problem(simulator, log), policy).sampling
+        held += lower <= oee.policy_value(target, policy) <= upper
+    assert held >= 48
