@@ -15,7 +15,7 @@ from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paire
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.estimators.base import IN_VALUES_UNIT
-from oee_tabular.estimators.findings import Finding, uncovered
+from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 
@@ -186,7 +186,7 @@ class Supported:
     def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
         """The estimator's, with ``uncovered_mass``, ``largest_zeta`` and ``d_inf``."""
         found = self.estimator(problem, policy, seed=seed)
-        told = uncovered(*(self.support[name] for name in ("uncovered_mass", "largest_zeta", "d_inf")))
+        told = missing_support(*(self.support[name] for name in ("uncovered_mass", "largest_zeta", "d_inf")))
         return replace(found, diagnostics=found.diagnostics | dict(self.support), findings=(*found.findings, *told))
 
 

@@ -1,4 +1,4 @@
-"""What an estimator is and what it returns; what the limits of all need: the data's support, and the model that it can tell."""
+"""What an estimator is, what it returns, and its exact limit; means with standard errors."""
 
 from __future__ import annotations
 
@@ -91,31 +91,28 @@ class Estimate:
             object.__setattr__(self, "status", UNEXPLAINED)
 
     def __repr__(self) -> str:
-        text = f"Estimate({self.value:.6g}"
-        if self.standard_error is not None:
-            text += f" ± {self.standard_error:.2g} (standard error)"
-        return text + ("" if self.status == "ok" else f", {self.status}") + ")"
+        return f"Estimate({self._value_and_error()}" + ("" if self.status == "ok" else f", {self.status}") + ")"
 
     def __str__(self) -> str:
-        text = f"{self.value:.6g}"
-        if self.standard_error is not None:
-            text += f" ± {self.standard_error:.2g} (standard error)"
-        if self.interval is not None:
-            text += f", interval {_printing.interval(*self.interval)}"
-        return f"{text}; {_printing.SUM}" + ("" if self.status == "ok" else f"; {self.status}")
+        ends = "" if self.interval is None else f", interval {_printing.interval(*self.interval)}"
+        text = f"{self._value_and_error()}{ends}; {_printing.SUM}"
+        return text + ("" if self.status == "ok" else f"; {self.status}")
+
+    def _value_and_error(self) -> str:
+        error = "" if self.standard_error is None else f" ± {self.standard_error:.2g} (standard error)"
+        return f"{self.value:.6g}{error}"
 
     def _repr_html_(self) -> str:
-        rows: list[tuple[str, object]] = [("value", f"{self.value:.6g}")]
-        if self.standard_error is not None:
-            rows.append(("standard error", f"{self.standard_error:.2g}"))
-        if self.interval is not None:
-            rows.append(("interval", _printing.interval(*self.interval)))
-        rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
-        return _printing.facts(f"Estimate: {_printing.SUM}", [*rows, ("status", self.status)])
+        error = None if self.standard_error is None else f"{self.standard_error:.2g}"
+        ends = None if self.interval is None else _printing.interval(*self.interval)
+        rows: dict[str, object] = {"value": f"{self.value:.6g}", "standard error": error, "interval": ends}
+        rows = {name: shown for name, shown in rows.items() if shown is not None}
+        rows |= {name: f"{x:.4g}" if isinstance(x, float) else x for name, x in self.diagnostics.items()}
+        return _printing.facts(f"Estimate: {_printing.SUM}", [*rows.items(), ("status", self.status)])
 
 
 class Estimator(Protocol):
-    """A callable that estimates; ours are frozen dataclasses of their options.
+    """A callable that estimates; those of the package are frozen dataclasses of their options.
 
     Examples
     --------
@@ -141,7 +138,7 @@ def effective_sample_size(weights: Array) -> float:
     return float(scaled.sum()) ** 2 / square if square > 0 else 0.0
 
 
-ROUNDING = 1e-12
+ROUNDING = 1e-12  # of the largest number involved: what is smaller does not vary
 
 
 def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | None]:
@@ -153,13 +150,13 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
     scaled = np.ldexp(values, -shift)
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values
         most = max(float(np.abs(scaled).max()), float(np.ldexp(size, -shift)))
-        varied = n > 1 and not np.ptp(scaled) <= ROUNDING * most
-        error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varied else None
+        varies = n > 1 and not np.ptp(scaled) <= ROUNDING * most
+        error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varies else None
         return float(np.ldexp(scaled.mean(), shift)), error
 
 
-def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:
-    """A delta-method error, or None where it is 0 though a row's next state matters: the log's moves do not vary.
+def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | None:
+    """A delta-method error, or None where it is 0 though a row's next state matters: the log's transitions do not vary.
 
     ``gradient`` of the value, on the entries of the simulator's rows.
     """
@@ -169,7 +166,7 @@ def identified(error: float, gradient: Array, indptr: IntArray) -> float | None:
     return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
 
 
-def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]:
+def catch_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]:
     """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
 
     @functools.wraps(call)
@@ -186,35 +183,12 @@ def without_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]
 OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
 
 
-def population(
-    simulator: FiniteMDP,
-    target: FiniteMDP,
-    policy: PolicyLike,
-    data_distribution: ArrayLike | None = None,
-    behavior_policy: PolicyLike | None = None,
-    horizon: int | None = None,
-) -> Population:
-    """The arguments of every ``limit``, checked: shapes, and the target inside the simulator's support."""
-    require_pair(target, simulator)
-    shape = (simulator.n_states, simulator.n_actions)
-    full = np.full(shape, 1.0 / (shape[0] * shape[1]))
-    share = full if data_distribution is None else _checks.distribution(data_distribution, "data_distribution", shape)
-    support = share.reshape(-1) > 0
-    seen = sparse.csr_array(sparse.diags_array(support.astype(np.float64), format="csr") @ target.transitions)
-    refuse_unsupported(seen, simulator, what="target")
-    behavior = None
-    if behavior_policy is not None:
-        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    steps = optional_horizon_length(horizon, simulator)
-    return Population(simulator, target, check_policy(policy, simulator), share, support, behavior, steps)
-
-
 def expected_rewards(simulator: FiniteMDP, transitions: sparse.csr_array) -> Array:
-    """(S*A,) expected rewards under other dynamics, paid as the simulator pays."""
+    """(S*A,) expected rewards under other dynamics, with the simulator's rewards."""
     if simulator.reward_data is None:
         return simulator.rewards.reshape(-1)
-    moves, _ = align(transitions, simulator.transitions)
-    return row_sums(simulator.transitions, moves * simulator.reward_data)
+    probability, _ = align(transitions, simulator.transitions)
+    return row_sums(simulator.transitions, probability * simulator.reward_data)
 
 
 class ExactLimit:
@@ -241,8 +215,21 @@ class ExactLimit:
         behavior_policy : (S, A) of the log's episodes; None: one with support
         horizon : positive int or None
         """
-        return self.limit_of(population(simulator, target, policy, data_distribution, behavior_policy, horizon))
+        require_pair(target, simulator)
+        shape = (simulator.n_states, simulator.n_actions)
+        if data_distribution is None:
+            share = np.full(shape, 1.0 / (shape[0] * shape[1]))
+        else:
+            share = _checks.distribution(data_distribution, "data_distribution", shape)
+        support = share.reshape(-1) > 0
+        recorded = sparse.csr_array(sparse.diags_array(support.astype(np.float64), format="csr") @ target.transitions)
+        refuse_unsupported(recorded, simulator, what="target")
+        if behavior_policy is not None:
+            behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+        steps = optional_horizon_length(horizon, simulator)
+        pi = check_policy(policy, simulator)
+        return self.limit_of(Population(simulator, target, pi, share, support, behavior_policy, steps))
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """The limit in a checked population."""
         raise NotImplementedError

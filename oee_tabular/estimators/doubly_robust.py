@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -16,33 +16,22 @@ from oee_tabular.estimators.base import (
     OF_COUNTS,
     Estimate,
     ExactLimit,
-    identified,
+    catch_divergence,
+    error_or_none,
     mean_and_error,
-    without_divergence,
 )
-from oee_tabular.estimators.episodes import episode_estimate, episode_limit, episode_terms
+from oee_tabular.estimators.episodes import EpisodeTerms, episode_limit, model_values
 from oee_tabular.estimators.model_based import delta_error
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
-from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rollouts import rollout_horizon
-from oee_tabular.exact import (
-    Model,
-    evaluate_policy,
-    policy_value,
-    reweight,
-    state_values,
-    transition_gradient,
-)
+from oee_tabular.exact import Model, policy_value, reweight, transition_gradient
 from oee_tabular.exact.efficiency import require_action_support
-from oee_tabular.exact.finite import values_to_go
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import Drawn, draw
-
-DATA = ("transitions", "rollouts", "episodes")
-WEIGHTS = ("occupancy", "beta")
 
 
 @dataclass(frozen=True)
@@ -67,8 +56,11 @@ class DoublyRobust(ExactLimit):
 
     Notes
     -----
-    Limits: ``limit``. Sources: [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and
-    E. Brunskill, Data-efficient off-policy policy evaluation, ICML 2016.
+    Limits: ``limit``. On transitions with a zeta from the log the standard error is that of J(zeta * P): where zeta * P are the
+    log's frequencies the value is J there, since d is as uncertain as the residual. Under a zeta that is given, or with
+    "beta", d is known, and the error is the residual's. Sources:
+    [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and E. Brunskill, Data-efficient
+    off-policy policy evaluation, ICML 2016.
 
     Examples
     --------
@@ -76,7 +68,7 @@ class DoublyRobust(ExactLimit):
     >>> pair = case("ragged")  # a target that is known: the truth is 10.07
     >>> estimate = DoublyRobust()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.diagnostics["simulator_value"], 2), round(estimate.value, 2), round(estimate.standard_error, 2)
-    (7.97, 10.19, 0.14)
+    (7.97, 10.19, 0.17)
     """
 
     data: Literal["transitions", "rollouts", "episodes"] = "transitions"
@@ -86,8 +78,8 @@ class DoublyRobust(ExactLimit):
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
-        _checks.one_of(self.data, "data", DATA)
-        _checks.one_of(self.weights, "weights", WEIGHTS)
+        _checks.one_of(self.data, "data", ("transitions", "rollouts", "episodes"))
+        _checks.one_of(self.weights, "weights", ("occupancy", "beta"))
         _checks.boolean(self.self_normalized, "self_normalized")
         if self.self_normalized and self.data != "episodes":
             raise ValueError(f"self_normalized must be False with data {self.data!r}: it is for episodes")
@@ -95,18 +87,18 @@ class DoublyRobust(ExactLimit):
         OffEnvironment(ratio=self.ratio)  # or an error
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for rollouts and for ratios that sample the simulator."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         generator = _checks.generator(seed)
         if self.data == "transitions":
-            return self._on_transitions(problem, pi, generator)
+            return self._correct_by_transitions(problem, pi, generator)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
         if self.data == "rollouts":
-            return self._on_rollouts(problem, pi, zeta, generator)
-        found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
-        return episode_estimate(found, zeta, found.total, found.error)
+            return self._average_rollouts(problem, pi, zeta, generator)
+        terms = EpisodeTerms.of(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
+        return terms.estimate(zeta, terms.total, terms.error)
 
     @property
     def claims(self) -> frozenset[str]:
@@ -120,52 +112,58 @@ class DoublyRobust(ExactLimit):
             return known - {"after_end"} | {"consistent"}
         return known | ({"consistent", "unbiased"} if isinstance(self.ratio, TransitionRatio) else {"consistent"})
 
-    def _on_transitions(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        model = problem.model
-        base = evaluate_policy(model, policy, horizon=problem.horizon)
+    def _correct_by_transitions(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r + gamma V_sim)."""
+        model, horizon = problem.model, problem.horizon
         where: Model = model
-        diagnostics: dict[str, object] = {"standard_error_of": "log", "simulator_value": base.value}
-        unsolved: tuple[findings.Finding, ...] = ()
+        base = policy_value(model, policy, horizon=horizon)
+        diagnostics: dict[str, object] = {"standard_error_of": "log", "simulator_value": base}
         if self.weights == "occupancy":
             zeta = OffEnvironment(ratio=self.ratio).fit(problem, policy, generator)
             where = reweight(model, zeta)
             diagnostics["gap"] = zeta.gap
-            unsolved = findings.gap(zeta.gap)
-        gradient = transition_gradient(where, policy, horizon=problem.horizon, values_of=model)
+        gradient = transition_gradient(where, policy, horizon=horizon, values_of=model)
         observed, _ = align(problem.counts, model.transitions)
         total = row_sums(model.transitions, observed)
-        rows = row_of_entry(model.transitions)
-        seen = total[rows] > 0
-        frequency = np.divide(observed, total[rows], out=np.zeros_like(observed), where=seen)
-        change = float(gradient[seen] @ (frequency - model.transitions.data)[seen])
-        error = delta_error(model.transitions, frequency, total, gradient)
+        counts = total[row_of_entry(model.transitions)]
+        recorded = counts > 0
+        frequency = np.divide(observed, counts, out=np.zeros_like(observed), where=recorded)
+        change = float(gradient[recorded] @ (frequency - model.transitions.data)[recorded])
+        if self.weights == "occupancy" and not isinstance(self.ratio, TransitionRatio):
+            gradient = transition_gradient(where, policy, horizon=horizon)
+        noise = delta_error(model.transitions, frequency, total, gradient)
+        error = error_or_none(noise, gradient, model.transitions.indptr)
         time = coverage(problem, where, policy, total.reshape(model.n_states, -1))
-        told = identified(error, gradient, model.transitions.indptr)
-        unseen = findings.unseen_time(time.get("fallback_share", 0.0), bare=told is not None, judged=True)
         return Estimate(
-            base.value + change,
-            told,
+            base + change,
+            error,
             diagnostics=diagnostics | time,
-            findings=(*unseen, *findings.varied(told), *unsolved),
-            measured=time.get("coverage", 1.0),
+            findings=(
+                *findings.unseen_time(time["fallback_share"], bare=error is not None, judged=True),
+                *findings.no_variation(error),
+                *(findings.gap(zeta.gap) if self.weights == "occupancy" else ()),
+            ),
+            measured=time["coverage"],
         )
 
-    def _on_rollouts(self, problem: Problem, policy: Array, zeta: Any, generator: np.random.Generator) -> Estimate:
+    def _average_rollouts(
+        self, problem: Problem, policy: Array, zeta: TransitionRatio, generator: np.random.Generator
+    ) -> Estimate:
         model = problem.model
         zeta.on(model)  # or an error
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
         drawn = draw(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=True, name="n_rollouts")
-        values = _rollout_values(model, drawn, _to_go(model, policy, problem.horizon, steps))
-        value, error = mean_and_error(values)
+        values, _ = model_values(model, policy, problem.horizon, steps)
+        value, error = mean_and_error(_rollout_values(model, drawn, values))
         return Estimate(
             value,
             error,
             diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
-            findings=(*findings.varied(error), *findings.gap(zeta.gap)),
+            findings=(*findings.no_variation(error), *findings.gap(zeta.gap)),
         )
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """The exact population limit.
 
         transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are, visits in the
@@ -173,43 +171,41 @@ class DoublyRobust(ExactLimit):
         policy takes every action of the policy (None: it does), else what the model makes of the rest (self-normalised:
         an error that names an action).
         """
-        limit_model = OffEnvironment(ratio=self.ratio).limit_model(people)
+        simulator, target, policy, horizon = (
+            population.simulator, population.target, population.policy, population.horizon,
+        )  # fmt: skip
+        limit_model = OffEnvironment(ratio=self.ratio).limit_model(population)
         if self.data == "rollouts":
-            return people.value(limit_model)
+            return population.value(limit_model)
         if self.data == "episodes":
-            if self.self_normalized and people.behavior is not None:
-                require_action_support(people.target, people.behavior, people.policy, people.horizon)
-            return episode_limit(people, limit_model)
-        where: Model = limit_model if self.weights == "occupancy" else people.simulator
-        gradient = transition_gradient(where, people.policy, horizon=people.horizon, values_of=people.simulator)
-        inside, _ = align(people.target.transitions, people.simulator.transitions)
-        seen = people.support[row_of_entry(people.simulator.transitions)]
-        change = float(gradient[seen] @ (inside - people.simulator.transitions.data)[seen])
-        return policy_value(people.simulator, people.policy, horizon=people.horizon) + change
+            if self.self_normalized and population.behavior is not None:
+                require_action_support(target, population.behavior, policy, horizon)
+            return episode_limit(population, limit_model)
+        where: Model = limit_model if self.weights == "occupancy" else simulator
+        gradient = transition_gradient(where, policy, horizon=horizon, values_of=simulator)
+        inside, _ = align(target.transitions, simulator.transitions)
+        recorded = population.support[row_of_entry(simulator.transitions)]
+        change = float(gradient[recorded] @ (inside - simulator.transitions.data)[recorded])
+        return policy_value(simulator, policy, horizon=horizon) + change
 
 
-def _to_go(model: FiniteMDP, policy: Array, horizon: int | None, steps: int) -> list[Array]:
-    """What V is after each of T steps: nothing after the last; of the infinite sum the same before."""
-    if horizon is None:
-        return [state_values(model, policy)] * (steps - 1) + [np.zeros(model.n_states)]
-    return list(values_to_go(model, policy, steps)[1:])
+def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
+    """D_0 of each rollout, backward in time: D = m + zeta (gamma D' - gamma V(s')), m = sum_s' zeta P (r + gamma V(s')).
 
-
-def _rollout_values(model: FiniteMDP, drawn: Drawn, values: list[Array]) -> Array:
-    """D_0 of each rollout, backward in time."""
-    from oee_tabular.estimators._episodes import control_variates
-
-    zeta, lengths, starts, path = drawn.ratio, drawn.lengths, drawn.starts, drawn.path
-    longest = np.argsort(-lengths, kind="stable")
-    begin, alive = starts[longest], np.searchsorted(-lengths[longest], -np.arange(len(values)), side="left")
-    rows, columns = row_of_entry(model.transitions), model.transitions.indices
-    kernel, by_move = zeta * model.transitions.data, model.reward_data is not None
-    pay = row_sums(model.transitions, kernel * model.reward_data) if by_move else model.rewards.reshape(-1)
-    ahead, last = np.zeros(len(lengths)), int(lengths.max())
-    for t in range(last - 1, -1, -1):
-        if t == last - 1 or values[t] is not values[t + 1]:
-            going = model.discount * values[t]
-            known = pay + row_sums(model.transitions, kernel * going[columns])
-        places = begin[: alive[t]] + t
-        control_variates(places, path, columns, rows, zeta, known, going, model.discount, ahead)
+    ``values`` (T + 1, S) are V; after the last of T steps nothing is to come.
+    """
+    matrix, by_transition = model.transitions, model.reward_data is not None
+    kernel, rows = drawn.ratio * matrix.data, row_of_entry(matrix)
+    pay = row_sums(matrix, kernel * model.reward_data) if by_transition else model.rewards.reshape(-1)
+    ahead, n_steps, previous = np.zeros(len(drawn.lengths)), len(values) - 1, None
+    nothing, constant = np.zeros(matrix.shape[1]), values[0] if values.strides[0] == 0 else None
+    for t in range(int(drawn.lengths.max()) - 1, -1, -1):
+        following = nothing if t + 1 == n_steps else values[t + 1] if constant is None else constant
+        if following is not previous:
+            going = model.discount * following
+            known, previous = pay + row_sums(matrix, kernel * going[matrix.indices]), following
+        alive = np.flatnonzero(drawn.lengths > t)
+        entry = drawn.path[drawn.starts[alive] + t]
+        change = model.discount * ahead[alive] - going[matrix.indices[entry]]
+        ahead[alive] = known[rows[entry]] + drawn.ratio[entry] * change
     return ahead

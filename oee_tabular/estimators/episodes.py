@@ -1,46 +1,151 @@
-"""Doubly robust sums over the log's episodes, step by step: what DoublyRobust(data="episodes") and Magic share."""
+"""The log's episodes: the weights policy / behaviour of importance sampling, and doubly robust sums step by step."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
-from oee_tabular.estimators.importance_sampling import ImportanceSampling
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, segment_products, weight_status
-from oee_tabular.exact import Model, action_values, state_values
+from oee_tabular.exact import Model, state_values
+from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 
+LARGEST_WEIGHT = 1e150  # its square is still a float
+
+
+class Episodes(NamedTuple):
+    """Where the log's n episodes start (n + 1,), how many steps within the horizon they have, and which are over then."""
+
+    log: Transitions
+    starts: IntArray
+    lengths: IntArray
+    is_over: BoolArray
+
+    @classmethod
+    def of(cls, problem: Problem) -> Episodes:
+        """Those of ``problem.recorded``."""
+        log = problem.recorded
+        if log.episode_starts is None:
+            raise ValueError(
+                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
+            )
+        starts, whole = log.episode_starts, np.diff(log.episode_starts)
+        lengths = whole if problem.horizon is None else np.minimum(whole, problem.horizon)
+        final = starts[:-1] + lengths - 1
+        return cls(log, starts, lengths, log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]])
+
+
+def behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool = False) -> Array:
+    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is over.
+
+    ``is_estimated``: the behaviour is the log's action frequencies, and not what was recorded or given.
+    """
+    log = problem.recorded
+    if is_estimated:
+        pairs = np.zeros((problem.simulator.n_states, problem.simulator.n_actions))
+        np.add.at(pairs, (log.state, log.action), 1.0)
+        behavior = pairs[log.state, log.action] / pairs.sum(axis=1)[log.state]
+    else:
+        behavior = _behavior_probabilities(problem, log)
+    with np.errstate(over="ignore"):
+        ratio = policy[log.state, log.action] / behavior
+    beyond = np.flatnonzero(~(ratio <= LARGEST_WEIGHT))
+    if beyond.size:
+        row = int(beyond[0])
+        raise ValueError(
+            f"behavior_probability must be large enough for a weight that floats can square; in row {row} it is "
+            f"{behavior[row]:g}, and the policy takes that action with probability {policy[log.state[row], log.action[row]]:g}"
+        )
+    return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)
+
+
+def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
+    """The recorded probability of each action, or that of ``behavior_policy``."""
+    if log.behavior_probability is not None:
+        probability, name = log.behavior_probability, "log.behavior_probability"
+    elif problem.behavior_policy is not None:
+        probability, name = problem.behavior_policy[log.state, log.action], "behavior_policy"
+    else:
+        raise ValueError(
+            "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...) "
+            "(--behavior), or use behavior='estimated'"
+        )
+    zero = np.flatnonzero(probability == 0)
+    if zero.size:
+        row = int(zero[0])
+        raise ValueError(
+            f"{name} must be positive for the actions taken; it is 0 in row {row} (s={log.state[row]}, "
+            f"a={log.action[row]}; {zero.size} such rows in all)"
+        )
+    return np.asarray(probability)
+
 
 @dataclass(frozen=True, eq=False)
 class EpisodeTerms:
-    """The doubly robust estimator on episodes: each episode's value, the total, its error, and the last weights.
+    """The doubly robust estimator on n episodes of at most T steps, V and Q of a model as control variates.
 
-    ``partial`` (episodes, T + 2) are its parts by the number of steps j = 0..T + 1 that the log is used for, the model's value
-    after them (weighted doubly robust only). The total is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti (both
-    (T + 2, episodes)) over their number, or over their sum at t.
+    The value is sum_t sum_i share_ti ``gains``_ti, where share_ti is ``weights``_ti = rho_0 ... rho_{t-1} over n, or over their
+    sum at t (both are (T + 1, n); an episode that has ended keeps its weight). ``partial`` (n, T + 1) are its parts where
+    the log is used for j = 0..T steps and the model's value after them.
     """
 
-    values: Array
-    total: float
-    error: float | None
-    last: Array
-    partial: Array
     weights: Array
     gains: Array
+    partial: Array
 
-    def resampled(self, draws: IntArray) -> Array:
-        """(b,) weighted totals of the resamples ``draws`` (b, episodes) of the episodes, weights normalised on each.
+    @classmethod
+    def of(cls, problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
+        """The terms, nan where the weights to divide by are all 0."""
+        log, starts, lengths, is_over = Episodes.of(problem)
+        n, steps, gamma = len(lengths), int(lengths.max()), model.discount
+        v, q = model_values(model, policy, problem.horizon, steps)
+        t, used = np.arange(steps)[:, None], np.minimum(np.arange(steps + 1)[:, None], lengths)
+        rows = starts[:-1] + np.minimum(t, lengths - 1)
+        state, action = log.state[rows], log.action[rows]
+        products = segment_products(behavior_ratios(problem, policy), starts)
+        weights = np.vstack([np.ones((1, n)), products[rows]])
+        factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
+        residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])  # carries W_{t+1}
+        value = factor * v[t, state]  # carries W_t
+        at = np.where(used == 0, log.state[starts[:-1]], log.next_state[starts[:-1] + np.maximum(used, 1) - 1])
+        rest = np.where(
+            (used == lengths) & is_over, 0.0, gamma**used * v[used, at]
+        )  # of the model after ``used`` steps
+        with np.errstate(invalid="ignore"):
+            shares = weights / (weights.sum(axis=1, keepdims=True) if self_normalized else n)
+        gains = np.zeros((steps + 1, n))
+        gains[1:] = residual
+        gains[:-1] += value
+        gains[lengths, np.arange(n)] += rest[-1]
+        partial = np.take_along_axis(shares, used, axis=0) * rest
+        partial[1:] += np.cumsum(shares[1:] * residual + shares[:-1] * value, axis=0)
+        return cls(weights, gains, np.where(np.isfinite(shares).all(), partial, np.nan).T)
+
+    @property
+    def total(self) -> float:
+        """The value."""
+        return float(self.partial[:, -1].sum())
+
+    @property
+    def error(self) -> float | None:
+        """The standard error of the value; None from a single episode, or where the episodes do not vary."""
+        return mean_and_error(len(self.partial) * self.partial[:, -1])[1]
+
+    def resample(self, draws: IntArray) -> Array:
+        """(b,) self-normalised values of the resamples ``draws`` (b, n) of the episodes, weights normalised on each.
 
         nan where at some step all weights of a resample are 0.
         """
-        n, products = len(self.values), self.weights * self.gains
+        n, products = len(self.partial), self.weights * self.gains
         totals = np.empty(len(draws))
         for b, draw in enumerate(draws):
             number = np.bincount(draw, minlength=n)
@@ -48,113 +153,47 @@ class EpisodeTerms:
                 totals[b] = float(((products @ number) / (self.weights @ number)).sum())
         return totals
 
-
-def episode_estimate(
-    found: EpisodeTerms, zeta: TransitionRatio, value: float, error: float | None, **more: object
-) -> Estimate:
-    """An estimate from the log's episodes with a model zeta * P; ``more`` joins the diagnostics."""
-    n, effective = len(found.values), effective_sample_size(found.last)
-    return Estimate(
-        value,
-        error,
-        diagnostics={
-            "standard_error_of": "log",
-            "n_episodes": n,
-            "effective_sample_size": effective,
-            "largest_weight": float(found.last.max()),
-            **more,
-            "gap": zeta.gap,
-        },
-        status=weight_status(value),
-        findings=(*findings.varied(error), *findings.weights(effective, n, "episodes"), *findings.gap(zeta.gap)),
-        is_from_episodes=True,
-    )
-
-
-def episode_terms(problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
-    """Policy importance sampling on the log's episodes with V and Q of ``model`` as control variates."""
-    log = problem.recorded
-    ratio = ImportanceSampling().ratios(problem, policy)
-    starts, timestep = log.episode_starts, log.timestep
-    assert starts is not None
-    assert timestep is not None
-    gamma, horizon = model.discount, problem.horizon
-    longest = int(np.diff(starts).max())
-    steps = longest if horizon is None else min(longest, horizon)
-    n = len(starts) - 1
-    lengths = np.minimum(np.diff(starts), steps)
-    final = starts[:-1] + lengths - 1
-    over = log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]]
-    v, q = model_values(model, policy, horizon, steps)
-    products = segment_products(ratio, starts)
-    shares = np.zeros((steps + 1, n))  # rho_0..t-1 / n, or over its sum: an episode that is over keeps its weight
-    shares[0] = 1.0 / n
-    weights, gains = np.ones((steps + 1, n)), np.zeros((steps + 1, n))
-    for t in range(steps):
-        row = starts[:-1] + np.minimum(t, lengths - 1)
-        weight = weights[t + 1] = products[row]
-        mass = float(weight.sum())
-        if self_normalized and mass == 0.0:
-            nothing = np.full(n, np.nan)
-            return EpisodeTerms(
-                nothing, float("nan"), None, products[final], np.full((n, steps + 1), np.nan), weights, gains
-            )
-        shares[t + 1] = weight / (mass if self_normalized else n)
-    rewards = problem.rewards_of(log)
-    begun = np.zeros((n, steps + 1))  # what the log's first j steps give, in shares
-    running = np.zeros(n)
-    closing = np.zeros((n, steps + 1))  # and the model's value after them
-    closing[:, 0] = shares[0] * v[0][log.state[starts[:-1]]]
-    for t in range(steps):
-        alive = lengths > t
-        row = (starts[:-1] + t)[alive]
-        s, a = log.state[row], log.action[row]
-        paid = rewards[row] - q[t][s, a]
-        running[alive] += gamma**t * (shares[t + 1][alive] * paid + shares[t][alive] * v[t][s])
-        gains[t + 1, alive] += gamma**t * paid
-        gains[t, alive] += gamma**t * v[t][s]
-        begun[:, t + 1] = running
-        ended = np.where(alive, lengths == t + 1, True)
-        gone = ended & over
-        cut = ended & ~over  # a truncated episode goes on as the model
-        stop = np.where(alive, t + 1, lengths)
-        state = log.next_state[starts[:-1] + stop - 1]
-        at = np.minimum(stop, steps)
-        rest = v[at, state] * gamma**stop
-        if horizon is not None:
-            rest = np.where(stop >= horizon, 0.0, rest)
-        own = np.where(cut, shares[np.minimum(stop, steps), np.arange(n)], shares[t + 1])
-        closing[:, t + 1] = np.where(gone, 0.0, own * rest)
-    gains[at, np.arange(n)] += np.where(gone, 0.0, rest)  # at the last step every episode is gone or cut
-    partial = begun + closing
-    values = partial[:, -1] * n
-    total = float(partial[:, -1].sum())
-    error = mean_and_error(values)[1]
-    if error is not None:
-        error = float(np.sqrt(n / (n - 1.0) * np.sum((partial[:, -1] - total / n) ** 2)))
-    return EpisodeTerms(values, total, error, products[final], partial, weights, gains)
+    def estimate(self, zeta: TransitionRatio, value: float, error: float | None, **more: object) -> Estimate:
+        """An estimate from the log's episodes with a model zeta * P; ``more`` joins the diagnostics."""
+        last, n = self.weights[-1], len(self.partial)
+        effective = effective_sample_size(last)
+        return Estimate(
+            value,
+            error,
+            diagnostics={
+                "standard_error_of": "log",
+                "n_episodes": n,
+                "effective_sample_size": effective,
+                "largest_weight": float(last.max()),
+                **more,
+                "gap": zeta.gap,
+            },
+            status=weight_status(value),
+            findings=(
+                *findings.no_variation(error),
+                *findings.weights(effective, n, "episodes"),
+                *findings.gap(zeta.gap),
+            ),
+            is_from_episodes=True,
+        )
 
 
 def model_values(model: Model, policy: Array, horizon: int | None, steps: int) -> tuple[Array, Array]:
     """V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
-    if horizon is None:
-        v, q = state_values(model, policy), action_values(model, policy)
-        return np.tile(v, (steps + 1, 1)), np.broadcast_to(q, (steps, *q.shape))
-    values = np.zeros((horizon + 1, model.n_states))
-    pairs = np.zeros((horizon, model.n_states, model.n_actions))
-    for t in range(horizon - 1, -1, -1):
-        pairs[t] = model.rewards + model.discount * (model.transitions @ values[t + 1]).reshape(model.rewards.shape)
-        values[t] = (policy * pairs[t]).sum(axis=1)
-    return values[: steps + 1], pairs[:steps]
+    v = state_values(model, policy)[None] if horizon is None else values_to_go(model, policy, horizon)[: steps + 1]
+    ahead = (model.transitions @ (v if horizon is None else v[1:]).T).T
+    q = model.rewards + model.discount * ahead.reshape(-1, *model.rewards.shape)
+    return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(q, (steps, *q.shape[1:]))
 
 
-def episode_limit(people: Population, model: Model) -> float:
+def episode_limit(population: Population, model: Model) -> float:
     """E[V(s_0) + sum rho ...], by the recursion of its mean; J_target where the behaviour policy has support."""
-    if people.behavior is None:
-        return people.value(people.target)
-    steps = rollout_horizon(people.target.discount, people.horizon)
-    v, q = model_values(model, people.policy, people.horizon, steps)
-    walk = walk_of(people.target, people.behavior, policy=people.policy)
+    if population.behavior is None:
+        return population.value(population.target)
+    target = population.target
+    steps = rollout_horizon(target.discount, population.horizon)
+    v, q = model_values(model, population.policy, population.horizon, steps)
+    walk = walk_of(target, population.behavior, policy=population.policy)
     reached = walk.weights_by_state(steps, power=1)[:-1, 0]
-    gains = v[:-1] + walk.sum_actions(walk.act * walk.u * (people.target.rewards - q).reshape(steps, -1))
-    return float(people.target.discount ** np.arange(steps, dtype=np.float64) @ (reached * gains).sum(axis=1))
+    gains = v[:-1] + walk.sum_actions(walk.act * walk.u * (target.rewards - q).reshape(steps, -1))
+    return float(target.discount ** np.arange(steps, dtype=np.float64) @ (reached * gains).sum(axis=1))

@@ -56,7 +56,7 @@ WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
 )
 
 
-def varied(error: float | None) -> tuple[Finding, ...]:
+def no_variation(error: float | None) -> tuple[Finding, ...]:
     """Whether the data vary: what does not has no standard error."""
     return (NEVER_VARIED,) if error is None else ()
 
@@ -88,7 +88,7 @@ def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied:
 def single_moves(share: float, error: float | None) -> tuple[Finding, ...]:
     """``share`` of the policy's discounted time is where the log has one move, whose variance nobody knows."""
     if share <= 0.02:
-        return varied(error)
+        return no_variation(error)
     alone = (
         "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is not "
         "known: there is no interval."
@@ -113,7 +113,7 @@ def weights(effective: float, samples: int, noun: str) -> tuple[Finding, ...]:
     return (Finding("weights", -effective, text, f"{effective:.1f}"),)
 
 
-def truncated(number: int, episodes: int, bound: float, value: float, error: float | None) -> tuple[Finding, ...]:
+def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> tuple[Finding, ...]:
     """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
@@ -131,7 +131,7 @@ def foreign_starts(share: float) -> tuple[Finding, ...]:
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
 
-def moved(share: float) -> tuple[Finding, ...]:
+def conflict_with_centre(share: float) -> tuple[Finding, ...]:
     """The log speaks against the centre: by how much the value gives way."""
     text = (
         "the log speaks against every kind of change that was tried along this policy, so the value is moved by {} "
@@ -149,7 +149,7 @@ def outside(value: str, severity: float, by: str) -> Finding:
     return Finding("outside", severity, text)
 
 
-def uncovered(share: float, largest: float, nats: float) -> tuple[Finding, ...]:
+def missing_support(share: float, largest: float, nats: float) -> tuple[Finding, ...]:
     """Moves of the log that only the defensive share of a continuous simulator makes possible."""
     text = (
         "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "

@@ -9,11 +9,11 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.base import ROUNDING, Estimate, ExactLimit, without_divergence
+from oee_tabular.estimators.base import ROUNDING, Estimate, ExactLimit, catch_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
-from oee_tabular.estimators.episodes import episode_estimate, episode_terms
+from oee_tabular.estimators.episodes import EpisodeTerms
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, of_ratio
-from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
 from oee_tabular.ratio.method import Population
@@ -59,28 +59,28 @@ class Magic(ExactLimit):
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for the bootstrap and for ratios that sample the simulator."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
-        found = episode_terms(problem, pi, reweight(problem.model, zeta), self_normalized=True)
-        n, columns = found.partial.shape
-        if np.isnan(found.total) or n < 2:
-            value = found.total if n > 1 else float("nan")
-            return Estimate(value, status=weight_status(value) if n > 1 else "the blend needs at least 2 episodes")
-        chosen = np.unique(np.round(np.linspace(0, columns - 1, min(self.n_lengths, columns))).astype(int))
-        parts = found.partial[:, chosen]
+        terms = EpisodeTerms.of(problem, pi, reweight(problem.model, zeta), self_normalized=True)
+        n, columns = terms.partial.shape
+        if n < 2:
+            return Estimate(float("nan"), status="the blend needs at least 2 episodes")
+        if np.isnan(terms.total):
+            return Estimate(terms.total, status=weight_status(terms.total))
+        lengths = np.unique(np.round(np.linspace(0, columns - 1, min(self.n_lengths, columns))).astype(int))
+        parts = terms.partial[:, lengths]
         totals = parts.sum(axis=0)
         covariance = n / (n - 1.0) * (parts - totals / n).T @ (parts - totals / n)
         draws = generator.integers(0, n, size=(self.n_bootstrap, n))
-        low, high = np.nanquantile(found.resampled(draws), [0.25, 0.75])
+        low, high = np.nanquantile(terms.resample(draws), [0.25, 0.75])
         bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
         weights = simplex_minimum(covariance + np.outer(bias, bias))
         error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
-        return episode_estimate(
-            found,
+        return terms.estimate(
             zeta,
             float(weights @ totals),
             error if error > ROUNDING * float(np.abs(n * parts).max()) else None,
@@ -93,9 +93,9 @@ class Magic(ExactLimit):
         """Words of ``testing.CLAIMS``."""
         return of_ratio(self.ratio) - {"after_end"} | {"consistent", "random"}
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""
-        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(people)
+        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(population)
 
 
 def simplex_minimum(matrix: Array) -> Array:

@@ -13,10 +13,10 @@ from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, expected_rewards, without_divergence
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, catch_divergence, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
-from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
@@ -85,10 +85,10 @@ class Marginalized(ExactLimit):
             raise ValueError("ratio must be left out with features, which need no zeta")
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         total = problem.counts.sum()
         share = row_sums(problem.counts) / total
         beta, gap = self._fit_beta(problem.simulator, pi, problem.horizon, share)
@@ -121,18 +121,18 @@ class Marginalized(ExactLimit):
         boxed = self.lower is not None or self.upper is not None
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P, or of the class."""
-        simulator, policy, horizon = people.simulator, people.policy, people.horizon
-        share = people.distribution.reshape(-1)
+        simulator, policy, horizon = population.simulator, population.policy, population.horizon
+        share = population.distribution.reshape(-1)
         beta, _ = self._fit_beta(simulator, policy, horizon, share)
         if self.features is None:
-            model = OffEnvironment(ratio=self.ratio).limit_model(people)
+            model = OffEnvironment(ratio=self.ratio).limit_model(population)
             shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
-            transitions = sparse.csr_array(sparse.diags_array(share) @ people.target.transitions)
+            transitions = sparse.csr_array(sparse.diags_array(share) @ population.target.transitions)
             shift = self._solve_class(simulator, policy, horizon, transitions, beta)
-        pay = expected_rewards(simulator, people.target.transitions)
+        pay = expected_rewards(simulator, population.target.transitions)
         return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * pay))
 
     def _fit_beta(self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array) -> tuple[Array, float]:
@@ -252,7 +252,7 @@ class DualDice(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         if problem.horizon is not None:
             raise ValueError(
                 f"horizon must be None for DualDICE, whose occupancies are of the infinite sum; it is {problem.horizon}"
@@ -273,9 +273,9 @@ class DualDice(ExactLimit):
         """Words of ``testing.CLAIMS``."""
         return OF_COUNTS | {"consistent", "shift", "infinite"}
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J of the target's rows where the data are, the simulator's elsewhere."""
-        return people.value(people.model(people.simulator.transitions))
+        return population.value(population.model(population.simulator.transitions))
 
 
 def _dual_dice(model: FiniteMDP, simulator: FiniteMDP, policy: Array) -> tuple[float, Array, Array, float]:

@@ -18,11 +18,11 @@ from oee_tabular.estimators.base import (
     ROUNDING,
     Estimate,
     ExactLimit,
+    catch_divergence,
     expected_rewards,
-    without_divergence,
 )
 from oee_tabular.estimators.off_environment import coverage
-from oee_tabular.estimators.problem import Problem, checked_policy
+from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.linear import exponent
 from oee_tabular.exact.occupancy import time_in_pairs
@@ -64,10 +64,10 @@ class ModelBased(ExactLimit):
         _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         totals = row_sums(problem.counts)
         model = self.model(problem)
         found = evaluate_policy(model, pi, horizon=problem.horizon)

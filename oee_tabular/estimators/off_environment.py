@@ -14,9 +14,9 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, identified
-from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate, rollout_horizon
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, error_or_none
+from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.estimators.rollouts import check_rollout_options, product_claims, product_estimate, rollout_horizon
 from oee_tabular.exact import (
     Model,
     ReweightedModel,
@@ -107,7 +107,7 @@ class OffEnvironment(ExactLimit):
     @one_thread
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = self.fit(problem, pi, generator)
         if self.evaluation == "monte_carlo":
@@ -150,7 +150,7 @@ class OffEnvironment(ExactLimit):
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
         known = of_ratio(self.ratio)
-        return known if self.evaluation == "exact" else of_products(known, self_normalized=self.self_normalized)
+        return known if self.evaluation == "exact" else product_claims(known, self_normalized=self.self_normalized)
 
     @property
     def _method(self) -> Method:
@@ -261,7 +261,7 @@ def _moved(
             f"the log speaks against the centre along this policy (by {apart:.1f} standard errors): "
             f"the value is moved from it by {share:.0%}"
         )
-    told = identified(error, gradient, problem.model.transitions.indptr)
+    told = error_or_none(error, gradient, problem.model.transitions.indptr)
     interval = (value - NORMAL * error, value + NORMAL * error) if told is not None and np.isfinite(error) else None
     return replace(
         exact,
@@ -269,7 +269,7 @@ def _moved(
         standard_error=told,
         interval=interval,
         diagnostics=diagnostics,
-        findings=(*findings.varied(told), *findings.moved(share), *exact.findings),
+        findings=(*findings.no_variation(told), *findings.conflict_with_centre(share), *exact.findings),
         one_step_value=exact.value + step.change,
         is_normal=True,
     )

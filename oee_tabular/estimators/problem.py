@@ -259,7 +259,7 @@ class Made(dict[Any, Any]):
         return Made, ()
 
 
-def checked_policy(problem: object, policy: PolicyLike) -> Array:
+def require_policy(problem: object, policy: PolicyLike) -> Array:
     """A policy of ``problem``, (S, A); a ValueError for what is no Problem or no policy of it."""
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 

@@ -1,13 +1,13 @@
-"""The paper's product of ratios on rollouts of the simulator (its equation for J in terms of zeta), by Monte Carlo.
+"""Products of ratios on rollouts of the simulator (the paper's J in terms of zeta), and weighted sums over episodes.
 
 W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward r(s, a, s') W_{t+1}. Per decision:
 sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole return. An episode that is over keeps its last weight.
 Exact values and variances exist by dynamic programming; this shows what sampling costs.
+
+Episodes of any lengths stand in flat arrays, one after the other: episode i in rows starts[i] to starts[i + 1].
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,21 +20,14 @@ from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.simulate.sampler import Drawn, draw, entry_rewards
 
-WEIGHTINGS = ("per_decision", "trajectory")
+NEGLIGIBLE_DISCOUNT = 1e-12  # discount^t below which an infinite sum is cut
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
-@dataclass(frozen=True)
-class Weighted:
-    """Ragged episodes as flat rows, step by step: discounted reward, weight of each reward, where episodes start.
-
-    ``kept`` is the weight that each episode has at steps after its last row (it is over, and pays nothing).
-    """
-
-    reward: Array
-    weight: Array
-    starts: IntArray
-    kept: Array
+def check_rollout_options(weighting: str, n_rollouts: int) -> None:
+    """Options that OffEnvironment and Oracle share."""
+    _checks.one_of(weighting, "weighting", ("per_decision", "trajectory"))
+    _checks.positive_integer(n_rollouts, "n_rollouts")
 
 
 def rollout_horizon(discount: float, horizon: int | None) -> int:
@@ -43,7 +36,7 @@ def rollout_horizon(discount: float, horizon: int | None) -> int:
         return horizon
     if discount == 1.0:
         raise ValueError("horizon must be given for rollouts at discount 1")
-    return 1 if discount == 0.0 else int(np.ceil(np.log(1e-12) / np.log(discount))) + 1
+    return 1 if discount == 0.0 else int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
 
 
 def product_estimate(
@@ -59,16 +52,16 @@ def product_estimate(
 ) -> Estimate:
     """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
     ratio.on(model)  # or an error
-    steps = rollout_horizon(model.discount, horizon)
+    n_steps = horizon_length(rollout_horizon(model.discount, horizon), model)
     per_decision = weighting == "per_decision"
     drawn = draw(
-        model, policy, n_rollouts, horizon_length(steps, model), seed=seed, zeta=ratio,
+        model, policy, n_rollouts, n_steps, seed=seed, zeta=ratio,
         record=self_normalized and per_decision, name="n_rollouts",
     )  # fmt: skip
     if self_normalized and per_decision:
-        value, error = _by_step(_weighted(model, drawn), keep_last=True)
+        value, error = normalize_by_step(*_rewards_and_weights(model, drawn), drawn.starts, drawn.weights)
     elif self_normalized:
-        value, error = _by_episode(drawn.whole, drawn.weights)
+        value, error = normalize_by_episode(drawn.whole, drawn.weights)
     else:
         value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
     effective = effective_sample_size(drawn.weights)
@@ -85,14 +78,14 @@ def product_estimate(
             "row_sum_error": ratio.row_sum_error,
         },
         findings=(
-            *findings.varied(error),
+            *findings.no_variation(error),
             *findings.row_sums(ratio.row_sum_error),
             *findings.weights(effective, n_rollouts, "rollouts"),
         ),
     )
 
 
-def of_products(known: frozenset[str], *, self_normalized: bool) -> frozenset[str]:
+def product_claims(known: frozenset[str], *, self_normalized: bool) -> frozenset[str]:
     """What products of ratios claim: they move with the rewards where they are divided by the sum of their weights."""
     return known | {"random", "shift"} if self_normalized else (known - {"shift"}) | {"random"}
 
@@ -104,15 +97,9 @@ def weight_status(value: float) -> str:
     return "ok"
 
 
-def _weighted(mdp: FiniteMDP, drawn: Drawn) -> Weighted:
-    """The same episodes, step by step."""
-    from oee_tabular.estimators import _episodes as episodes
-
-    starts, path = drawn.starts, drawn.path
-    weight, reward = np.empty((2, len(path)))
-    by_move, powers = mdp.reward_data is not None, mdp.discount ** np.arange(drawn.lengths.max(), dtype=np.float64)
-    episodes.carried(starts, path, drawn.ratio, entry_rewards(mdp), powers, by_move, weight, reward)
-    return Weighted(reward, weight, starts, drawn.weights)
+def step_numbers(starts: IntArray) -> IntArray:
+    """The step of each row in its episode."""
+    return np.arange(starts[-1]) - np.repeat(starts[:-1], np.diff(starts))
 
 
 def segment_products(values: Array, starts: IntArray) -> Array:
@@ -125,23 +112,8 @@ def segment_products(values: Array, starts: IntArray) -> Array:
     return result
 
 
-def combine(
-    weighted: Weighted, *, self_normalized: bool, keep_last: bool, per_decision: bool
-) -> tuple[float, float | None]:
-    """The estimate and its standard error.
-
-    Plain: the mean over episodes of sum_t w_t r_t. Self-normalised: sum_i w_i r_i / sum_i w_i, step by step per decision
-    (an ended episode has its kept weight if ``keep_last``, else weight 0), once trajectory-wise; its error is that of the
-    linearised ratio. nan where the weights to divide by are all 0, or infinite.
-    """
-    if self_normalized and per_decision:
-        return _by_step(weighted, keep_last=keep_last)
-    totals = np.add.reduceat(weighted.weight * weighted.reward, weighted.starts[:-1])
-    return _by_episode(totals, weighted.kept) if self_normalized else mean_and_error(totals)
-
-
-def _by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
-    """sum_i X_i / sum_i W_i, with the error of that ratio."""
+def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
+    """sum_i X_i / sum_i W_i, with the error of that ratio, linearised; nan where the weights are all 0, or infinite."""
     mass = float(weights.sum())
     if not 0.0 < mass < np.inf:
         return float("nan"), None
@@ -149,29 +121,38 @@ def _by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
     return value, mean_and_error((totals - value * weights) * (len(totals) / mass), abs(value))[1]
 
 
-def _by_step(weighted: Weighted, *, keep_last: bool) -> tuple[float, float | None]:
-    """sum_t sum_i w_it r_it / sum_i w_it, with the error of those ratios."""
-    from oee_tabular.estimators import _episodes as episodes
+def normalize_by_step(
+    reward: Array, weight: Array, starts: IntArray, last: Array, *, keep_last: bool = True
+) -> tuple[float, float | None]:
+    """sum_t sum_i w_it r_it / sum_i w_it, with the error of those ratios, linearised.
 
-    rows, lengths = (weighted.starts, weighted.weight, weighted.reward), np.diff(weighted.starts)
+    ``reward`` is discounted. An episode that has ended counts in the sums of weights with its ``last`` weight, or with 0
+    unless ``keep_last``. nan where the weights of a step are all 0, or infinite.
+    """
+    step, lengths = step_numbers(starts), np.diff(starts)
     n, horizon = len(lengths), int(lengths.max())
-    mass, paid, influence = np.zeros(horizon), np.zeros(horizon), np.empty(n)
-    episodes.step_sums(*rows, mass, paid)
+    with np.errstate(over="ignore", invalid="ignore"):
+        mass, paid = np.bincount(step, weight), np.bincount(step, weight * reward)
     if keep_last:
-        mass += np.cumsum(np.bincount(lengths, weights=weighted.kept, minlength=horizon + 1)[:horizon])
+        mass += np.cumsum(np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon])
     if not np.all((mass > 0.0) & (mass < np.inf)):
         return float("nan"), None
     value, scale = paid / mass, n / mass
-    # linearised: sum_t (w_it r_it - value_t w_it) n / mass_t, an ended episode counting with its kept weight
-    episodes.linearised(*rows, value, scale, influence)
+    # each episode's sum_t (w_it r_it - value_t w_it) n / mass_t
+    influence = np.add.reduceat((reward - value[step]) * weight * scale[step], starts[:-1])
     if keep_last:
         tail = np.concatenate([np.cumsum((value * scale)[::-1])[::-1], [0.0]])
-        influence -= weighted.kept * tail[lengths]
-    total = float(value.sum())
-    return total, mean_and_error(influence, float(np.abs(value).sum()))[1]
+        influence -= last * tail[lengths]
+    return float(value.sum()), mean_and_error(influence, float(np.abs(value).sum()))[1]
 
 
-def check_rollout_options(weighting: str, n_rollouts: int) -> None:
-    """Options that OffEnvironment and Oracle share."""
-    _checks.one_of(weighting, "weighting", WEIGHTINGS)
-    _checks.positive_integer(n_rollouts, "n_rollouts")
+def _rewards_and_weights(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
+    """gamma^t r_t of each step, and the weight that it carries: W_t, or W_{t+1} where rewards are r(s, a, s')."""
+    path, starts = drawn.path, drawn.starts
+    reward = mdp.discount ** step_numbers(starts).astype(np.float64) * entry_rewards(mdp)[path]
+    with np.errstate(over="ignore", invalid="ignore"):
+        weight = segment_products(drawn.ratio[path], starts)
+    if mdp.reward_data is None:
+        weight = np.concatenate([[1.0], weight[:-1]])
+        weight[starts[:-1]] = 1.0
+    return reward, weight

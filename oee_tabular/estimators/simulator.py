@@ -9,10 +9,10 @@ from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, ExactLimit, without_divergence
+from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, ExactLimit, catch_divergence
 from oee_tabular.estimators.off_environment import OffEnvironment
-from oee_tabular.estimators.problem import Problem, checked_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, of_products, product_estimate
+from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.estimators.rollouts import check_rollout_options, product_claims, product_estimate
 from oee_tabular.estimators.sampling import compute_sampling_error, short_samples
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.mdp import FiniteMDP
@@ -40,10 +40,10 @@ class Simulator(ExactLimit):
     """
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact; ``seed`` is not used."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
         facts: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
         told = findings.linear_algebra(found.error_bound, found.value)
@@ -117,10 +117,10 @@ class Oracle(ExactLimit):
         _checks.boolean(self.self_normalized, "self_normalized")
 
     @one_thread
-    @without_divergence
+    @catch_divergence
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """``seed`` is for "monte_carlo"."""
-        pi = checked_policy(problem, policy)
+        pi = require_policy(problem, policy)
         ratio = true_ratio(self.target, problem.simulator)
         if self.evaluation == "monte_carlo":
             return product_estimate(
@@ -149,7 +149,7 @@ class Oracle(ExactLimit):
         """Words of ``testing.CLAIMS``."""
         if self.evaluation == "exact":
             return OF_COUNTS | {"consistent", "unbiased", "shift"}
-        known = of_products(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
+        known = product_claims(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
         return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, people: Population) -> float:

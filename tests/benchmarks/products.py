@@ -11,7 +11,7 @@ from common import interleaved, rows_of
 import oee_tabular as oee
 from oee_tabular._sparse import find
 from oee_tabular.estimators import DoublyRobust, OffEnvironment
-from oee_tabular.estimators.rollouts import Weighted, combine, segment_products
+from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 
 N = 10_000
 
@@ -30,8 +30,9 @@ def former(model, ratio, policy, horizon, *, self_normalized=False):
         weight[inner] = after[np.flatnonzero(inner) - 1]
         kept = np.where(np.diff(starts) < horizon, kept, weight[starts[1:] - 1])
     reward = model.discount ** log.timestep.astype(np.float64) * log.reward
-    weighted = Weighted(reward, weight, starts, kept)
-    return combine(weighted, self_normalized=self_normalized, keep_last=True, per_decision=True)[0]
+    if self_normalized:
+        return normalize_by_step(reward, weight, starts, kept)[0]
+    return np.add.reduceat(weight * reward, starts[:-1]).mean()
 
 
 def case(horizon):

@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from estimators.four_states import BEHAVIOR, POLICY, plain_episodes, recorded_problem, reweighted_zeta
+from estimators.four_states import BEHAVIOR, POLICY, environments, plain_episodes, recorded_problem, reweighted_zeta
 from helpers import dense
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions, exact
-from oee_tabular.estimators import DoublyRobust, Magic
-from oee_tabular.estimators.episodes import episode_terms, model_values
-from oee_tabular.estimators.magic import simplex_minimum
-from oee_tabular.estimators.rollouts import rollout_horizon
+from oee_tabular import Problem, Transitions, exact
+from oee_tabular.estimators import DoublyRobust, Magic, ModelBased
 
 
 @pytest.mark.parametrize("form", [2, 3])
@@ -58,7 +55,7 @@ def test_doubly_robust_on_rollouts_move_by_move(form, horizon):
     problem, target = recorded_problem(form, horizon=horizon)
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.1)
-    steps = horizon or rollout_horizon(0.9, None)
+    steps = horizon or int(np.ceil(np.log(1e-12) / np.log(0.9))) + 1
     log = oee.sample_returns(simulator, POLICY, 25, steps, seed=np.random.default_rng(7), record=True).log
     table = zeta.values.toarray().reshape(4, 2, 4)
     transitions, rewards = dense(simulator)
@@ -81,77 +78,67 @@ def test_doubly_robust_on_rollouts_move_by_move(form, horizon):
     assert estimate.diagnostics == {"standard_error_of": "rollouts", "n_rollouts": 25, "gap": 0.0}
 
 
-@pytest.mark.parametrize("horizon", [None, 4])
-@pytest.mark.parametrize("self_normalized", [False, True])
-def test_doubly_robust_on_episodes_step_by_step(horizon, self_normalized):
-    """V(s_0) + sum_t gamma^t [share_t+1 (r_t - Q) + share_t V ...] with the model's rest, and all its partial sums."""
-    problem, target = recorded_problem(3, horizon=horizon, n=15, length=5)
-    model = exact.reweight(problem.simulator, reweighted_zeta(problem.simulator, target, 1.0))
-    episodes = plain_episodes(problem.log)
+def test_where_zeta_is_fitted_the_error_counts_the_visits_too():
+    """zeta * P are the log's frequencies: the value is maximum likelihood's, and so is its error."""
+    for discount in (0.9, 1.0):
+        simulator, target = environments(3, discount)
+        log = oee.sample_episodes(target, BEHAVIOR, 200, 30, seed=2)
+        problem = Problem(simulator, log)
+        fitted = oee.ratio.Conditional(prior="none")
+        likelihood = ModelBased()(problem, POLICY)
+        found = DoublyRobust(ratio=fitted)(problem, POLICY)
+        assert_allclose([found.value, found.standard_error], [likelihood.value, likelihood.standard_error], rtol=1e-8)
+        known = DoublyRobust(ratio=oee.transition_ratio(log, simulator, prior="none"))(problem, POLICY)
+        assert_allclose(known.value, found.value, rtol=1e-12)
+        assert abs(known.standard_error / found.standard_error - 1) > 0.01  # a zeta that is given is not the log's
+
+
+def episode_parts(problem, model, *, used, self_normalized=True):
+    """(n,) what each episode adds where the log is used for ``used`` steps, and the model's value after them."""
+    episodes, horizon = plain_episodes(problem.log), problem.horizon
     n, steps = len(episodes), min(max(len(moves) for moves, _ in episodes), horizon or 99)
-    v, q = model_values(model, POLICY, horizon, steps)
-    for t in range(steps):
+
+    def values(function, t):
         left = horizon and horizon - t
-        assert_allclose(v[t], oee.state_values(model, POLICY, horizon=left), rtol=1e-10)
-        assert_allclose(q[t], oee.action_values(model, POLICY, horizon=left), rtol=1e-10)
-    assert_array_equal(v[steps], np.zeros(4)) if horizon == steps else None
+        return np.zeros(4) if left == 0 else function(model, POLICY, horizon=left)
+
+    v = [values(oee.state_values, t) for t in range(steps + 1)]
+    q = [values(oee.action_values, t) for t in range(steps)]
     products = np.ones((n, steps + 1))
     for k, (moves, _) in enumerate(episodes):
         for t in range(steps):
-            inside = t < len(moves)
-            products[k, t + 1] = products[k, t] * (POLICY[moves[t][:2]] / BEHAVIOR[moves[t][:2]] if inside else 1.0)
+            ratio = POLICY[moves[t][:2]] / BEHAVIOR[moves[t][:2]] if t < len(moves) else 1.0
+            products[k, t + 1] = products[k, t] * ratio
     shares = products / products.sum(axis=0) if self_normalized else products / n
-    partial = np.zeros((n, steps + 1))
+    parts = np.zeros(n)
     for k, (moves, over) in enumerate(episodes):
-        for j in range(steps + 1):
-            used = min(j, len(moves))
-            total = sum(
-                0.9**t * (shares[k, t + 1] * (r - q[t][s, a]) + shares[k, t] * v[t][s])
-                for t, (s, a, _, r) in enumerate(moves[:used])
-            )
-            state = moves[0][0] if used == 0 else moves[used - 1][2]
-            gone = used == len(moves) and over
-            if not gone and (horizon is None or used < horizon):
-                total += 0.9**used * shares[k, used] * v[used][state]
-            partial[k, j] = total
-    found = episode_terms(problem, POLICY, model, self_normalized=self_normalized)
-    assert_allclose(found.partial, partial, rtol=1e-9, atol=1e-12)
-    assert_allclose(found.total, partial[:, -1].sum(), rtol=1e-9)
-    assert_allclose(found.values, n * partial[:, -1], rtol=1e-9, atol=1e-12)
-    ends = np.array([products[k, min(steps, len(moves))] for k, (moves, _) in enumerate(episodes)])
-    assert_allclose(found.last, ends, rtol=1e-12)
-    mean = partial[:, -1].sum() / n
-    error = np.sqrt(n / (n - 1) * ((partial[:, -1] - mean) ** 2).sum())
-    assert_allclose(found.error, error, rtol=1e-9)
+        j = min(used, steps, len(moves))
+        parts[k] = sum(
+            0.9**t * (shares[k, t + 1] * (r - q[t][s, a]) + shares[k, t] * v[t][s])
+            for t, (s, a, _, r) in enumerate(moves[:j])
+        )
+        if not (j == len(moves) and over):
+            parts[k] += 0.9**j * shares[k, j] * v[j][moves[0][0] if j == 0 else moves[j - 1][2]]
+    return parts
+
+
+@pytest.mark.parametrize("horizon", [None, 4])
+@pytest.mark.parametrize("self_normalized", [False, True])
+def test_doubly_robust_on_episodes_step_by_step(horizon, self_normalized):
+    """V(s_0) + sum_t gamma^t [share_t+1 (r_t - Q) + share_t V ...] with the model's rest, and its error."""
+    problem, target = recorded_problem(3, horizon=horizon, n=15, length=5)
     zeta = reweighted_zeta(problem.simulator, target, 1.0)
-    estimate = DoublyRobust(data="episodes", ratio=zeta, self_normalized=self_normalized)(problem, POLICY)
-    assert_allclose((estimate.value, estimate.standard_error), (found.total, error), rtol=1e-9)
-    assert_allclose(estimate.diagnostics["effective_sample_size"], ends.sum() ** 2 / (ends**2).sum())
-    assert_allclose(estimate.diagnostics["largest_weight"], ends.max())
+    parts = episode_parts(problem, target, used=99, self_normalized=self_normalized)
+    found = DoublyRobust(data="episodes", ratio=zeta, self_normalized=self_normalized)(problem, POLICY)
+    assert_allclose(found.value, parts.sum(), rtol=1e-9)
+    assert_allclose(found.standard_error, np.sqrt(15) * parts.std(ddof=1), rtol=1e-9)
+    ends = [np.prod([POLICY[m[:2]] / BEHAVIOR[m[:2]] for m in moves[: horizon or 99]])
+            for moves, _ in plain_episodes(problem.log)]  # fmt: skip
+    assert_allclose(found.diagnostics["effective_sample_size"], np.sum(ends) ** 2 / np.sum(np.square(ends)))
+    assert_allclose(found.diagnostics["largest_weight"], np.max(ends))
 
 
-def test_magic_weighs_the_distance_of_a_wrong_model():
-    """The simulator for a model, far from the log: its bias is its distance from the bootstrap's central half."""
-    rows = np.array([[[0.9, 0.1]], [[0.1, 0.9]]])
-    simulator = FiniteMDP(rows, np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), [1, 0], 0.9)
-    target = simulator.with_transitions(np.array([[[0.55, 0.45]], [[0.3, 0.7]]]))
-    log = oee.sample_episodes(target, np.ones((2, 1)), 12, 4, seed=2)
-    problem, zeta = Problem(simulator, log, horizon=4), oee.true_ratio(simulator, simulator)
-    parts = episode_terms(problem, np.ones((2, 1)), simulator, self_normalized=True).partial[:, [0, -1]]
-    totals, n = parts.sum(axis=0), 12
-    draws = np.random.default_rng(5).integers(0, n, size=(30, n))
-    low, high = np.quantile(parts[:, 1][draws].sum(axis=1), [0.25, 0.75])
-    bias = np.array([max(low - totals[0], totals[0] - high, 0.0), max(low - totals[1], totals[1] - high, 0.0)])
-    assert bias[0] > 0.1
-    matrix = n / (n - 1) * (parts - totals / n).T @ (parts - totals / n) + np.outer(bias, bias)
-    share = np.linalg.solve(matrix, np.ones(2))
-    share = np.clip(share / share.sum(), 0, 1)
-    found = Magic(ratio=zeta, n_lengths=2, n_bootstrap=30)(problem, np.ones((2, 1)), seed=5)
-    assert 0.0 < share[0] < 1.0
-    assert_allclose(found.value, share @ totals, rtol=1e-6)
-
-
-def resampled(problem, draws, zeta):
+def resample(problem, draws, zeta):
     """Weighted doubly robust of logs in which the drawn episodes stand, each as often as it was drawn."""
     log, found = problem.log, []
     starts, columns = log.episode_starts, log.columns()
@@ -164,38 +151,37 @@ def resampled(problem, draws, zeta):
     return np.array(found)
 
 
-def test_magic_normalises_the_weights_of_each_resample():
-    """Thomas and Brunskill's bootstrap: g_T of the resample itself, not sums of the log's own shares."""
-    problem, target = recorded_problem(3, horizon=4, n=15)
-    zeta = reweighted_zeta(problem.simulator, target, 1.0)
-    terms = episode_terms(problem, POLICY, exact.reweight(problem.simulator, zeta), self_normalized=True)
-    draws = np.random.default_rng(3).integers(0, 15, size=(20, 15))
-    expected = resampled(problem, draws, zeta)
-    assert_allclose(terms.resampled(draws), expected, rtol=1e-10)
-    assert_allclose(terms.resampled(np.arange(15)[None]), terms.total, rtol=1e-12)
-    assert np.abs(terms.partial[:, -1][draws].sum(axis=1) - expected).max() > 0.01  # the two differ
+@pytest.mark.parametrize("is_wrong", [False, True], ids=["the target", "far from the log"])
+def test_magic_between_the_model_and_the_log(is_wrong):
+    """Thomas and Brunskill, two lengths: variance plus squared distance from the central half of the bootstrap of g_T.
 
-
-def test_magic_between_the_model_and_the_log():
-    """Two lengths: the weights minimise variance plus squared distance from the central half, checked on a grid."""
+    The weights are normalised on each resample, and the least is looked for on a grid.
+    """
     problem, target = recorded_problem(3, horizon=4, n=15)
-    zeta = reweighted_zeta(problem.simulator, target, 1.0)
+    rows = dense(target)[0]
+    rows[:3] = 0.1 * rows[:3] + 0.9 * np.eye(4)[oee.state_values(target, POLICY).argmax()]
+    model = target.with_transitions(rows) if is_wrong else target
+    zeta = oee.true_ratio(model, problem.simulator)
     found = Magic(ratio=zeta, n_lengths=2, n_bootstrap=50)(problem, POLICY, seed=3)
-    parts = episode_terms(problem, POLICY, exact.reweight(problem.simulator, zeta), self_normalized=True).partial[
-        :, [0, -1]
-    ]
+    parts = np.stack([episode_parts(problem, model, used=used) for used in (0, 99)], axis=1)
     totals, n = parts.sum(axis=0), 15
     covariance = n / (n - 1) * (parts - totals / n).T @ (parts - totals / n)
     draws = np.random.default_rng(3).integers(0, n, size=(50, n))
-    low, high = np.quantile(resampled(problem, draws, zeta), [0.25, 0.75])
+    low, high = np.quantile(resample(problem, draws, zeta), [0.25, 0.75])
     bias = np.maximum(np.maximum(totals - high, low - totals), 0)
     matrix = covariance + np.outer(bias, bias)
     x = np.linspace(0, 1, 20_001)
     costs = matrix[0, 0] * x**2 + 2 * matrix[0, 1] * x * (1 - x) + matrix[1, 1] * (1 - x) ** 2
     best = np.array([x[costs.argmin()], 1 - x[costs.argmin()]])
+    assert (bias[0] > 0) == is_wrong
     assert_allclose([found.diagnostics["share_of_model"], found.diagnostics["share_of_log"]], best, atol=1e-4)
     assert_allclose(found.value, best @ totals, atol=1e-3)
     assert_allclose(found.standard_error, np.sqrt(best @ covariance @ best), rtol=1e-2)
+
+
+def test_magic_of_one_length_or_one_episode():
+    problem, target = recorded_problem(3, horizon=4, n=15)
+    zeta = reweighted_zeta(problem.simulator, target, 1.0)
     alone = Magic(ratio=zeta, n_lengths=1)(problem, POLICY, seed=3)
     starts = problem.log.episode_starts
     begun = oee.state_values(target, POLICY, horizon=4)[problem.log.state[starts[:-1]]]
@@ -204,5 +190,3 @@ def test_magic_between_the_model_and_the_log():
     single = Magic(ratio=zeta)(Problem(problem.simulator, first, horizon=4), POLICY)
     assert np.isnan(single.value)
     assert single.status == "the blend needs at least 2 episodes"
-    assert_allclose(simplex_minimum(np.diag([1.0, 3.0])), [0.75, 0.25])
-    assert_allclose(simplex_minimum(np.zeros((2, 2))).sum(), 1.0)

@@ -25,21 +25,22 @@ SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, 
     "unseen": (findings.unseen_time, 0.02, 0.03, "3% of the policy's discounted time is spent in state-action pairs that"),
     "row sums": (findings.row_sums, 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
     "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does; importance"),
-    "against": (findings.moved, 0.0, 0.25, "the log speaks against every kind of change that was tried along this policy, "
-                "so the value is moved by 25% from"),
+    "against": (findings.conflict_with_centre, 0.0, 0.25,
+                "the log speaks against every kind of change that was tried along this policy, so the value is moved by 25%"),
     "gap": (findings.gap, 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
     "weights": (lambda n: findings.weights(-n, 400, "rollouts"), -20.0, -19.9,
                 "the weights rest on about 19.9 of 400 rollouts: the value is largely chance"),
     "few weights": (lambda n: findings.weights(-n, 12, "episodes"), -10.0, -9.5, "about 9.5 of 12 episodes"),
-    "support": (lambda x: findings.uncovered(x, 2.0, 0.69), 0.01, 0.011, "1.1% of the log's moves have probability 0 in the "
+    "support": (lambda x: findings.missing_support(x, 2.0, 0.69), 0.01, 0.011,
+                "1.1% of the log's moves have probability 0 in the "
                 "plain simulator, where no ratio exists; what is said of them rests on the defensive share (largest zeta 2, "
                 "D_inf 0.69 nats)."),
     "linear algebra": (lambda x: findings.linear_algebra(x, 10.0), 9e-6, 2e-5,
                        "the linear algebra is certain only to 2.0e-05."),
     "small values": (lambda x: findings.linear_algebra(x, 0.1), 1e-6, 2e-6, "is certain only to 2.0e-06."),
-    "truncation": (lambda x: findings.truncated(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
+    "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
                    "over; what they lack can change the value by up to 0.02 (as a discounted sum)."),
-    "truncation beside an error": (lambda x: findings.truncated(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
+    "truncation beside an error": (lambda x: findings.truncation(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
     "behaviour": (findings.behavior_contradicts, 0, 7, "they differ from behavior_policy in 7 rows."),
 }  # fmt: skip
 
@@ -60,8 +61,8 @@ def test_what_is_said_of_a_value_without_an_interval():
     assert single.text == ""
     assert single.alone.endswith("one recorded move, whose variance is not known: there is no interval.")
     assert findings.single_moves(0.02, 0.1) == ()
-    assert findings.single_moves(0.02, None) == findings.varied(None) == (findings.NEVER_VARIED,)
-    assert findings.varied(0.0) == ()
+    assert findings.single_moves(0.02, None) == findings.no_variation(None) == (findings.NEVER_VARIED,)
+    assert findings.no_variation(0.0) == ()
     (unseen,) = findings.unseen_time(0.5, bare=True, judged=True)
     assert unseen.text.endswith("Nothing there is learned from the target, and the standard error does not cover it.")
     assert unseen.alone == f"{unseen.text[:-1]}: there is no interval."
@@ -75,7 +76,7 @@ def test_values_that_are_none():
     assert str(findings.no_value("it diverges", math.nan)) == "no value: it diverges."
     assert str(findings.no_value("it diverges", -math.inf)) == "no value: it diverges."
     assert str(findings.no_value("take {care}", 1.0)) == "do not rely on the value: take {care}."
-    assert "without bound at discount 1." in str(findings.truncated(1, 1, math.inf, 1.0, None)[0])
+    assert "without bound at discount 1." in str(findings.truncation(1, 1, math.inf, 1.0, None)[0])
 
 
 def kinds(estimate):

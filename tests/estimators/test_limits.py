@@ -8,7 +8,7 @@ from estimators.four_states import BEHAVIOR, FULL, POLICY, SIMULATOR, TARGET, en
 from helpers import dense, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
@@ -23,7 +23,6 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
-from oee_tabular.estimators.base import expected_rewards, population
 
 LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
 
@@ -330,20 +329,6 @@ def test_weights_stand_still_in_absorbing_states():
         assert_allclose(two, one, rtol=1e-12)
 
 
-def test_the_simplex():
-    from oee_tabular.estimators.magic import simplex_minimum
-
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        n = int(rng.integers(1, 6))
-        root = rng.normal(size=(n, n))
-        x = simplex_minimum(root @ root.T)
-        assert_allclose(x.sum(), 1.0)
-        slope = root @ (root.T @ x)
-        assert (slope >= x @ slope - 1e-8).all()  # no vertex is better: the condition of optimality
-        assert x.min() >= 0
-
-
 BAD = {
     "a horizon for DualDICE": (
         lambda: DualDice()(oee.Problem(GRID, LOG, horizon=3), UNIFORM),
@@ -413,35 +398,6 @@ def test_bad_arguments_of_limits(estimator, name):
         estimator.limit(**arguments)
 
 
-def test_populations():
-    """Uniform data where none are given; the support; counts; models; zeta on the support."""
-    people = population(SIMULATOR, TARGET, POLICY)
-    assert_array_equal(people.distribution, FULL)
-    assert people.support.all()
-    assert people.behavior is None
-    share = FULL.copy()
-    share[1], share[0] = 0.0, 0.25
-    part = population(SIMULATOR, TARGET, POLICY, data_distribution=share, behavior_policy=BEHAVIOR, horizon=3)
-    assert_array_equal(part.support, share.reshape(-1) > 0)
-    assert_array_equal(part.behavior, BEHAVIOR)
-    assert part.horizon == 3
-    counts = part.counts().toarray().reshape(4, 2, 4)
-    assert_allclose(counts, 1e12 * share[:, :, None] * dense(TARGET)[0])
-    mixed = part.model(SIMULATOR.transitions)
-    keep = share[:, :, None] > 0
-    assert_allclose(dense(mixed)[0], np.where(keep, dense(TARGET)[0], dense(SIMULATOR)[0]))
-    assert_allclose(part.value(mixed), oee.policy_value(mixed, POLICY, horizon=3))
-    zeta = oee.ratio.Conditional(prior="simulator").limit(part).toarray().reshape(4, 2, 4)
-    true = oee.true_ratio(TARGET, SIMULATOR).values.toarray().reshape(4, 2, 4)
-    assert_allclose(zeta, np.where(keep, true, 1.0 * (dense(SIMULATOR)[0] > 0)))
-    assert_allclose(
-        expected_rewards(SIMULATOR, TARGET.transitions),
-        (dense(TARGET)[0] * dense(SIMULATOR)[1]).sum(axis=2).reshape(-1),
-    )
-    flat = environments(2)[0]
-    assert_array_equal(expected_rewards(flat, TARGET.transitions), flat.rewards.reshape(-1))
-
-
 @pytest.mark.parametrize("horizon", [None, 4])
 @pytest.mark.parametrize("form", [2, 3])
 def test_limits_where_the_data_miss_a_row(form, horizon):
@@ -450,7 +406,7 @@ def test_limits_where_the_data_miss_a_row(form, horizon):
     share = FULL.copy()
     share[1, 0], share[1, 1] = 0.0, 0.25
     rows, options = dense(target)[0].copy(), {"data_distribution": share, "horizon": horizon}
-    pay = expected_rewards(simulator, target.transitions).reshape(4, 2).copy()
+    pay = target.rewards.copy()
     own = simulator.transition_rewards
     pay[1, 0] = simulator.rewards[1, 0] if own is None else own[[2]].toarray()[0, 1]
     rows[1, 0] = np.eye(4)[1]

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import Problem, exact
 from oee_tabular.estimators import OffEnvironment, Oracle
-from oee_tabular.estimators.base import population
 
 
 @pytest.mark.parametrize("horizon", [None, 4])
@@ -47,9 +46,7 @@ def test_ratios_by_name_get_what_the_problem_knows():
             zeta = oee.transition_ratio(log, simulator, method=method, seed=np.random.default_rng(4), **options)
             found = OffEnvironment(method).fit(problem, POLICY, np.random.default_rng(4))
             assert_allclose(found.values.toarray(), zeta.values.toarray(), rtol=1e-12)
-    people = population(simulator, target, POLICY, behavior_policy=BEHAVIOR)
-    expected = oee.transition_ratio(
-        people.counts(), simulator, method="joint", simulator_data="exact", behavior_policy=BEHAVIOR
-    )
+    shares = 1e12 / 8 * target.transitions
+    expected = oee.transition_ratio(shares, simulator, method="joint", simulator_data="exact", behavior_policy=BEHAVIOR)
     limit = OffEnvironment("joint").limit(simulator, target, POLICY, behavior_policy=BEHAVIOR)
     assert_allclose(limit, oee.policy_value(exact.reweight(simulator, expected), POLICY), rtol=1e-9)

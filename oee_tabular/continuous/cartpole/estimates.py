@@ -31,7 +31,7 @@ from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.support import frequencies, staying
 from oee_tabular.continuous.task import Moves
-from oee_tabular.estimators.rollouts import Weighted, combine, segment_products
+from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -115,8 +115,9 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
     for delta in DELTAS:
         chosen = cartpole_policy(delta)(log.state[whole])[np.arange(len(action)), action]
         weight = segment_products(chosen / log.behavior_probability[whole], starts)  # type: ignore[index]
-        weighted = Weighted(reward, weight, starts, weight[starts[1:] - 1])
-        found.append(combine(weighted, self_normalized=self_normalized, keep_last=True, per_decision=True)[0])
+        plain = float(np.add.reduceat(weight * reward, starts[:-1]).mean())
+        last = weight[starts[1:] - 1]
+        found.append(normalize_by_step(reward, weight, starts, last)[0] if self_normalized else plain)
     return np.array(found)
 
 
