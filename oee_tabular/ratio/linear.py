@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, BoolArray
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, statements
@@ -41,6 +41,9 @@ N_CENTERS = 200
 STEP_FRACTIONS = (0.8, 0.7, 0.5)  # short steps stall less; one of 270 random programs stalls at each, none at all three
 GAP_TOLERANCE = 1e-11  # nats; the next fraction is tried above it
 VIOLATION_TOLERANCE = 1e-7  # of the constraints, in units of g
+LEAST_SLOPE = 1e-15  # of what is minimised, where only a slope of at least 0 keeps it bounded
+LARGEST_RATIO = 1e6  # that the certificate considers where p = 0 and nothing else bounds g
+USELESS_GAP = 1.0  # nats
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
         if solution is None:
             continue
         fit, missed = certify(program, *solution)
-        if missed <= VIOLATION_TOLERANCE and fit.gap < (np.inf if best is None else best.gap):
+        if missed <= VIOLATION_TOLERANCE and fit.gap < (USELESS_GAP if best is None else best.gap):
             best = fit
         violation = min(violation, missed)
         if best is not None and best.gap <= GAP_TOLERANCE:
@@ -99,33 +102,36 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> t
 
     gap = sum_x [l(g) - min l] + ridge/2 |w - Phi^T v / ridge|^2 + |eta (sum q g - 1)|,   l(g) = (q + v + eta q) g - p log g.
     """
-    p, q = program.p, program.q
-    g = program.offset + program.features @ weights
+    p, q, phi = program.p, program.q, program.features
+    g = program.offset + phi @ weights
     ratio = np.clip(g, np.maximum(program.lower, np.where(p > 0, np.finfo(float).tiny, 0.0)), program.upper)
     off = float(q @ ratio) - 1.0 if program.normalized else 0.0
     violation = max(abs(off), float(np.abs(g - ratio).max()))
-    if program.penalty == 0.0:
-        for _ in range(2):  # twice for rounding's sake
-            tie = tie - program.features @ (program.features.T @ tie)
-        gap = 0.0
-    else:
-        rest = weights - program.features.T @ tie / program.penalty
-        gap = 0.5 * program.penalty * float(rest @ rest)
-    slope, top = q + tie + eta * q, _upper_bounds(program, objective(program, weights, ratio))
-    gap += _certificate.excesses(slope, p, ratio, program.lower, np.maximum(top, ratio))
-    return ClassFit(weights, ratio, eta, gap + abs(eta * off) + violation), violation
+    top = np.minimum(program.upper, program.ceiling)
+    tie = _repair(program, weights, ratio, tie, eta, np.isfinite(top))
+    top = np.maximum(np.where((p == 0) & (top == np.inf), LARGEST_RATIO, top), ratio)
+    gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
+    if program.penalty > 0.0:
+        rest = weights - phi.T @ tie / program.penalty
+        gap += 0.5 * program.penalty * float(rest @ rest)
+    return ClassFit(weights, ratio, eta, gap), violation
 
 
-def _upper_bounds(program: LinearProgram, value: float) -> Array:
-    """(n,) the largest g_x of the points that are as good as ``value``, which the optimum is among.
+def _repair(program: LinearProgram, w: Array, g: Array, tie: Array, eta: float, bounded: BoolArray) -> Array:
+    """A multiplier v near ``tie`` with Phi^T v = ridge w, and q + v + eta q >= 0 where nothing else bounds an entry.
 
-    The bounds of the program; and q g <= value - sum of the other entries' least values where p = 0.
+    Any v gives a bound; this one is not spoilt by the rounding of a solver. Entries with p > 0 take the change: there it costs
+    its square.
     """
-    p, q = program.p, program.q
-    with np.errstate(divide="ignore", invalid="ignore"):
-        least = np.where(p > 0, p - p * np.log(p / q), 0.0)
-        level = np.where((p == 0) & (q > 0), (value - least.sum()) / q, np.inf)
-    return np.minimum(np.minimum(program.upper, program.ceiling), np.where(np.isnan(level), np.inf, level))
+    p, phi = program.p, program.features
+    slope = (1.0 + eta) * program.q + tie
+    tie = tie + np.where((p == 0) & ~bounded, np.maximum(LEAST_SLOPE - slope, 0.0), 0.0)
+    weight = np.where(p > 0, p / np.maximum(g, 1e-100) ** 2, 1e-6)
+    curvature = phi.T @ (weight[:, None] * phi)
+    for _ in range(2):  # twice for rounding's sake
+        rest = program.penalty * w - phi.T @ tie
+        tie = tie + weight * (phi @ np.linalg.lstsq(curvature, rest)[0])
+    return tie
 
 
 def orthonormal_basis(features: Array) -> tuple[Array, Array]:
