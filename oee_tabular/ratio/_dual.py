@@ -4,12 +4,19 @@ In a row: minimise sum_x [q g - p log g - pull g + a/2 g^2] over lower <= g <= u
 pull differ between entries (``ratio.dual`` says how ridges and least squares come to this form). With the multiplier eta of
 the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels) each coordinate has the closed form of
 ``coordinate``, and phi(m) = sum_x q g_x(m) is nonincreasing: a bracketed root.
+
+*Rows without a and pull.* There g_x(m) = clip(p / q / m). Given the set of entries inside the box the equality is linear in
+1/m: m = (sum of p inside) / (sum q - what the bounds carry). ``guess_bracket`` iterates this, comparisons and sums only, 3.5
+to 18 times as fast as the general root, which solves the rows that it leaves.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+
+BLOCK = 256  # entries that are summed together, for accuracy
+TINY = 1e-200  # multipliers nearer to 0 are 0
 
 
 class Form(NamedTuple):
@@ -67,12 +74,78 @@ def fill_row(m, form, low, high, g):
 
 
 @njit(cache=True, error_model="numpy")
-def is_one(form, low, high):
-    """Whether g = 1 solves the row by inspection: p = q and no pull away from 1."""
+def block_sum(q, low, high):
+    """sum q, in blocks."""
+    total = 0.0
+    for start in range(low, high, BLOCK):
+        part = 0.0
+        for x in range(start, min(start + BLOCK, high)):
+            part += q[x]
+        total += part
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def known_multiplier(form, low, high, mass, curved):
+    """m where g = 1 solves the row (wherever q > 0), or where every feasible g does; nan elsewhere."""
     same = form.lower <= 1.0 <= form.upper
     for x in range(low, high):
-        same = same and form.p[x] == form.q[x] and form.pull[x] == form.a[x]
-    return same
+        if form.p[x] != form.q[x] or form.pull[x] != form.a[x]:
+            same = False
+            break
+    if same:
+        return 1.0
+    if form.lower == 1.0 or form.upper == 1.0:  # the box leaves g = 1 alone; m at which it is every minimiser
+        side = 1.0 if form.lower == 1.0 else -1.0
+        m = -np.inf
+        for x in range(low, high):
+            if form.q[x] > 0.0:
+                m = max(m, side * (form.p[x] + form.pull[x] - form.a[x]) / form.q[x])
+        return side * m
+    return 0.0 if mass == 0.0 and not curved else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def guess_at(m, target, form, low, high):
+    """phi(m), and the m that would solve the equality if the entries inside the box at m stayed there (nan: none)."""
+    p, q, lower, upper = form.p, form.q, form.lower, form.upper
+    inside, at_low, at_high = 0.0, 0.0, 0.0
+    for start in range(low, high, BLOCK):
+        part, part_low, part_high = 0.0, 0.0, 0.0
+        for x in range(start, min(start + BLOCK, high)):
+            scaled = q[x] * m
+            under, over = p[x] <= lower * scaled, p[x] >= upper * scaled
+            part_low += q[x] if under else 0.0
+            part_high += q[x] if over else 0.0
+            part += 0.0 if (under or over) else p[x]
+        inside += part
+        at_low += part_low
+        at_high += part_high
+    carried = lower * at_low + (upper * at_high if at_high > 0.0 else 0.0)
+    rest = target - carried
+    return inside / m + carried, inside / rest if inside > 0.0 and rest > 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy")
+def guess_bracket(target, form, low, high):
+    """(left, right, sum q g at each, found) a few rounding units apart around the root, or found is False."""
+    width = 1.2e-16 * (2.0 + 0.25 * np.sqrt(high - low))
+    phi, m = guess_at(1.0, target, form, low, high)
+    if phi == target:
+        return 1.0, 1.0, phi, phi, True
+    for _ in range(60):
+        if not 0.0 < m < np.inf:
+            break
+        left, right = m * (1.0 - width), m * (1.0 + width)
+        at_left, trial = guess_at(left, target, form, low, high)
+        if at_left >= target:
+            at_right, trial = guess_at(right, target, form, low, high)
+            if at_right <= target:
+                return left, right, at_left, at_right, True
+        if abs(trial - m) <= 4.0 * width * m:
+            width *= 4.0
+        m = trial
+    return m, m, 0.0, 0.0, False
 
 
 @njit(cache=True, error_model="numpy")
@@ -93,131 +166,106 @@ def close_bracket(m, total, target, form, low, high, g):
 
 
 @njit(cache=True, error_model="numpy")
-def finish_row(left, right, target, form, low, high, g):
-    """g between the minimisers of the bracket's ends, meeting the equality; returns the end that is nearer."""
-    at_left, at_right, open_mass = 0.0, 0.0, 0.0
-    for x in range(low, high):
-        q = form.q[x]
-        if q > 0.0:
-            above = at(left, form, x)
-            at_right += q * at(right, form, x)
-            if above == np.inf:
-                open_mass += q
-            else:
-                at_left += q * above
+def blend(left, right, at_left, at_right, target, form, low, high, g):
+    """g between the minimisers at the bracket's ends, meeting the equality; returns the end that is nearer."""
     share = 1.0
-    if open_mass == 0.0 and at_left > at_right:
+    if at_left > at_right:
         share = min(max((target - at_right) / (at_left - at_right), 0.0), 1.0)
-    m = left if share >= 0.5 and open_mass == 0.0 else right
     for x in range(low, high):
         above, below = at(left, form, x), at(right, form, x)
-        if open_mass > 0.0:  # a jump without an upper bound: the deficit goes to the unobserved entries, evenly
-            g[x] = below + (target - at_right) / open_mass if above == np.inf else below
-        else:
-            g[x] = below + share * (above - below) if above > below else above
-    return m
+        g[x] = below + share * (above - below) if above > below else above
+    return left if share >= 0.5 else right
 
 
 @njit(cache=True, error_model="numpy")
-def known_row(form, low, high, mass, curved):
-    """m where g = 1 solves the row (wherever q > 0), nan elsewhere."""
-    m = np.nan
-    if is_one(form, low, high):
-        m = 1.0
-    elif form.lower == 1.0 or form.upper == 1.0:  # the box leaves g = 1 alone; m at which it is every minimiser
-        side = 1.0 if form.lower == 1.0 else -1.0
-        m = -np.inf
-        for x in range(low, high):
-            if form.q[x] > 0.0:
-                m = max(m, side * (form.p[x] + form.pull[x] - form.a[x]) / form.q[x])
-        m = side * m
-    elif mass == 0.0 and not curved:  # nothing observed where q is: every feasible point is optimal
-        m = 0.0
-    return m
-
-
-@njit(cache=True, error_model="numpy")
-def bracket(total, target, mass, curved, form, low, high, g):
-    """(left, right, m, sum q g at m, minus its derivative): the root lies in [left, right], and m is one of its ends.
-
-    ``total`` is sum q g at m = 1.
-    """
-    left, right, width, slope = 1.0, 1.0, 1.0, 0.0
-    if total > target:
-        while total > target and width < 1e300:
-            left = right
-            right = right + width
-            width *= 2.0
-            total, slope = fill_row(right, form, low, high, g)
-    elif curved or (mass > 0.0 and form.upper < np.inf):
-        # g grows without bound as m falls (a > 0), or reaches the upper bound everywhere once m < 0
-        while total < target and width < 1e300:
-            right = left
-            left = left - width
-            width *= 2.0
-            total, slope = fill_row(left, form, low, high, g)
-    else:  # no box, no ridge: sum q g >= mass / m
-        left = mass
-        while True:
-            total, slope = fill_row(left, form, low, high, g)
-            if total >= target:
-                break
-            left *= 1.0 - 1e-15
-    return left, right, left if total >= target else right, total, slope
-
-
-@njit(cache=True, error_model="numpy")
-def solve_row(form, low, high, g):
-    """Solve one row into ``g``; returns m and its bracket.
-
-    Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); it shrinks by Newton steps
-    from whichever end, or by halving where Newton leaves it, until its ends are neighbours. g is the convex combination
-    of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a). left = right where g is known outright.
-    """
-    target, mass, curved = 0.0, 0.0, False
+def finish_row(left, right, target, form, low, high, g):
+    """``blend``, but for a jump without an upper bound: there the deficit goes to the unobserved entries, evenly."""
+    at_left, at_right, free_mass = 0.0, 0.0, 0.0
     for x in range(low, high):
-        target += form.q[x]
+        if form.q[x] > 0.0:
+            above = at(left, form, x)
+            at_right += form.q[x] * at(right, form, x)
+            if above == np.inf:
+                free_mass += form.q[x]
+            else:
+                at_left += form.q[x] * above
+    if free_mass == 0.0:
+        return blend(left, right, at_left, at_right, target, form, low, high, g)
+    for x in range(low, high):
+        g[x] = at(right, form, x)
+        if at(left, form, x) == np.inf:
+            g[x] += (target - at_right) / free_mass
+    return right
+
+
+@njit(cache=True, error_model="numpy")
+def solve_row(form, low, high, flat, g):
+    """Solve one row into ``g``; returns m and its bracket. ``flat``: a = pull = 0.
+
+    Needs lower <= 1 <= upper. The bracket [left, right] has phi(left) >= sum q >= phi(right); from m = 1 it shrinks by Newton
+    steps, by doubled steps where it has no end, or by halving where Newton leaves it, until its ends are neighbours. g is
+    the convex combination of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a).
+    left = right where g is known outright.
+    """
+    target, mass, curved = block_sum(form.q, low, high), 0.0, False
+    for x in range(low, high):
         if form.q[x] > 0.0:
             mass += form.p[x]
             curved = curved or form.a[x] > 0.0
-    m = known_row(form, low, high, mass, curved)
+    m = known_multiplier(form, low, high, mass, curved)
     if not np.isnan(m):
         for x in range(low, high):
             g[x] = 1.0 if form.q[x] > 0.0 else at(0.0, form, x)
         return m, m, m
-    total, _ = fill_row(1.0, form, low, high, g)
+    if flat:
+        left, right, at_left, at_right, found = guess_bracket(target, form, low, high)
+        if found:
+            return blend(left, right, at_left, at_right, target, form, low, high, g), left, right
+    total, slope = fill_row(1.0, form, low, high, g)
     if total == target:
         return 1.0, 1.0, 1.0
-    left, right, m, total, slope = bracket(total, target, mass, curved, form, low, high, g)
-    for _ in range(2000):
-        trial = m + (total - target) / slope if slope > 0.0 else 0.5 * (left + right)
-        if not left < trial < right:
-            trial = 0.5 * (left + right)
-        if not left < trial < right:
-            break
-        m = trial
-        total, slope = fill_row(m, form, low, high, g)
+    if np.isnan(total) or (not np.isfinite(total + slope) and curved):  # numbers that double precision does not hold
+        g[low:high] = np.nan
+        return np.nan, np.nan, np.nan
+    left, right = -np.inf, np.inf
+    if not curved:  # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
+        left = mass if form.upper == np.inf else -TINY
+    m, width = 1.0, 1.0
+    for step in range(4000):
         if total >= target:
             left = m
         if total <= target:
             right = m
         if left == right:
             break
-        if slope > 0.0 and abs(total - target) <= 1e-10 * slope * abs(m):  # Newton's next step ends at rounding
-            m += (total - target) / slope
+        trial = m + (total - target) / slope if slope > 0.0 else np.nan
+        if step < 100 and abs(total - target) <= 1e-10 * slope * abs(m):  # Newton's next step ends at rounding
+            m = trial
             total, slope = fill_row(m, form, low, high, g)
             near_left, near_right, near = close_bracket(m, total, target, form, low, high, g)
             if near:
                 left, right = near_left, near_right
                 break
+            continue
+        if not left < trial < right:
+            if right == np.inf or left == -np.inf:  # g has no bound as m falls, or reaches its bounds as it rises
+                trial = left + width if right == np.inf else right - width
+                width *= 2.0
+            else:
+                trial = 0.0 if left < 0.0 < right else 0.5 * (left + right)
+            if not left < trial < right or right - left <= TINY:
+                break
+        m = trial
+        total, slope = fill_row(m, form, low, high, g)
     return finish_row(left, right, target, form, low, high, g), left, right
 
 
 @njit(cache=True, error_model="numpy")
-def solve_rows(form, indptr, todo, g, left, right, m):
-    """Every row of ``todo`` by itself: the ratios, the bracket of m and m of each."""
-    for k in todo:
-        m[k], left[k], right[k] = solve_row(form, indptr[k], indptr[k + 1], g)
+def solve_rows(form, indptr, g, left, right, m):
+    """Every row by itself: the ratios, the bracket of m and m of each."""
+    flat = not (form.a.any() or form.pull.any())
+    for k in range(len(m)):
+        m[k], left[k], right[k] = solve_row(form, indptr[k], indptr[k + 1], flat, g)
 
 
 @njit(cache=True, error_model="numpy")

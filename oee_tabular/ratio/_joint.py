@@ -84,7 +84,7 @@ def inner(b, f, k, scaled, moves):
         q[x], a[x] = f.q[x] * b, f.lam * b * b
     theta = 0.0
     if f.r[k] > 0.0:
-        m, _, _ = solve_row(Form(f.p, q, a, zero, lower, upper), low, high, moves)
+        m, _, _ = solve_row(Form(f.p, q, a, zero, lower, upper), low, high, f.lam == 0.0, moves)
         theta = m - 1.0
     else:
         for x in range(low, high):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge, check_weights
 from oee_tabular.ratio.features import Kernel
-from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells, objective
+from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
@@ -33,7 +34,7 @@ class RatioFit:
     Attributes
     ----------
     ratio : (n,) array, beta = dP/dQ
-    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry
+    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry; made when asked for
     objective : value of the program at ``ratio``, p and q scaled to sum to 1
     dual_bound : a lower bound on the program's optimum, from the multiplier
     gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
@@ -54,7 +55,6 @@ class RatioFit:
     """
 
     ratio: Array
-    enclosure: tuple[Array, Array]
     objective: float
     dual_bound: float
     gap: float
@@ -67,6 +67,16 @@ class RatioFit:
     trace: SgdTrace | None = None
     weights: Array | None = None
     details: dict[str, Any] = field(default_factory=dict)
+    _known: Any = field(default=..., repr=False)  # the entries that are part of the program
+    _ends: Any = field(default=(0.0, np.inf), repr=False)  # bounds on the minimiser there, or what computes them
+
+    @cached_property
+    def enclosure(self) -> tuple[Array, Array]:
+        """From the bracket of the multiplier with "dual", else the box."""
+        below, above = self.ratio.copy(), self.ratio.copy()
+        ends = self._ends.enclosure() if isinstance(self._ends, dual.RowSolution) else self._ends
+        below[self._known], above[self._known] = ends
+        return below, above
 
     def __str__(self) -> str:
         low, high = (self.ratio.min(), self.ratio.max()) if len(self.ratio) else (np.nan, np.nan)
@@ -142,7 +152,7 @@ def density_ratio(
         lower > upper; a box that excludes the normalisation; negative weights; all-zero p or q; a solver that is not
         installed; features of another length, or that span no function in the box.
     RuntimeError
-        The cvxpy solver stopped short of "optimal".
+        The cvxpy solver stopped short of "optimal"; a class without a minimum.
 
     Notes
     -----
@@ -159,7 +169,7 @@ def density_ratio(
     sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
     _checks.boolean(normalized, "normalized")
     weights = check_weights(p, q)
-    totals = [float(w.sum()) for w in weights]
+    n, totals = len(weights[0]), (float(weights[0].sum()), float(weights[1].sum()))
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = check_box(lower, upper, normalized=normalized)
     strength = check_ridge(ridge, totals[0])
@@ -170,72 +180,64 @@ def density_ratio(
             )
         if sgd is not None:
             raise ValueError('solver "sgd" must be left out with features or kernel: Algorithm 1 is for tables')
-        matrix, details = class_features(
-            features, kernel, coordinates, _checks.positive_integer(n_centers, "n_centers"), len(weights[0])
-        )
-        pk, qk = (w / total for w, total in zip(weights, totals, strict=True))
-        return _class_fit(pk, qk, totals, matrix, details, box, strength, normalized, solver)
+        _checks.positive_integer(n_centers, "n_centers")
+        matrix, details = class_features(features, kernel, coordinates, n_centers, n)
+        ps, qs = weights[0] / totals[0], weights[1] / totals[1]
+        fit = fit_cells(ps, qs, matrix, box, strength, normalized, str(solver))
+        penalty = 0.5 * strength * float(fit.weights @ fit.weights)
+        return _ratio_fit(
+            (ps, qs), totals, fit.ratio, fit.gap, penalty, ratio=_checks.freeze(fit.ratio), normalizer=fit.eta,
+            n_undetermined=0, weights=fit.weights, details=details, _ends=box,
+        )  # fmt: skip
     if coordinates is not None:
         raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
-    known = (weights[0] > 0) | (weights[1] > 0)
-    pk, qk = (weights[i][known] / totals[i] for i in (0, 1))
-    curvature = np.full(len(pk), strength) if toward is None else strength * qk
-    _refuse_unbounded(np.flatnonzero(known), pk, qk, curvature, box)
-    build = dual.kl_coordinates if loss == "kl" else dual.lsif_coordinates
-    program = build(pk, qk, curvature, center)
-    trace = None
+    known: Any = (weights[0] > 0) | (weights[1] > 0)
+    known = slice(None) if known.all() else known
+    ps, qs = weights[0][known] / totals[0], weights[1][known] / totals[1]
+    curvature = np.full(len(ps), strength) if toward is None else strength * qs
+    _refuse_unbounded(np.arange(n)[known], ps, qs, curvature, box)
+    program = dual.Coordinates(ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2")
+    whole, m, trace = np.array([0, len(ps)]), 1.0, None
+    ends: Any = box
     if sgd is not None:
         _check_sgd(box, normalized, loss)
-        g, trace = descend(program, box.lower, box.upper, sgd, seed)
-        m, below, above = 1.0, g, g
+        g, trace = descend(program, *box, sgd, seed)
+    elif solver != "dual":
+        g, eta = statements.solve_rows(program, *box, whole if normalized else None, solver=str(solver))
+        m += float(eta.sum())
+    elif normalized:
+        ends = dual.solve_rows(program, *box, whole)
+        g, m = ends.ratio, float(ends.m[0])
     else:
-        g, m, (below, above) = _solve(program, box, normalized, solver)
-    gap = _gap(program, g, m if normalized else None, box)
+        g = dual.solve_free(program, *box)
+        ends = (g, g)
+    gap = float(dual.row_gaps(program, g, np.array([m]) if normalized else None, *box, whole)[0])
     with np.errstate(over="ignore", invalid="ignore"):
-        value = dual.objective(g, program)
-    if not np.isfinite([*g, gap, value]).all():
+        penalty = program.penalty(g)
+    if not (np.isfinite(g).all() and np.isfinite([gap, penalty]).all()):
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
             f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
         )
-    default = min(max(1.0 if toward is None else center, box.lower), box.upper)
-
-    def full(values: Array) -> Array:
-        everywhere = np.full(len(known), default)
-        everywhere[known] = values
-        return everywhere
-
-    return _certified(
-        (pk, qk), totals, g, value, gap, loss, ratio=_checks.freeze(full(g)), enclosure=(full(below), full(above)),
-        normalizer=m - 1.0, n_undetermined=int((~known).sum()), trace=trace,
+    ratio = np.full(n, min(max(1.0 if toward is None else center, box.lower), box.upper))
+    ratio[known] = g
+    return _ratio_fit(
+        (ps, qs), totals, g, gap, penalty, squares=program.squares, ratio=_checks.freeze(ratio), normalizer=m - 1.0,
+        n_undetermined=n - len(ps), trace=trace, _known=known, _ends=ends,
     )  # fmt: skip
 
 
-def _certified(
-    pair: tuple[Array, Array], totals: list[float], g: Array, value: float, gap: float, loss: str, **rest: Any
-) -> RatioFit:
+def _ratio_fit(
+    pair: tuple[Array, Array], totals: tuple[float, float], g: Array, gap: float, penalty: float, *,
+    squares: bool = False, **rest: Any,
+) -> RatioFit:  # fmt: skip
     """What every fit says of g on the cells ``pair``; least squares estimate no KL divergence."""
-    (p, q), seen = pair, pair[0] > 0
-    divergence = float(p[seen] @ np.log(g[seen])) - float(q @ g) + 1.0 if loss == "kl" else float("nan")
+    risk = dual.risk(*pair, g, squares)
     status = "optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}"
     return RatioFit(
-        objective=value, dual_bound=value - gap, gap=gap, divergence=divergence, p_total=totals[0], q_total=totals[1],
-        status=status, **rest,
-    )  # fmt: skip
-
-
-def _class_fit(
-    p: Array, q: Array, totals: list[float], matrix: Array, details: dict[str, Any], box: Box, ridge: float,
-    normalized: bool, solver: Any,
-) -> RatioFit:  # fmt: skip
-    """``density_ratio`` over g = Phi w."""
-    program, found = fit_cells(p, q, matrix, box, ridge, normalized, solver)
-    g = found.ratio
-    return _certified(
-        (p, q), totals, g, objective(program, found.weights, g), found.gap, "kl", ratio=_checks.freeze(g),
-        enclosure=(np.full(len(g), box.lower), np.full(len(g), box.upper)), normalizer=found.eta, n_undetermined=0,
-        weights=found.weights, details=details,
+        objective=risk + penalty, dual_bound=risk + penalty - gap, gap=gap, p_total=totals[0], q_total=totals[1],
+        divergence=float("nan") if squares else 1.0 - risk, status=status, **rest,
     )  # fmt: skip
 
 
@@ -258,26 +260,3 @@ def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
         raise ValueError(
             f'solver "sgd" must have 0 < lower and a finite upper; the box is [{box.lower:g}, {box.upper:g}]'
         )
-
-
-def _solve(
-    program: dual.Coordinates, box: Box, normalized: bool, solver: Any
-) -> tuple[Array, float, tuple[Array, Array]]:
-    """The minimiser, m = 1 + multiplier, and the enclosure."""
-    indptr = np.array([0, len(program.p)], dtype=np.int64)
-    if solver == "dual":
-        if normalized:
-            solution = dual.solve_rows(program, box.lower, box.upper, indptr)
-            return solution.ratio, float(solution.m[0]), solution.enclosure()
-        g = dual.solve_free(program, box.lower, box.upper)
-        return g, 1.0, (g, g)
-    g, eta = statements.solve_rows(program, *box, indptr if normalized else None, solver=solver)
-    m = 1.0 + float(eta[0]) if normalized else 1.0
-    return g, m, (np.full(len(g), box.lower), np.full(len(g), box.upper))
-
-
-def _gap(program: dual.Coordinates, g: Array, m: float | None, box: Box) -> float:
-    """The duality gap of whatever a solver gave, from the program as stated."""
-    multiplier = None if m is None else np.array([m])
-    indptr = np.array([0, len(g)], dtype=np.int64)
-    return float(dual.row_gaps(program, g, multiplier, box.lower, box.upper, indptr)[0])

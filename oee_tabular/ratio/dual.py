@@ -14,19 +14,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.ratio import _certificate, _dual, _plain
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.ratio import _certificate, _dual
 from oee_tabular.ratio.arguments import Box
 
 
 class Coordinates(NamedTuple):
-    """A separable program as it is stated, entry by entry; ``squares``: least squares for the KL risk."""
+    """A separable program as it is stated, entry by entry: sum q g - p log g + curvature/2 (g - center)^2.
+
+    ``squares``: least squares (LSIF), the chi-square divergence's dual, sum q g^2 / 2 - p g in place of the KL risk.
+    """
 
     p: Array
     q: Array
     curvature: Array
     center: Array
     squares: bool = False
+
+    def penalty(self, g: Array) -> float:
+        """sum curvature/2 (g - center)^2."""
+        return 0.5 * float(self.curvature @ (g - self.center) ** 2) if self.curvature.any() else 0.0
 
     def kernel_form(self, lower: float, upper: float) -> _dual.Form:
         """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
@@ -37,22 +44,11 @@ class Coordinates(NamedTuple):
         return _dual.Form(self.p, self.q, self.curvature, pull, lower, upper)
 
 
-def kl_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
-    """sum q g - p log g + curvature/2 (g - toward)^2: the dual of the KL divergence, the paper's loss."""
-    return Coordinates(p, q, curvature, np.full(len(p), toward))
-
-
-def lsif_coordinates(p: Array, q: Array, curvature: Array, toward: float) -> Coordinates:
-    """sum q g^2 / 2 - p g + curvature/2 (g - toward)^2: least squares (LSIF), the chi-square divergence's dual."""
-    return Coordinates(p, q, curvature, np.full(len(p), toward), squares=True)
-
-
 @dataclass(frozen=True, eq=False)
 class RowSolution:
     """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
 
-    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright. ``plain`` rows were
-    solved by ``_plain``.
+    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright.
     """
 
     ratio: Array
@@ -60,7 +56,6 @@ class RowSolution:
     gap: Array
     left: Array
     right: Array
-    plain: BoolArray
     form: _dual.Form
     indptr: IntArray
 
@@ -70,33 +65,24 @@ class RowSolution:
         They are the coordinates' minimisers at the two ends of the bracket of m: equal, up to rounding, but where a jump
         leaves the minimiser free (inf where nothing bounds it).
         """
-        found = []
-        for ends in (self.right, self.left):
-            values = self.ratio.copy()
-            open_ends = np.where(self.left < self.right, ends, np.nan)
-            _plain.plain_minimisers(np.where(self.plain, open_ends, np.nan), self.form, self.indptr, values)
-            _dual.minimisers(np.where(self.plain, np.nan, open_ends), self.form, self.indptr, values)
-            found.append(values)
-        return found[0], found[1]
+        below, above = self.ratio.copy(), self.ratio.copy()
+        for ends, values in ((self.right, below), (self.left, above)):
+            _dual.minimisers(np.where(self.left < self.right, ends, np.nan), self.form, self.indptr, values)
+        return below, above
 
 
 def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray) -> RowSolution:
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
-    cannot fail. Rows without curvature go through the guessed sets of ``_plain``; those that it leaves, and the others,
-    through the bracketed root of ``_dual``.
+    cannot fail.
     """
     rows = indptr.astype(np.int64)
     form, ratio = program.kernel_form(float(lower), float(upper)), np.empty(len(program.p))
-    left, right, m = np.full((3, len(rows) - 1), np.nan)
-    if not (lower == 1.0 or upper == 1.0 or form.a.any() or form.pull.any()):
-        _plain.solve_plain_rows(form, rows, ratio, left, right, m)
-    plain = ~np.isnan(m)
-    if not plain.all():
-        _dual.solve_rows(form, rows, np.flatnonzero(~plain), ratio, left, right, m)
+    left, right, m = np.empty((3, len(rows) - 1))
+    _dual.solve_rows(form, rows, ratio, left, right, m)
     gap = _certificate.row_gaps(program, Box(form.lower, form.upper), rows, ratio, m, True)
-    return RowSolution(ratio, m, gap, left, right, plain, form, rows)
+    return RowSolution(ratio, m, gap, left, right, form, rows)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
@@ -115,12 +101,16 @@ def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, uppe
     )
 
 
+def risk(p: Array, q: Array, g: Array, squares: bool = False) -> float:
+    """sum q g - p log g, or (``squares``) sum q g^2 / 2 - p g."""
+    if squares:
+        return 0.5 * float(q @ g**2) - float(p @ g)
+    seen = p > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = p @ np.log(g) if seen.all() else p[seen] @ np.log(g[seen])
+    return float(q @ g) - float(logs)
+
+
 def objective(g: Array, program: Coordinates) -> float:
-    """sum q g - p log g (or q g^2 / 2 - p g) + curvature/2 (g - center)^2."""
-    penalty = 0.5 * float(program.curvature @ (g - program.center) ** 2)
-    if program.squares:
-        return 0.5 * float(program.q @ g**2) - float(program.p @ g) + penalty
-    seen = program.p > 0
-    with np.errstate(divide="ignore"):
-        logs = float(program.p[seen] @ np.log(g[seen]))
-    return float(program.q @ g) - logs + penalty
+    """The program's value."""
+    return risk(program.p, program.q, g, program.squares) + program.penalty(g)

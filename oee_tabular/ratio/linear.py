@@ -56,14 +56,6 @@ class ClassFit:
     gap: float
 
 
-def objective(program: LinearProgram, weights: Array, g: Array) -> float:
-    """The value that is minimised."""
-    seen = program.p > 0
-    with np.errstate(divide="ignore"):
-        logs = float(program.p[seen] @ np.log(g[seen]))
-    return float(program.q @ g) - logs + 0.5 * program.penalty * float(weights @ weights)
-
-
 def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     """The optimum by Clarabel ("dual") or another cvxpy solver, with its gap.
 
@@ -217,14 +209,11 @@ def _standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
     return lambda x, c: base(x / size, c / size)
 
 
-def fit_cells(
-    p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str
-) -> tuple[LinearProgram, ClassFit]:
-    """g = Phi w for distributions p and q on the same cells: the program and its solution."""
+def fit_cells(p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str) -> ClassFit:
+    """g = Phi w for distributions p and q on the same cells."""
     _refuse_thin_box(box, normalized)
     ceiling = implied_bound(q, box.lower) if normalized else np.full(len(p), np.inf)
-    program = LinearProgram(p, q, features, 0.0, ridge, *box, normalized, ceiling)
-    return program, solve_class(program, solver)
+    return solve_class(LinearProgram(p, q, features, 0.0, ridge, *box, normalized, ceiling), solver)
 
 
 def implied_bound(weights: Array, lower: float) -> Array:

@@ -61,7 +61,8 @@ def fit_network(
     return replace(
         best,
         ratio=_checks.freeze(g),
-        enclosure=(np.full(len(g), lower), np.full(len(g), upper)),
+        _known=...,
+        _ends=(lower, upper),
         objective=value,
         gap=value - best.dual_bound,
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),

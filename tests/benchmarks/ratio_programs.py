@@ -96,8 +96,8 @@ def speed():
         whole = np.array([0, len(p)])
         zero = np.zeros(len(p))
         for name, program, rows in (
-            ("normalised, box", dual.kl_coordinates(observed / observed.sum(), q / q.sum(), zero, 0.0), whole),
-            ("rows, box", dual.kl_coordinates(p, q, zero, 0.0), indptr),
+            ("normalised, box", dual.Coordinates(observed / observed.sum(), q / q.sum(), zero, zero), whole),
+            ("rows, box", dual.Coordinates(p, q, zero, zero), indptr),
         ):
             ours = clock(lambda program=program, rows=rows: dual.solve_rows(program, 0.01, 10.0, rows))
             statement = statements.state_rows(program, 0.01, 10.0, rows)
@@ -118,7 +118,7 @@ def large():
         p = rng.integers(0, 5, n).astype(float)
         q = rng.integers(1, 5, n).astype(float)
         if n == 10**6:
-            program = dual.kl_coordinates(p / p.sum(), q / q.sum(), np.zeros(n), 0.0)
+            program = dual.Coordinates(p / p.sum(), q / q.sum(), *np.zeros((2, n)))
             once = clock(lambda q=q: np.log(q))
             ours = clock(lambda program=program: dual.solve_rows(program, 0.01, 10.0, np.array([0, 10**6])))
             print(
@@ -129,7 +129,7 @@ def large():
         totals = [np.repeat(np.add.reduceat(w, indptr[:-1]), 4) for w in (p, q)]
         p, q = np.where(totals[0] > 0, p / np.maximum(totals[0], 1.0), q / totals[1]), q / totals[1]
         del totals
-        program = dual.kl_coordinates(p, q, np.zeros(n), 0.0)
+        program = dual.Coordinates(p, q, *np.zeros((2, n)))
         ours = clock(lambda program=program, rows=indptr: dual.solve_rows(program, 0.01, 10.0, rows), repeat=1)
         peak = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text()).group(1)) / 2**20
         print(f"1e7 triples, rows, box: {ours:.2f} s, peak memory of the process {peak:.2f} GiB")

@@ -44,7 +44,7 @@ def test_the_structured_answer_against_clarabel(seed):
     low = options["lower"] or 0.0
     high = options["upper"] or np.inf
     indptr = np.array([0, len(ps)]) if options["normalized"] else None
-    program = dual.kl_coordinates(ps, qs, bend, center)
+    program = dual.Coordinates(ps, qs, bend, np.full(len(ps), center))
     statement = statements.state_rows(program, low, high, indptr)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

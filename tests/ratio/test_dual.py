@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from helpers import rngs
 from hypothesis import given
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
-from oee_tabular.ratio import _dual, _plain, dual
+from oee_tabular.ratio import _dual, dual
 
 
 def minimisers(m, form):
@@ -63,23 +63,6 @@ def test_each_row_is_the_root_of_its_dual(curved, rng):
         assert found.gap[k] < 1e-12
     assert (below <= found.ratio * (1 + 1e-15)).all()
     assert (found.ratio <= above * (1 + 1e-15)).all()
-
-
-@given(rngs)
-def test_the_quick_rows_and_the_bracketed_ones_are_the_same(rng):
-    """``_plain`` and ``_dual`` on one program, and what the first leaves it says."""
-    program, box, indptr = programs(rng, curved=False)
-    form, n_rows = program.kernel_form(*box), len(indptr) - 1
-    quick, slow = np.full(len(program.p), np.nan), np.empty(len(program.p))
-    ends = np.full((3, n_rows), np.nan)
-    _plain.solve_plain_rows(form, indptr, quick, *ends)
-    other = np.empty((3, n_rows))
-    _dual.solve_rows(form, indptr, np.arange(n_rows), slow, *other)
-    solved = ~np.isnan(ends[2])
-    entries = np.repeat(solved, np.diff(indptr))
-    assert_allclose(quick[entries], slow[entries], rtol=1e-12, atol=1e-15)
-    assert_array_equal(np.isnan(quick), ~entries)
-    assert (ends[0][solved] <= ends[1][solved]).all()
 
 
 @given(rngs)

@@ -19,7 +19,7 @@ QUADRATIC = np.column_stack([np.ones(40), LINE, LINE**2])
 
 def random_program(rng):
     """p, q, features with a constant, and options for ``density_ratio``."""
-    n = int(rng.integers(4, 40))
+    n = int(rng.integers(8, 40))
     phi = np.column_stack([np.ones(n), rng.normal(size=(n, int(rng.integers(1, 5))))])
     p, q = rng.integers(0, 5, n) + 0.0, rng.integers(1, 5, n) + 0.0
     p[0] += 1
