@@ -1,4 +1,52 @@
-"""What to record next: the (s, a), or the behaviour policy, that tell most about the policies' values."""
+r"""What to record next: the state-action pairs, or the behaviour policy, that tell most about the policies' values.
+
+Objects: x = (s, a) a row of the S*A; P' the model (S*A, S) at which variances are evaluated; pi the policies, k = 1..K; n_x
+the log's counts (S*A,); q a distribution over rows, (S*A,), of the next n transitions.
+
+**Costs** (``costs``). From n_x observations of each row the best estimator of J has the asymptotic variance sum_x c_x / n_x,
+
+    c_x = Var_{s' ~ P'(.|x)}[G_x(s')],   G_x(s') = dJ / dP'(s' | x).
+
+A row that P' makes deterministic has c_x = 0, which would leave the model's claim for ever untested. Its cost is *optimistic*
+instead, the largest variance that is still plausible: max Var_P[G_x] over
+
+    lower_ratio R <= P <= upper_ratio R,   R(.|s, a) = 0.9 P(.|s, a) + 0.05 mean_b P(.|s, b) + 0.05 1{s' = s},
+
+P the simulator: something like another action is carried out, or nothing happens. Without a box, any distribution on the
+support of R, with variance (range of G_x / 2)^2. In a row with n_x observations, all of the one outcome, that outcome has
+moreover a probability of at least (1 - confidence)^(1 / n_x), the exact (Clopper-Pearson) bound. Terminal states cost 0.
+
+**Plans** (``collection``, ``programs``, ``plan``). After n more transitions, distributed as q, the variance of policy k is
+sum_x c_kx / (n_x + n q_x). A plan minimises the largest relative inefficiency, convex in q,
+
+    max_k F_k(q),   F_k(q) = sum_x C_kx / (b_x + q_x),   b_x = n_x / n,
+
+with C_k = c_k / n over the least variance that a plan for k alone reaches,
+over all q ("free"; for one policy and no log Neyman's n_x ~ sqrt(c_x), value (sum sqrt c)^2 / n [1]), or over what a behaviour
+policy can record ("behavior"): q in the occupancy polytope of the collection MDP, b the probability of going on after a move,
+
+    q >= 0,   sum_a q(s', a) = (1 - b) mu_0(s') + b sum_x q(x) P'(s' | x)   for every s'.
+
+Up to 2000 rows it is solved as cvxpy states it, with a second-order cone a row; above by columns [2]: q is a mixture of a few
+occupancies, mixed by the multiplicative algorithm [3]. The weights w of the policies define one objective sum_k w_k F_k with
+slopes g_x = sum_k w_k C_kx / (b_x + q_x)^2. New columns are the best policy of the collection MDP that pays g (Frank and
+Wolfe's: the linear oracle is planning [4]), and the policy made of the minimising q below, at the value v of beta = q / sum_a q
+there.
+
+**Certificate.** For any v, with kappa = v(s) - b E_P' v(s') made nonnegative by a constant added to v (Lagrange),
+
+    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  (1 - b) mu_0 . v   <=   min_q max_k F_k(q),
+
+with v the value of beta, where kappa is g less the advantage and the error is of second order, or of the best policy,
+no less than Frank and Wolfe's bound. ``Plan.gap`` is the distance of the two sides over the value, however q was found;
+gap = 0 is the equivalence theorem [5].
+
+**Advice** (``advice``). The next pairs, one transition after another, that take most off the widths of the intervals.
+
+References: [1] J. Neyman, J. Royal Statistical Society 97, 1934. [2] B. von Hohenbalken, Mathematical Programming 13, 1977.
+[3] S. Silvey, D. Titterington and B. Torsney, Communications in Statistics A7, 1978. [4] T. Zahavy et al., Reward is enough
+for convex MDPs, NeurIPS 2021. [5] F. Pukelsheim, Optimal Design of Experiments, 1993, chapter 7.
+"""
 
 from oee_tabular.design.collection import plan_data_collection
 from oee_tabular.design.plan import Outlook, Plan

@@ -1,18 +1,4 @@
-"""``plan_data_collection``: which (s, a) to record next, or which behaviour policy to run, for the surest value.
-
-From n_x observations of each row x = (s, a) the best estimator of J has the asymptotic variance sum_x c_x / n_x
-(``design_costs``). After n more, distributed as q, it is
-
-    sum_x c_x / (n_x + n q_x),
-
-convex in q. A plan minimises it over all q (``sampling="free"``: where nothing has been recorded Neyman's n_x ~ sqrt(c_x),
-value (sum sqrt c)^2 / n), or over the occupancies of behaviour policies ("behavior", ``design.flow``); for several policies
-it minimises the largest relative inefficiency max_pi [variance of pi / the least that a plan for pi alone reaches]. Since
-the log's counts are in the criterion, planning again with the longer log is the sequential design.
-
-Sources: [1] J. Neyman, On the two different aspects of the representative method, J. Royal Statistical Society 97, 1934.
-[2] F. Pukelsheim, Optimal Design of Experiments, 1993.
-"""
+"""``plan_data_collection``: which (s, a) to record next, or which behaviour policy to run, to know values best."""
 
 from __future__ import annotations
 
@@ -25,10 +11,21 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.design.costs import next_pairs, row_costs
-from oee_tabular.design.flow import certify, collection_mdp, flow_design, policy_of
+from oee_tabular.design.advice import next_pairs
+from oee_tabular.design.costs import row_costs
 from oee_tabular.design.plan import Outlook, Plan
-from oee_tabular.design.programs import Design, conic_design, evaluate, fill, free_design
+from oee_tabular.design.programs import (
+    LARGEST_GAP,
+    Design,
+    FlowProgram,
+    FreeProgram,
+    Solver,
+    behavior_of,
+    collection_mdp,
+    evaluate,
+    fill,
+    solve,
+)
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
@@ -36,12 +33,7 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.policies import split_policies
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.arguments import check_box
-from oee_tabular.ratio.statements import SolverStatusError
 from oee_tabular.ratio.support import refuse_unsupported
-
-Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
-LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so; "auto" then asks Clarabel as well
-_CONIC_ROWS = 4000  # "auto" asks it up to here
 
 
 @one_thread
@@ -83,13 +75,13 @@ def plan_data_collection(
     lower_ratio, upper_ratio : the prior box for rows without spread, see ``optimistic``; None: any distribution there
     optimistic : True
         (s, a) that ``model`` makes deterministic cost the largest variance that is plausible, not 0: they would never be
-        tested (``design.costs`` has the set: another action is carried out or nothing happens, within the box,
-        and the less often the more of the log says otherwise).
+        tested (``design`` has the set: another action is carried out or nothing happens, within the box, and the less often
+        the more of the log says otherwise).
     restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
     restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
         in the state that ended it
-    solver : "frank_wolfe" (certified; see ``design.programs``), "CLARABEL" (the conic reference), or "auto": the
-        first, and the second as well where its gap stays above 1%
+    solver : "frank_wolfe" (columns by planning, to a gap of 0.1%), "CLARABEL" (the statement in cvxpy), or "auto": the
+        second up to 2000 (s, a), the first above and where the second is not close
     confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
 
     Returns
@@ -107,8 +99,8 @@ def plan_data_collection(
     Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. An
     (s, a) that matters and has no data makes the present error infinite, and gets some. An estimator that lets all rows tell
     about each (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free,
-    O(S A log(S A)) after two solves a policy; behaviour, 5 to 200 rounds of one policy iteration and a few solves in the
-    collection MDP.
+    O(S A log(S A)) after two solves a policy; several policies or behaviour, a conic program with a cone a row, or 5 to 200
+    rounds of one policy iteration and a few solves in the collection MDP.
 
     Examples
     --------
@@ -120,7 +112,7 @@ def plan_data_collection(
     """
     _checks.boolean(optimistic, "optimistic")
     _checks.boolean(restart_costs_a_move, "restart_costs_a_move")
-    counts, mdp, steps = _known(problem, horizon)
+    counts, mdp, steps = _counts_and_simulator(problem, horizon)
     number = _checks.positive_integer(n, "n")
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
     _checks.one_of(solver, "solver", ("auto", "frank_wolfe", "CLARABEL"))
@@ -128,58 +120,48 @@ def plan_data_collection(
     box = check_box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
     if sampling == "free" and restart is not None:
         raise ValueError(f"restart must be left out with sampling 'free'; it is {_checks.show(restart)}")
-    pis = _policies(policies, mdp)
+    named = _check_policies(policies, mdp)
+    pis = list(named.values())
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
-    truth, source = _model(problem, mdp, model)
-    found = row_costs(
-        mdp,
-        truth,
-        list(pis.values()),
-        counts,
-        horizon=steps,
-        box=box,
-        confidence=level,
-        optimistic=optimistic,
-    )
+    truth, source = _check_model(problem, mdp, model)
+    found = row_costs(mdp, truth, pis, counts, horizon=steps, box=box, confidence=level, optimistic=optimistic)
     collection = None
     if sampling == "behavior":
-        again = _restart(restart, mdp.discount, steps)
-        collection = collection_mdp(truth, again, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
+        chance = _restart_probability(restart, mdp.discount, steps)
+        collection = collection_mdp(truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
     base, costs = counts / number, found.table / number
-    matters = np.flatnonzero(costs.max(axis=1) > 0.0)
-    after, least, free = (np.zeros(len(pis)) for _ in range(3))
-    status = "ok"
-    if matters.size:
-        reached = [list(pis.values())[k] for k in matters]
-        design, least[matters] = _solve(costs[matters], base, collection, reached, solver)
-        after[matters] = evaluate(costs[matters], base, design.q)
-        free[matters] = _free(costs[matters], base)
+    matters = costs.max(axis=1) > 0.0
+    least, free = np.zeros(len(pis)), np.zeros(len(pis))
+    if matters.any():
+        policies_that_matter = [pi for pi, does in zip(pis, matters, strict=True) if does]
+        design, least[matters], free[matters] = _solve(costs[matters], base, collection, policies_that_matter, solver)
+        status = "ok"
         if design.gap > LARGEST_GAP:
             status = f"not finished: another plan may be better by up to {design.gap:.1%} of the variance"
     else:
         q = np.full(base.size, 1.0 / base.size)
         if collection is not None:
             q = occupancy(collection, uniform_policy(collection)).reshape(-1)
-        design = Design(q, 1.0, 1.0, np.zeros(0), "none")
+        design = Design(q, 1.0, 1.0, "none")
         status = "nothing to learn: no transition probability bears on these policies' values"
-    now = evaluate(costs, base, np.zeros_like(base))
-    relative = [np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free)]
+    now, after = (evaluate(costs, base, q) for q in (np.zeros_like(base), design.q))
+    to_least, to_free = (np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free))
     shape = (mdp.n_states, mdp.n_actions)
     return Plan(
         sampling=sampling,
         n=number,
         confidence=level,
         distribution=design.q.reshape(shape),
-        behavior_policy=policy_of(design.q, shape),
+        behavior_policy=behavior_of(design.q, shape),
         policies=tuple(
-            Outlook(name, float(now[k]), float(after[k]), float(relative[0][k]), float(relative[1][k]), level)
-            for k, name in enumerate(pis)
+            Outlook(name, float(now[k]), float(after[k]), float(to_least[k]), float(to_free[k]), level)
+            for k, name in enumerate(named)
         ),
         gap=design.gap,
         next_pairs=next_pairs(found.table, counts, shape[1], min(number, 10), level),
         counts=counts.reshape(shape),
-        costs={name: c.reshape(shape) for name, c in zip(pis, found.table, strict=True)},
+        costs={name: c.reshape(shape) for name, c in zip(named, found.table, strict=True)},
         optimistic=found.optimistic.reshape(shape),
         restart=None if collection is None else 1.0 - collection.discount,
         model=source,
@@ -191,47 +173,23 @@ def plan_data_collection(
 
 def _solve(
     costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
-) -> tuple[Design, Array]:
-    """The design, and the least variance that a plan for each policy alone reaches."""
-    free = _free(costs, base)
+) -> tuple[Design, Array, Array]:
+    """The design, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
+    free = np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
     if collection is None:
-        return _one(costs / free[:, None], base, None, policies, solver), free
-    alone = [_one(c[None] / f, base, collection, [pi], solver) for c, f, pi in zip(costs, free, policies, strict=True)]
+        return solve(FreeProgram(costs / free[:, None], base), policies, solver), free, free
+    alone = [
+        solve(FlowProgram(c[None] / f, base, collection), [pi], solver)
+        for c, f, pi in zip(costs, free, policies, strict=True)
+    ]
     least = free * np.array([design.value for design in alone])
     if len(policies) == 1:
-        return alone[0], least
-    singles = [policy_of(design.q, (collection.n_states, collection.n_actions)) for design in alone]
-    return _one(costs / least[:, None], base, collection, [*policies, *singles], solver), least
+        return alone[0], least, free
+    starts = [*policies, *(behavior_of(design.q, policies[0].shape) for design in alone)]
+    return solve(FlowProgram(costs / least[:, None], base, collection), starts, solver), least, free
 
 
-def _free(costs: Array, base: Array) -> Array:
-    """(K,) the least variance of each policy where every row can be recorded at will."""
-    return np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
-
-
-def _one(costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver) -> Design:
-    """One program, by the solver asked for; every result with its own certificate."""
-    if solver == "CLARABEL":
-        return _conic(costs, base, collection)
-    design = free_design(costs, base) if collection is None else flow_design(collection, costs, base, policies)
-    if solver == "auto" and design.gap > LARGEST_GAP and base.size <= _CONIC_ROWS:
-        try:
-            return min(design, _conic(costs, base, collection), key=lambda d: d.gap)
-        except SolverStatusError:
-            pass
-    return design
-
-
-def _conic(costs: Array, base: Array, collection: FiniteMDP | None) -> Design:
-    q, weights = conic_design(costs, base, collection)
-    if collection is not None:
-        return certify(collection, costs, base, q, weights, "CLARABEL")
-    q = np.maximum(q, 0.0) / np.maximum(q, 0.0).sum()
-    bound = float(weights @ evaluate(costs, base, fill(weights @ costs, base)))
-    return Design(q, float(evaluate(costs, base, q).max()), bound, weights, "CLARABEL")
-
-
-def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
+def _counts_and_simulator(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
         return np.zeros(problem.n_states * problem.n_actions), problem, optional_horizon_length(horizon, problem)
@@ -243,7 +201,7 @@ def _known(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, Fi
     return row_sums(problem.counts), problem.model, problem.horizon
 
 
-def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
+def _check_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
     several = split_policies(policies, mdp) if isinstance(policies, Mapping) else None
     if several is None:
         return {"policy": check_policy(policies, mdp, name="policies")}
@@ -252,7 +210,7 @@ def _policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
     return {name: check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in several.items()}
 
 
-def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple[FiniteMDP, str]:
+def _check_model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple[FiniteMDP, str]:
     if isinstance(model, FiniteMDP):
         if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
             raise ValueError(
@@ -269,7 +227,7 @@ def _model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple
     return transition_ratio(problem.observed, problem.simulator).target_model(mdp), "the estimate from the log"
 
 
-def _restart(restart: float | None, discount: float, horizon: int | None) -> float:
+def _restart_probability(restart: float | None, discount: float, horizon: int | None) -> float:
     if restart is not None:
         return _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
     return 1.0 / horizon if horizon is not None and discount == 1.0 else 1.0 - discount

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy import special
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.design.costs import sentence
+from oee_tabular.design.advice import advice_sentence
 from oee_tabular.design.programs import evaluate
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 
@@ -146,33 +146,7 @@ class Plan:
     def advice(self) -> str:
         """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
         costs = np.array(list(self.costs.values()))
-        return sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``str`` says, as plain values; states and actions by name where there are names."""
-        called = {"state": self.names.states, "action": self.names.actions}
-
-        def pair(s: int, a: int) -> dict[str, Any]:
-            numbers = {"state": int(s), "action": int(a)}
-            return {key: k if called[key] is None else name_text(called[key], k) for key, k in numbers.items()}
-
-        top = [
-            divmod(int(k), self.distribution.shape[1])
-            for k in np.argsort(-self.distribution.reshape(-1), kind="stable")
-        ]
-        return {
-            "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,
-            "policies": [
-                {
-                    "policy": o.name, "standard_error": list(o.standard_error), "width": list(o.width),
-                    "inefficiency": o.inefficiency, "free_inefficiency": o.free_inefficiency,
-                }
-                for o in self.policies
-            ],
-            "most": [pair(s, a) | {"share": float(self.distribution[s, a])} for s, a in top[:5]],
-            "advice": self.advice,
-            "next": [pair(s, a) for s, a in self.next_pairs],
-        }  # fmt: skip
+        return advice_sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
 
     def after(self, m: int) -> dict[str, Outlook]:
         """The outlook after m more transitions, instead of n, of the same distribution.
@@ -183,56 +157,72 @@ class Plan:
         total = (self.counts + number * self.distribution).reshape(-1)
         costs = np.array([cost.reshape(-1) for cost in self.costs.values()])
         variances = evaluate(costs, total, np.zeros_like(total))
+        return {o.name: replace(o, variance_after=float(v)) for o, v in zip(self.policies, variances, strict=True)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``str`` says, as plain values; states and actions by name where there are names."""
+        names = {"state": self.names.states, "action": self.names.actions}
+
+        def pair(*numbers: int) -> dict[str, Any]:
+            return {
+                key: int(k) if names[key] is None else name_text(names[key], k)
+                for key, k in zip(names, numbers, strict=True)
+            }
+
         return {
-            o.name: Outlook(o.name, o.variance_now, float(v), o.inefficiency, o.free_inefficiency, o.confidence)
-            for o, v in zip(self.policies, variances, strict=True)
-        }
+            "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,
+            "policies": [
+                {
+                    "policy": o.name, "standard_error": list(o.standard_error), "width": list(o.width),
+                    "inefficiency": o.inefficiency, "free_inefficiency": o.free_inefficiency,
+                }
+                for o in self.policies
+            ],
+            "most": [pair(s, a) | {"share": float(self.distribution[s, a])} for s, a in self._largest_shares()],
+            "advice": self.advice,
+            "next": [pair(s, a) for s, a in self.next_pairs],
+        }  # fmt: skip
+
+    def _largest_shares(self) -> list[tuple[int, int]]:
+        order = np.argsort(-self.distribution, axis=None, kind="stable")[:5]
+        return [divmod(int(row), self.distribution.shape[1]) for row in order]
 
     def __repr__(self) -> str:
         return str(self)
 
     def __str__(self) -> str:
-        how = (
-            "any (s, a)"
-            if self.sampling == "free"
-            else f"by a behaviour policy, restart probability {self.restart:.3g}"
-        )
-        lines = [f"Plan for {self.n} transitions, {how}; variances at {self.model}; values: {_printing.SUM}"]
+        how = "any (s, a)"
+        if self.sampling == "behavior":
+            how = f"by a behaviour policy, restart probability {self.restart:.3g}"
         size = max(6, *(len(o.name) for o in self.policies))
         level = f"{100 * self.confidence:.4g}% width"
-        lines.append(
-            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  to free"
-        )
+        lines = [
+            f"Plan for {self.n} transitions, {how}; variances at {self.model}; values: {_printing.SUM}",
+            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  to free",
+        ]
         for o in self.policies:
-            errors, widths = o.standard_error, o.width
-            lines.append(
-                f"{o.name:<{size}}  {errors[0]:>10.3g} -> {errors[1]:<9.3g}  {widths[0]:>10.3g} -> {widths[1]:<9.3g}  "
-                f"{o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}"
-            )
-        lines.append(
-            "std. errors and widths: of the log's frequencies (maximum likelihood), without the prior that oee shrinks to; "
-            "inefficiency: n times the variance over its least, with as many moves chosen for this policy alone; to free: over "
-            "the least if any (s, a) could be set up"
-        )
-        flat = self.distribution.reshape(-1)
-        top = [divmod(int(k), self.distribution.shape[1]) for k in np.argsort(-flat, kind="stable")[:5]]
-        lines.append(
-            "most of it: " + ", ".join(f"{self.names.pair(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in top)
-        )
-        lines.append(self.advice)
+            error, width = (f"{now:>10.3g} -> {after:<9.3g}" for now, after in (o.standard_error, o.width))
+            lines.append(f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}")
+        return "\n".join([*lines, *self._notes()])
+
+    def _notes(self) -> list[str]:
+        """What stands below the table."""
+        lines = [
+            "std. errors and widths: of the log's frequencies (maximum likelihood), without the prior that oee shrinks to",
+            "inefficiency: the variance over the least that as many transitions, chosen for this policy alone, would leave",
+            "to free: the variance over that least if any (s, a) could be set up",
+        ]
+        shares = [f"{self.names.pair(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in self._largest_shares()]
+        lines += ["most of it: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
-            then = ", ".join(f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs[1:])
-            lines.append(f"then, one move each (s, a): {then}")
+            later = (f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs[1:])
+            lines.append(f"then, one move each (s, a): {', '.join(later)}")
         if self.unvisited:
             lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
         if self.optimistic.any():
-            lines.append(
-                f"{int(self.optimistic.sum())} (s, a) that the model makes deterministic: worst variance assumed"
-            )
-        lines.append(
-            f"{self.solver}: at most {100 * self.gap:.2g}% from the best plan" if self.status == "ok" else self.status
-        )
-        return "\n".join(lines)
+            lines.append(f"{self.optimistic.sum()} (s, a) that the model makes deterministic: worst variance assumed")
+        close = f"{self.solver}: at most {100 * self.gap:.2g}% from the best plan"
+        return [*lines, close if self.status == "ok" else self.status]
 
     def _repr_html_(self) -> str:
         def change(ends: tuple[float, float]) -> str:
@@ -244,7 +234,5 @@ class Plan:
             for o in self.policies
         ]
         header = ["policy", "std. error, now → after", f"{level}, now → after", "inefficiency", "to free"]
-        return _printing.table(
-            header, rows, caption=f"Plan for {self.n} transitions; values: {_printing.SUM}",
-            below=str(self).split("\n")[2 + len(rows) :],
-        )  # fmt: skip
+        caption = f"Plan for {self.n} transitions; values: {_printing.SUM}"
+        return _printing.table(header, rows, caption=caption, below=self._notes())

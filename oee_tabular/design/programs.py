@@ -1,60 +1,46 @@
-"""The convex programs of experimental design:  minimise over q  max_k F_k(q),  F_k(q) = sum_x C_kx / (b_x + q_x).
+"""The programs of experimental design: minimise over q  max_k F_k(q),  F_k(q) = sum_x C_kx / (b_x + q_x).
 
-q is the distribution over rows x = (s, a) of the next m observations, b_x = n_x / m what the log has of each, C_k the costs of
-policy k divided by m and by the best that a plan for that policy alone can reach, so that F_k is its relative inefficiency.
-q is any distribution ("free"), or one that a behaviour policy can have (``design.flow``).
-
-Both are solved by a fully corrective Frank-Wolfe method [1]: q is the best mixture of a few columns, found by a
-primal-dual interior-point method in the mixture's weights; the multipliers w of the policies then define the single
-objective sum_k w_k F_k, whose own solution (free) or steps (behaviour) are new columns and whose dual value bounds max_k F_k
-from below for every q. The gap between the two is the certificate (for one policy the equivalence theorem [2] is its case
-gap = 0); it does not depend on how the columns were found.
-
-References: [1] B. von Hohenbalken, Simplicial decomposition in nonlinear programming, Mathematical Programming 13, 1977.
-[2] F. Pukelsheim, Optimal Design of Experiments, 1993, chapter 7 (the equivalence theorem of Kiefer and Wolfowitz).
-
-``conic_design`` is the reference: the same as cvxpy states it, with a second-order cone a row,
-
-    minimise t   subject to   sum_x C_kx s_x <= t for every policy k,   s_x (b_x + q_x) >= 1,   q >= 0,
-                              sum q = 1  ("free"), or the flow of the collection MDP
-
-with b + q in units of the allocation that would be best if rows could be chosen freely.
+Two ways to solve them, stated at the door of the room (``oee_tabular.design``): columns proposed by planning and mixed by a
+multiplicative algorithm (``solve_by_columns``), and the statement in cvxpy (``solve_by_clarabel``). Both end with a value and
+a lower bound that do not depend on how q was found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular._sparse import canonical, row_sums
+from oee_tabular.exact import occupancy, optimal_policy, state_values
+from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio.statements import SolverStatusError, run
 
-TOLERANCE = 1e-3  # of the relative gap
-_ROUNDS, _MEMORY, _NEWTON = 200, 48, 60  # rounds, columns kept, steps of the interior-point method
+Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
+TOLERANCE = 1e-3  # of the relative gap at which columns are enough
+LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so
+N_CONIC_ROWS = 2000  # above, Clarabel takes longer than columns where transitions are random (10 s at 4000 rows)
+N_ROUNDS, N_COLUMNS, N_MIXING_STEPS = 200, 48, 300  # 48 columns are kept
+UNREACHED = 1e12  # times the variance of free sampling: episodes do not get where it matters
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """``q`` (rows,), its largest F_k ``value``, a lower ``bound`` of every q's, the policies' multipliers ``weights`` (K,)."""
+    """``q`` (S*A,), its largest F_k ``value``, and a lower ``bound`` of every q's."""
 
     q: Array
     value: float
     bound: float
-    weights: Array
     solver: str
 
     @property
     def gap(self) -> float:
         """(value - bound) / value: by how much, relatively, another q could be better at most."""
         return max(0.0, 1.0 - self.bound / self.value)
-
-
-# (weights, q) -> a lower bound of min_q sum_k weights_k F_k, and new columns
-Propose = Callable[[Array, Array], tuple[float, list[Array]]]
 
 
 def evaluate(costs: Array, base: Array, q: Array) -> Array:
@@ -77,150 +63,245 @@ def fill(cost: Array, base: Array) -> Array:
     rows = np.flatnonzero(root > 0.0)
     order = rows[np.argsort(base[rows] / root[rows], kind="stable")]
     level = (1.0 + np.cumsum(base[order])) / np.cumsum(root[order])  # t, if the first so many rows get a share
-    number = int(np.flatnonzero(level > base[order] / root[order])[-1])
+    last = np.flatnonzero(level > base[order] / root[order])[-1]
     q = np.zeros_like(cost)
-    q[order[: number + 1]] = level[number] * root[order[: number + 1]] - base[order[: number + 1]]
-    q = np.maximum(q, 0.0)
+    q[order[: last + 1]] = np.maximum(level[last] * root[order] - base[order], 0.0)[: last + 1]
     return np.asarray(q / q.sum())
 
 
-def free_design(costs: Array, base: Array, *, tolerance: float = TOLERANCE) -> Design:
-    """The best distribution over rows; for one policy ``fill`` itself."""
+def collection_mdp(
+    model: FiniteMDP, restart: float, *, ends: BoolArray | None = None, restart_costs_a_move: bool = False
+) -> FiniteMDP:
+    """Make the MDP in which data are collected: ``model``, started again after each move with probability ``restart``.
 
-    def propose(weights: Array, q: Array) -> tuple[float, list[Array]]:
-        column = fill(weights @ costs, base)
-        return float(weights @ evaluate(costs, base, column)), [column]
+    Its discount is b = 1 - restart, its occupancy the long-run share of recorded moves, its rewards 0. An episode ends in the
+    states ``ends`` (S,), by default those that no action leaves: entering one leads to a start (as ``sample_episodes``
+    records), or, with ``restart_costs_a_move``, one more recorded move does.
+    """
+    matrix: Any = model.transitions
+    is_end = model.closed() if ends is None else ends
+    start = sparse.csr_array(model.initial[None, :])
+    if restart_costs_a_move:
+        to_start = np.repeat(is_end, model.n_actions).astype(np.float64)
+        matrix = sparse.diags_array(1.0 - to_start) @ matrix
+    else:
+        to_start = np.asarray(matrix @ is_end.astype(np.float64))
+        matrix = matrix @ sparse.diags_array(1.0 - is_end)
+    transitions = canonical(matrix + sparse.csr_array(to_start[:, None]) @ start, drop_zeros=True)
+    transitions = sparse.diags_array(1.0 / row_sums(transitions)) @ transitions
+    return FiniteMDP(transitions, np.zeros(model.n_states), model.initial, 1.0 - restart)
 
-    columns = [fill(cost, base) for cost in costs]
-    if len(costs) > 1:
-        columns.append(fill(costs.mean(axis=0), base))
-    return minimise(costs, base, columns, propose, solver="closed form" if len(costs) == 1 else "frank_wolfe",
-                    tolerance=tolerance)  # fmt: skip
+
+def behavior_of(q: Array, shape: tuple[int, int]) -> Array:
+    """(S, A): q / sum_a q, uniform in states that q never visits."""
+    table = q.reshape(shape)
+    total = table.sum(axis=1, keepdims=True)
+    return np.where(total > 0.0, table / np.where(total > 0.0, total, 1.0), 1.0 / shape[1])
 
 
-def minimise(
-    costs: Array, base: Array, columns: list[Array], propose: Propose, *, solver: str, tolerance: float = TOLERANCE
-) -> Design:
-    """Mix the columns, ask ``propose`` for a bound and new ones, until the relative gap is at most ``tolerance``.
+@dataclass(frozen=True, eq=False)
+class FreeProgram:
+    """minimise over all distributions q  max_k F_k(q), with ``costs`` C (K, S*A) and ``base`` b (S*A,)."""
+
+    costs: Array
+    base: Array
+
+    @property
+    def is_closed_form(self) -> bool:
+        """Whether ``fill`` is the solution."""
+        return len(self.costs) == 1
+
+    def start(self, policies: list[Array]) -> list[Array]:
+        """The best q of each policy alone, and of their mean."""
+        return [fill(cost, self.base) for cost in (*self.costs, self.costs.mean(axis=0))]
+
+    def propose(self, weights: Array, q: Array) -> tuple[float, list[Array]]:
+        """Bound min_q sum_k w_k F_k from below (here exactly), and propose a column."""
+        column = fill(weights @ self.costs, self.base)
+        return float(weights @ evaluate(self.costs, self.base, column)), [column]
+
+    def project(self, q: Array) -> Array:
+        """The point of the feasible set that a solver's q stands for."""
+        kept = np.where(self.costs.max(axis=0) > 0.0, np.maximum(q, 0.0), 0.0)
+        return np.asarray(kept / kept.sum())
+
+    def equations(self) -> tuple[Any, Any]:
+        """(M, m): q >= 0 is feasible where M q = m."""
+        return np.ones((1, self.base.size)), np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class FlowProgram:
+    """The same over the occupancies q of the behaviour policies of a collection MDP."""
+
+    costs: Array
+    base: Array
+    mdp: FiniteMDP
+    is_closed_form = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(S, A)."""
+        return self.mdp.n_states, self.mdp.n_actions
+
+    def visits(self, policy: Array) -> Array:
+        """(S*A,) the occupancy of a behaviour policy."""
+        return occupancy(self.mdp, policy).reshape(-1)
+
+    def start(self, policies: list[Array]) -> list[Array]:
+        """The uniform policy, the policies, and what one would record at will, made a policy.
+
+        Raises ValueError where episodes are too short to reach what matters to a policy.
+        """
+        uniform = uniform_policy(self.mdp)
+        ideal = behavior_of(fill(self.costs.mean(axis=0), self.base), self.shape)
+        columns = [self.visits(policy) for policy in (uniform, *policies, 0.9 * ideal + 0.1 * uniform)]
+        worst = float(evaluate(self.costs, self.base, np.mean(columns, axis=0)).max())
+        if not worst < UNREACHED:
+            raise ValueError(
+                f"restart must let episodes reach the (s, a) that matter; at {1.0 - self.mdp.discount:g} what their own "
+                f"policies and the uniform one record leaves {worst:.2g} times the variance of free sampling"
+            )
+        return columns
+
+    def propose(self, weights: Array, q: Array) -> tuple[float, list[Array]]:
+        """Bound min_q sum_k w_k F_k from below, and propose columns: the best policy, and what prices ask for.
+
+        Cost: a policy iteration and three policy evaluations.
+        """
+        cost, total = weights @ self.costs, self.base + q
+        slope = np.divide(cost, total**2, out=np.zeros_like(cost), where=cost > 0.0)
+        rewarded, behavior = self.mdp.with_rewards(slope.reshape(self.shape)), behavior_of(q, self.shape)
+        best = optimal_policy(rewarded)
+        values, best_values = (state_values(rewarded, policy) for policy in (behavior, best))
+        demand = self._demand(cost, np.maximum(self._prices(values), slope / 16.0))
+        table = np.where(cost > 0.0, demand, q).reshape(self.shape)
+        table = np.where(table.sum(axis=1, keepdims=True) > 0.0, table, behavior)
+        bound = max(self._dual_value(cost, v) for v in (values, best_values))
+        return bound, [self.visits(best), self.visits(behavior_of(table, self.shape))]
+
+    def _prices(self, v: Array) -> Array:
+        """kappa_x = v(s) - b sum_s' P(s' | x) v(s')."""
+        ahead = self.mdp.discount * (self.mdp.transitions @ v)
+        return np.asarray(np.repeat(v, self.mdp.n_actions) - ahead)
+
+    def _demand(self, cost: Array, prices: Array) -> Array:
+        """argmin_{q >= 0} C / (b + q) + kappa q."""
+        return np.maximum(np.sqrt(cost / np.maximum(prices, 1e-300)) - self.base, 0.0)
+
+    def _dual_value(self, cost: Array, v: Array) -> float:
+        """Lagrange's bound at the multipliers v, with a constant added to v that makes every price nonnegative."""
+        prices = self._prices(v)
+        shift = max(0.0, -float(prices.min()))
+        used = cost > 0.0
+        c, kappa, b = cost[used], prices[used] + shift, self.base[used]
+        q = self._demand(cost, prices + shift)[used]
+        level = (1.0 - self.mdp.discount) * float(self.mdp.initial @ v) + shift
+        return float(np.sum(c / (b + q) + kappa * q)) - level
+
+    def project(self, q: Array) -> Array:
+        """The occupancy of the policy that a solver's q stands for."""
+        return self.visits(behavior_of(np.maximum(q, 0.0), self.shape))
+
+    def equations(self) -> tuple[Any, Any]:
+        """(M, m): sum_a q(s', a) - b sum_x P(s' | x) q(x) = (1 - b) mu_0(s')."""
+        in_state = sparse.kron(sparse.eye_array(self.mdp.n_states), np.ones((1, self.mdp.n_actions)))
+        flow = in_state - self.mdp.discount * self.mdp.transitions.T
+        return sparse.csr_array(flow), (1.0 - self.mdp.discount) * self.mdp.initial
+
+
+Program = FreeProgram | FlowProgram
+
+
+def solve(program: Program, policies: list[Array], solver: Solver) -> Design:
+    """Solve by the solver asked for; "auto": by Clarabel up to 2000 rows, by columns above, and where it was not close."""
+    columns, designs = program.start(policies), []
+    is_small = len(program.base) <= N_CONIC_ROWS and not program.is_closed_form
+    if solver == "CLARABEL":
+        return solve_by_clarabel(program)
+    if solver == "auto" and is_small:
+        with contextlib.suppress(SolverStatusError):
+            designs.append(solve_by_clarabel(program))
+    if not designs or designs[0].gap > TOLERANCE:
+        designs.append(solve_by_columns(program, columns))
+    return min(designs, key=lambda design: design.gap)
+
+
+def solve_by_columns(program: Program, columns: list[Array]) -> Design:
+    """Mix columns, ask the program for a bound and new ones, until the relative gap is at most 0.1%.
 
     The result is no worse than any of the first columns. Ends after 200 rounds with the gap that it then has. Cost of a
-    round: O(rows * 48^2) at most for a Newton step of the mixture (48 columns are kept), and what ``propose`` costs.
+    round: 300 passes over at most 48 columns, and what ``propose`` costs.
     """
-    table = np.array(columns)
-    values = [float(evaluate(costs, base, q).max()) for q in table]
-    q, best = table[int(np.argmin(values))], min(values)
-    bound, weights = -np.inf, np.full(len(costs), 1.0 / len(costs))
-    share = np.full(len(table), 1.0 / len(table))
-    for _ in range(_ROUNDS):
-        share, w = mixture(costs, base, table, share)
+    costs, base = program.costs, program.base
+    q = min(columns, key=lambda column: evaluate(costs, base, column).max())
+    value, bound = float(evaluate(costs, base, q).max()), -np.inf
+    table, share = np.array(columns), np.ones(len(columns))
+    weights = np.full(len(costs), 1.0 / len(costs))
+    for _ in range(N_ROUNDS):
+        share, weights = mix_columns(costs, base, table, share, weights)
         point = share @ table
-        value = float(evaluate(costs, base, point).max())
-        if value < best:
-            q, best = point, value
-        lower, new = propose(w, point)
-        if lower > bound:
-            bound, weights = lower, w
-        if best - bound <= tolerance * best:
+        at_point = float(evaluate(costs, base, point).max())
+        if at_point < value:
+            q, value = point, at_point
+        lower, new = program.propose(weights, point)
+        bound = max(bound, lower)
+        if value - bound <= TOLERANCE * value:
             break
-        kept = np.argsort(-share, kind="stable")[: _MEMORY - 1 - len(new)]
+        kept = np.argsort(-share, kind="stable")[: N_COLUMNS - 1 - len(new)]
         kept = kept[share[kept] > 1e-9]
-        table = np.concatenate([[point], table[kept], np.array(new)])
-        share = np.concatenate([[0.5], 0.4 * share[kept] / share[kept].sum(), np.full(len(new), 0.1 / len(new))])
-    return Design(q, best, bound, weights, solver)
+        table = np.concatenate([[point, *new], table[kept]])
+        share = np.concatenate([[0.5], np.full(len(new), 0.1 / len(new)), 0.4 * share[kept] / share[kept].sum()])
+    return Design(q, value, bound, "closed form" if program.is_closed_form else "frank_wolfe")
 
 
-def mixture(costs: Array, base: Array, table: Array, start: Array) -> tuple[Array, Array]:
-    """(shares, w): the mixture of the rows of ``table`` (J, rows) that minimises max_k F_k, and the multipliers of the F_k.
+def mix_columns(costs: Array, base: Array, table: Array, share: Array, weights: Array) -> tuple[Array, Array]:
+    """Improve shares y of the columns (rows of ``table``) and weights w of the policies, from positive ones.
 
-    minimise t  subject to  F_k(share @ table) + slack_k = t,  share >= 0,  sum share = 1: a primal-dual interior-point method
-    from the positive ``start``. Its accuracy bears on the speed of ``minimise``, not on its certificate.
+    y_j <- y_j sqrt(d_j) / sum,  d_j = -dF_w / dy_j;    w_k <- w_k F_k / sum.
+
+    Ends where max_k F_k is within 0.025% of its bound on the columns' hull, w . F - (max_j d_j - y . d), or after
+    300 steps: its accuracy bears on the speed of ``solve_by_columns``, not on its certificate.
     """
-    n_columns, n_costs = len(table), len(costs)
-    if n_columns == 1 and n_costs == 1:
-        return np.ones(1), np.ones(1)
     used = np.flatnonzero(costs.max(axis=0) > 0.0)
-    c, b, v = costs[:, used], base[used], table[:, used]
-    share = 0.9 * start / start.sum() + 0.1 / n_columns
-    values = np.sum(c / (b + share @ v), axis=1)
-    top = 1.1 * float(values.max())
-    slack, w = top - values, np.full(n_costs, 1.0 / n_costs)
-    reduced, level = np.full(n_columns, float(w @ slack) / n_costs) / share, 0.0
-    for _ in range(_NEWTON):
+    shared = table[:, used].min(axis=0)  # what every mixture has: as part of b it leaves d_j that differ more
+    c, b, v = costs[:, used], base[used] + shared, table[:, used] - shared
+    share = 0.9 * share / share.sum() + 0.1 / len(table)
+    for _ in range(N_MIXING_STEPS):
         total = b + share @ v
         values = np.sum(c / total, axis=1)
-        slope = -(c / total**2) @ v.T  # (K, J)
-        bend = (v * (2.0 * (w @ c) / total**3)) @ v.T
-        dual = w @ slope - reduced + level
-        primal = values + slack - top
-        gap = float(w @ slack + reduced @ share)
-        if gap <= 1e-10 * top and max(np.abs(dual).max(), np.abs(primal).max(), abs(1.0 - w.sum())) <= 1e-9 * top:
+        weights = weights * values / (weights @ values)
+        slope = v @ ((weights @ c) / total**2)
+        bound = weights @ values - (slope.max() - share @ slope)
+        if values.max() - bound <= 0.25 * TOLERANCE * values.max():
             break
-        mu = 0.15 * gap / (n_costs + n_columns)
-        ratio = w / slack
-        pull = mu / slack - w + ratio * primal
-        system = np.zeros((n_columns + 2, n_columns + 2))
-        system[:-2, :-2] = bend + slope.T @ (ratio[:, None] * slope) + np.diag(reduced / share)
-        system[:-2, -2] = system[-2, :-2] = -(ratio @ slope)
-        system[-2, -2] = ratio.sum()
-        system[:-2, -1] = system[-1, :-2] = 1.0
-        right = np.concatenate(
-            [-dual - pull @ slope + mu / share - reduced, [pull.sum() - (1.0 - w.sum())], [1.0 - share.sum()]]
-        )
-        try:
-            step = np.linalg.solve(system, right)
-        except np.linalg.LinAlgError:
-            break
-        d_share, d_top = step[:-2], float(step[-2])
-        d_slack = d_top - primal - slope @ d_share
-        d_w, d_reduced = (mu - w * slack - w * d_slack) / slack, (mu - reduced * share - reduced * d_share) / share
-        if not np.all(np.isfinite(np.concatenate([step, d_w, d_reduced]))):
-            break
-        length = min(_longest(*pair) for pair in ((share, d_share), (slack, d_slack), (w, d_w), (reduced, d_reduced)))
-        share, slack, top = share + length * d_share, slack + length * d_slack, top + length * d_top
-        w, reduced, level = w + length * d_w, reduced + length * d_reduced, level + length * float(step[-1])
-    return share / share.sum(), w / w.sum()
+        share = share * np.sqrt(slope + 1e-300)  # also where all columns are one
+        share /= share.sum()
+    return share, weights
 
 
-def _longest(x: Array, step: Array) -> float:
-    """The largest step in (0, 1] that keeps x positive, with a margin."""
-    falls = step < 0.0
-    return float(min(1.0, 0.99 * np.min(-x[falls] / step[falls], initial=2.0)))
+def solve_by_clarabel(program: Program) -> Design:
+    """Solve the statement in cvxpy by Clarabel; its point is made feasible, and gets a bound by its multipliers.
 
-
-def conic_design(costs: Array, base: Array, mdp: FiniteMDP | None) -> tuple[Array, Array]:
-    """(q, w): the program above, solved by Clarabel, and the multipliers of its policies; ``mdp`` None: free sampling.
-
-    Raises SolverStatusError (a RuntimeError) for any status but "optimal". q is what the solver
-    hands over: feasible to its tolerance. Cost: a conic program with a cone a row.
+    Raises SolverStatusError (a RuntimeError) for any status but "optimal". Cost: a conic program with a cone a row.
     """
     import cvxpy as cp
 
-    n_rows = len(base)
+    costs, base = program.costs, program.base
     used = np.flatnonzero(costs.max(axis=0) > 0.0)
-    rest = np.setdiff1d(np.arange(n_rows), used)
-    unit = np.sqrt(costs.mean(axis=0)[used])
-    unit = np.maximum(unit / unit.sum(), 1e-9)
-    z, u, top = cp.Variable(used.size), cp.Variable(max(rest.size, 1), nonneg=True), cp.Variable()
-    into_used, into_rest = (
-        sparse.csr_array((np.ones(rows.size), (rows, np.arange(rows.size))), shape=(n_rows, max(rows.size, 1)))
-        for rows in (used, rest)
-    )
-    q = into_used @ (cp.multiply(unit, z) - base[used]) + into_rest @ u
-    inefficiency = (costs[:, used] / unit) @ cp.inv_pos(z) <= top
-    constraints: list[object] = [inefficiency, z >= base[used] / unit]
-    if mdp is None:
-        constraints.append(cp.sum(q) == 1.0)
-    else:
-        owner = sparse.csr_array(
-            (np.ones(n_rows), (np.arange(n_rows) // mdp.n_actions, np.arange(n_rows))), shape=(mdp.n_states, n_rows)
-        )
-        flow = owner - mdp.discount * mdp.transitions.T
-        constraints.append(sparse.csr_array(flow) @ q == (1.0 - mdp.discount) * mdp.initial)
-    problem = cp.Problem(cp.Minimize(top), constraints)
-    status = run(problem, "CLARABEL", (1e-10, 1e-8))
+    free_best = np.sqrt(costs.mean(axis=0))
+    unit = np.where(costs.max(axis=0) > 0.0, np.maximum(free_best / free_best.sum(), 1e-9), 1.0)
+    y, top = cp.Variable(base.size, nonneg=True), cp.Variable()
+    q, total = cp.multiply(unit, y), base[used] / unit[used] + y[used]  # b + q in units of the free allocation
+    inefficiency = (costs[:, used] / unit[used]) @ cp.inv_pos(total) <= top
+    matrix, right = program.equations()
+    problem = cp.Problem(cp.Minimize(top), [inefficiency, matrix @ q == right])
+    status = run(problem, "CLARABEL", (1e-10, 1e-8, 1e-6))  # the gap is ours to certify
     if status != "optimal":
         raise SolverStatusError(
             f"CLARABEL ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='frank_wolfe')"
         )
     weights = np.maximum(np.ravel(inefficiency.dual_value), 0.0)
-    return np.asarray(q.value, dtype=np.float64), weights / weights.sum()
+    point = program.project(unit * y.value)
+    bound, _ = program.propose(weights / weights.sum(), point)
+    return Design(point, float(evaluate(costs, base, point).max()), bound, "CLARABEL")

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.design import plan_data_collection
-from oee_tabular.design.flow import collection_mdp
+from oee_tabular.design.programs import collection_mdp
 from oee_tabular.estimators import Estimator, ModelBased, OffEnvironment, Problem
 from oee_tabular.exact import efficiency_bound, occupancy, policy_value, ratio_of_ratios_variance
 from oee_tabular.experiments.common import SMALL_SCALE, error_of, grids, rmse_panels, small_grids

@@ -12,7 +12,7 @@ from scipy import special
 
 from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
-from oee_tabular.design.costs import advice
+from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Interval, compare_policies, interval
 from oee_tabular.inference.evidence import Evidence, gather, reached_rows

@@ -1,0 +1,83 @@
+"""The advice of a plan and of a report: which state-action pairs to record next, one transition after another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from statistics import NormalDist
+
+import numpy as np
+
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular._sparse import row_sums
+from oee_tabular.design.costs import row_costs
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import reweight
+from oee_tabular.mdp.naming import Names
+from oee_tabular.ratio import Conditional
+from oee_tabular.ratio.arguments import Box
+
+NOTHING = "More moves would not narrow it."
+
+
+def next_pairs(
+    table: Array, counts: Array, n_actions: int, number: int, confidence: float
+) -> tuple[tuple[int, int], ...]:
+    """Choose the ``number`` pairs (s, a) that take most off the widths of the policies' intervals, one after another.
+
+    ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se, se^2 = sum c / n, a transition of a
+    recorded row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one transition of it leaves.
+    None that costs 0.
+    """
+    z, n, chosen = NormalDist().inv_cdf(0.5 + confidence / 2.0), np.array(counts, dtype=np.float64), []
+    gain_if_never_recorded = np.sum(2.0 * z * np.sqrt(table), axis=0)
+    for _ in range(number if np.any(table > 0.0) else 0):
+        variance = table / np.maximum(n, 1.0) * (n > 0)
+        error = np.sqrt(variance.sum(axis=1, keepdims=True))
+        gain = np.divide(z * variance, error, out=np.zeros_like(table), where=error > 0.0).sum(axis=0) / (n + 1.0)
+        row = int(np.argmax(np.where(n > 0, gain, gain_if_never_recorded)))
+        n[row] += 1.0
+        chosen.append(divmod(row, n_actions))
+    return tuple(chosen)
+
+
+def advice_sentence(
+    pairs: tuple[tuple[int, int], ...], table: Array, counts: Array, optimistic: BoolArray, names: Names
+) -> str:
+    """Say the first of the pairs, and why; ``table`` (K, S, A), ``counts`` and ``optimistic`` (S, A)."""
+    if not pairs:
+        return NOTHING
+    state, action = pairs[0]
+    n, why = counts[state, action], "never recorded"
+    so_far = f"{n:.4g} {'move' if n == 1 else 'moves'} so far"
+    if optimistic[state, action]:
+        why = f"{so_far}; the model holds its outcome for certain"
+    elif n > 0:
+        variance = table / np.maximum(counts, 1.0)
+        total = variance.sum(axis=(1, 2))
+        share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
+        why = f"{so_far}, {share:.0%} of the variance"
+    where = f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
+    return f"What would help most: moves of {where} ({why})."
+
+
+def _quote(name: str) -> str:
+    """Quote a name of several words, so that one sees where it ends; coordinates have their brackets."""
+    return f"“{name}”" if " " in name and not name.startswith("(") else name
+
+
+def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -> str:
+    """Return the sentence of ``plan_data_collection`` with the same log, policies and confidence.
+
+    Cost: one ratio, and an evaluation and an occupancy a policy.
+    """
+    mdp = problem.model
+    shape = (mdp.n_states, mdp.n_actions)
+    counts = row_sums(problem.counts)
+    model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, made=problem.made))
+    costs = row_costs(
+        mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
+        optimistic=True,
+    )  # fmt: skip
+    pairs = next_pairs(costs.table, counts, shape[1], 1, confidence)
+    table, optimistic = costs.table.reshape(-1, *shape), costs.optimistic.reshape(shape)
+    return advice_sentence(pairs, table, counts.reshape(shape), optimistic, mdp.names)
