@@ -48,7 +48,7 @@ def fingerprints():
     ):
         found[name] = digest(moments.mean, moments.variance, moments.bias)
     found["value"] = digest(oee.policy_value(simulator, policy), oee.policy_value(simulator, policy, horizon=5))
-    for options in ({}, {"smoothness": 5.0}, {"method": "joint", "seed": 0}):
+    for options in ({}, {"prior": "tilt"}, {"method": "joint", "seed": 0}):
         found[f"ratio {options}"] = digest(oee.transition_ratio(log, simulator, **options).values.data)
     for estimator in (oee.estimators.OffEnvironment(), oee.estimators.Marginalized()):
         estimate = estimator(problem, policy, seed=0)

@@ -131,14 +131,14 @@ def foreign_starts(share: float) -> tuple[Finding, ...]:
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
 
-def conflict_with_centre(share: float) -> tuple[Finding, ...]:
-    """The log speaks against the centre: by how much the value gives way."""
+def conflict_with_centre(likeliest: float, distance: float) -> tuple[Finding, ...]:
+    """The value rests on the corrected simulator against the log, ``distance`` standard errors of their difference away."""
     text = (
-        "the log speaks against every kind of change that was tried along this policy, so the value is moved by {} "
-        "from the corrected simulator towards what the log alone says. If you know what may differ, say it: features of "
-        "moves (features=, on the command line --features) or moves that are alike (tie=, --tie)."
+        f"The value rests on the corrected simulator. The log's frequencies alone say {likeliest:.4g}, {{}} standard errors of "
+        "the difference away. If you know what may differ, say it: features of transitions (features=, on the command line "
+        "--features) or transitions that are alike (tie=, --tie)."
     )
-    return (Finding("against", share, text, f"{share:.0%}"),) if share > 0 else ()
+    return (Finding("against", distance, text, f"{distance:.1f}"),)
 
 
 def outside(value: str, severity: float, by: str) -> Finding:

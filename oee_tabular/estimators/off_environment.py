@@ -34,7 +34,13 @@ from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.transition import method_named
 
 NORMAL = NormalDist().inv_cdf(0.975)
-AGAINST = 8.0  # z^2 up to which the value stays at the centre (`oee bench`; what others cost: notebook 05)
+# Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias is b: by s^2 over the variance of
+# that estimate, in standard deviations s [1], interpolated in the logarithm of the ratio; the first, below 1, is a guess.
+VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
+THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
+CONTRADICTION = (
+    2.0  # standard errors of their difference between the value and maximum likelihood's that are worth a word
+)
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
 NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
     "conditional": OF_COUNTS | {"consistent", "shift"},
@@ -61,22 +67,25 @@ class OffEnvironment(ExactLimit):
 
     Notes
     -----
-    Limit with "conditional", as n grows: J(P_target) where the log's distribution covers the policy's; the prior's centre (an
-    average of the simulator and its tilts) stands in for rows never visited. ``Estimate.value`` is the exact value of zeta * P
-    (``diagnostics["model_value"]``), moved towards the log where that speaks against the centre:
+    Limit with "conditional", as n grows: J(P_target) where the log's distribution covers the policy's; the prior's rows (the
+    simulator's, tilted) stand in for rows never visited. ``Estimate.value`` is the exact value of zeta * P
+    (``diagnostics["model_value"]``), moved towards the log by a soft threshold:
 
-        value + max(0, 1 - (8 / z^2)^2) change,   z = change / its standard error,
+        value + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
 
     change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
-    sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few moves.
-    The gains over maximum likelihood come from the centre; the test bounds the harm: where the centre is b standard errors
-    of the change off, the root mean square of what is left is at most 2.3 of them (at b = 3.1), .08 where it is right (z
-    normal). ``diagnostics`` has both ends and the share ``moved``.
+    sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few
+    transitions. s is the standard error of the difference of the two values, se that of the one-step value, se_fit that of
+    zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more the log has to say
+    against it. Its values make the largest regret over all biases of the prior as small as a soft threshold can [1].
+    ``diagnostics`` has both ends and the share ``moved``.
 
     ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
     derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value plus or minus 1.96 of it. The narrower
     ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard error is that of the
     rollouts given zeta, which heavy tails make too small.
+
+    Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification, arXiv 2305.14265.
 
     Examples
     --------
@@ -241,8 +250,10 @@ def _moved(
     if not np.isfinite(known if likeliest is None else [*known, likeliest]).all():
         return exact  # rewards near the largest float
     change = 0.0 if likeliest is None else nearer(step.change, likeliest - exact.value)
-    apart = abs(change) / step.change_error if step.change_error > 0 else 0.0
-    share = max(0.0, 1.0 - (AGAINST / apart**2) ** 2) if apart > 0 else 0.0
+    shared = min(within / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
+    apart = float(step.standard_error * np.sqrt(1.0 - shared**2))
+    kept = min(abs(change), threshold(apart, within) * apart)
+    share = 1.0 - kept / abs(change) if change else 0.0
     value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
     diagnostics = exact.diagnostics | {
         "standard_error_of": "log",
@@ -252,15 +263,10 @@ def _moved(
         "one_step_value": exact.value + step.change,
         "one_step_standard_error": error,
         "unseen_standard_error": step.unseen,
-        "one_step_distance": apart,
+        "one_step_distance": abs(change) / apart if apart > 0 else 0.0,
         **({} if likeliest is None else {"maximum_likelihood_value": likeliest}),
         "moved": share,
     }
-    if share > 0 and "meaning" in diagnostics:
-        diagnostics["meaning"] = (
-            f"the log speaks against the centre along this policy (by {apart:.1f} standard errors): "
-            f"the value is moved from it by {share:.0%}"
-        )
     told = error_or_none(error, gradient, problem.model.transitions.indptr)
     interval = (value - NORMAL * error, value + NORMAL * error) if told is not None and np.isfinite(error) else None
     return replace(
@@ -269,10 +275,25 @@ def _moved(
         standard_error=told,
         interval=interval,
         diagnostics=diagnostics,
-        findings=(*findings.no_variation(told), *findings.conflict_with_centre(share), *exact.findings),
+        findings=(*findings.no_variation(told), *_contradiction(value, likeliest, apart), *exact.findings),
         one_step_value=exact.value + step.change,
         is_normal=True,
     )
+
+
+def threshold(apart: float, within: float) -> float:
+    """lambda of the soft threshold, where the two values' difference has the standard error ``apart``."""
+    if not within > 0.0:
+        return THRESHOLDS[-1]
+    logs = np.log(VARIANCE_RATIOS)
+    return float(np.interp(2.0 * np.log(max(apart, 1e-300) / within), logs, THRESHOLDS))
+
+
+def _contradiction(value: float, likeliest: float | None, apart: float) -> tuple[findings.Finding, ...]:
+    """The value rests on the tilt against the log."""
+    if likeliest is None or not abs(value - likeliest) > CONTRADICTION * apart > 0.0:
+        return ()
+    return findings.conflict_with_centre(likeliest, abs(value - likeliest) / apart)
 
 
 def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:

@@ -101,7 +101,7 @@ RATE = Experiment(
 
 CHOICES: dict[str, OffEnvironment] = {
     "default": OffEnvironment(),
-    "one tilt for all": OffEnvironment(ratio=partial(transition_ratio, smoothness=np.inf)),
+    "one tilt for all": OffEnvironment(ratio=partial(transition_ratio, prior="tilt")),
 }
 
 

@@ -7,8 +7,7 @@ zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean unde
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import deepcopy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any, ClassVar, NamedTuple
@@ -19,21 +18,17 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
-from oee_tabular.exact.linear import DivergentKernelError
-from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import check_box, check_ridge
+from oee_tabular.ratio.features import feature_array, warn_of_rank
 from oee_tabular.ratio.method import Given, Method, Population
 from oee_tabular.ratio.network import Network, check_network
-from oee_tabular.ratio.prior.centre import Log, fit_centre
-from oee_tabular.ratio.prior.library import values_in
-from oee_tabular.ratio.prior.local_tilt import LocalTilt, fit_local_tilt
-from oee_tabular.ratio.prior.neighbours import Neighbours, neighbours
+from oee_tabular.ratio.prior.directions import feature_directions, make_directions, values_in
+from oee_tabular.ratio.prior.ridge import Ridge as Tilt
+from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
-from oee_tabular.ratio.prior.tilt import Columns, Tilt, fit_default_tilt, fit_tilt
-from oee_tabular.ratio.result import Influence, Part, TransitionRatio
+from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.trained import fit_rows
 
 Ridge = float | str | Callable[[float], float]
@@ -49,24 +44,20 @@ class Conditional(Method):
 
     Parameters
     ----------
-    prior : "average" (default) | "tilt" (default where ``features`` or ``smoothness`` is given) | "simulator" | "none"
-        The row that every row is shrunk to: the simulator's, that of its conditional exponential tilt zeta proportional to
-        exp(theta . phi), fitted to all rows together under the penalty |theta|^2 / 2 on standardised features, a unit
-        Gaussian prior (theta varies over the states where the log gives evidence that it does), or the average by
-        evidence of these two and of tilts along directions made from the simulator and the values of the policies that
-        matter (``ratio.prior.centre``).
+    prior : "ridge" (default) | "tilt" | "simulator" | "none"
+        The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt zeta proportional
+        to exp(theta . phi), fitted to all rows together. "ridge": phi are all directions made from the simulator, the
+        values of the policies that matter and ``features``, one strength a group by evidence (``ratio.prior``; "average" is
+        its former name). "tilt": ``features`` alone (log P without any), under the penalty |theta|^2 / 2 on standardised
+        features, a unit Gaussian prior.
     strength : "evidence" (default) | "loo", or a nonnegative number
         How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
         likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
         probabilities; kinds with fewer than 5 visited rows or 100 moves are pooled), or given. ``details`` has the choice,
         its curve and its meaning.
-    features : phi for the tilt: None (log P, and (log P)^2 where the evidence asks for it), an array aligned with
-        ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a function of (s, a, s'),
-        or a data frame (columns state, action, next_state, by number or name, and one a feature);
-        ``oee.ratio.action_displacement`` makes some
-    smoothness : "evidence" (default), a positive number, or ``numpy.inf``; with the tilt only
-        How much alike theta is in neighbouring states (lambda of ``ratio.prior.local_tilt``): chosen by its evidence, given, or
-        infinite: one theta for all states. ``details["theta_by_state"]`` shows where the target differs.
+    features : directions of your own for the tilt: an array aligned with ``simulator.transitions.data``, one of shape
+        (S, A, S) or (S, A, S, d), a function of (s, a, s'), or a data frame (columns state, action, next_state, by number
+        or name, and one a feature); ``oee.ratio.action_displacement`` makes some
     lower, upper : bounds on zeta; None: 0 and no bound
     ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function gets the count n_sa of each row that
         has one, and "evidence" or "loo" chooses kappa / n_sa on the data
@@ -93,7 +84,6 @@ class Conditional(Method):
     prior: str | None = None
     strength: float | str = "evidence"
     features: Any = field(default=None, repr=False)
-    smoothness: float | str | None = None
     lower: float | None = None
     upper: float | None = None
     ridge: Ridge = 0.0
@@ -107,13 +97,11 @@ class Conditional(Method):
         _checks.instance(self.solver, str, "solver")
         if self.functions is not None:
             self._check_network()
-        if self.prior is None:
-            plain = self.features is None and self.smoothness is None
-            object.__setattr__(self, "prior", "average" if plain else "tilt")
+        if self.prior in (None, "average"):  # "average": what the first edition called its default
+            object.__setattr__(self, "prior", "ridge")
         _checks.one_of(self.prior, "prior", tuple(PRIORS))
-        for name in ("features", "smoothness"):
-            if getattr(self, name) is not None and self.prior != "tilt":
-                raise ValueError(f"{name} must be left out with prior {self.prior!r}, which does not use them")
+        if self.features is not None and self.prior in ("simulator", "none"):
+            raise ValueError(f"features must be left out with prior {self.prior!r}, which does not use them")
         check_box(self.lower, self.upper, normalized=True)
 
     def _check_network(self) -> None:
@@ -134,8 +122,8 @@ class Conditional(Method):
 
     @property
     def uses(self) -> frozenset[str]:
-        """The policies' values are directions of the average's tilts."""
-        return self.HEEDS if self.prior == "average" else frozenset()
+        """The policies' values are directions of the default."""
+        return self.HEEDS if PRIORS[str(self.prior)] is _along_all else frozenset()
 
     @property
     def refuses(self) -> str:
@@ -164,7 +152,7 @@ class Conditional(Method):
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
         zeta, bent, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
-        gaps = [part.gap for part in prior.parts]
+        gaps = [0.0 if prior.tilt is None else prior.tilt.gap]
         whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
         for some in (rows,) if whole else rows.blocks():
             number, at, spread, m = some.number, some.entries, some.spread, prior.at(some)
@@ -188,7 +176,7 @@ class Conditional(Method):
         if ends:
             details["enclosure"] = tuple(ends)
         share = np.divide(n_row, weight, out=np.zeros_like(n_row), where=known)
-        influence = Influence(rows, observed, zeta, bent, share, prior.parts)
+        influence = Influence(rows, observed, zeta, bent, share, tilt=prior.tilt)
         return given.ratio(zeta, "conditional", max(gaps), details, influence)
 
     def _chosen_ridge(self, given: Given, n_row: Array, details: dict[str, Any]) -> Array:
@@ -209,108 +197,87 @@ def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.
     return csr_on_pattern(matrix, np.where(seen, inside / safe, fitted.on(population.simulator)))
 
 
-def _tilt(
-    given: Given, features: object, smoothness: float | str | None, solver: str
-) -> tuple[Tilt | LocalTilt, dict[str, Any], float]:
-    """One tilt for all states, or one that varies over them, its diagnostics and its evidence."""
-    observed, simulator = given.observed, given.simulator
-    smoothness = "evidence" if smoothness is None else smoothness
-    if not (isinstance(smoothness, str | float) and smoothness in ("evidence", np.inf)):
-        smoothness = _checks.number_in(smoothness, "smoothness", 0.0, np.inf, open_ends=True)
-    if features is None:
-        whole = fit_default_tilt(observed, simulator, solver=solver, whole=given.rows)
-    else:
-        whole = fit_tilt(observed, simulator, features, solver=solver, whole=given.rows)
-    details = {"theta": whole.theta, "tilt_gap": whole.gap, "feature_rank": whole.rank, "smoothness": np.inf}
-    if smoothness == np.inf or not (whole.information > 1e-9 + np.eye(len(whole.theta))).any():
-        return whole, details, whole.evidence
-    asked = None if isinstance(smoothness, str) else smoothness
-    graph = given.once(_graph, len(whole.coefficients))
-    local = fit_local_tilt(observed, simulator, whole, asked, solver=solver, graph=graph)
-    if local is None:
-        return whole, details, whole.evidence
-    of_states = {
-        "theta_by_state": local.theta / whole.scale,
-        "tilt_gap": local.gap,
-        "smoothness": local.smoothness,
-        "smoothness_gain": local.gain,
-        "smoothness_curve": local.curve,
-    }
-    return local, details | of_states, whole.evidence + local.gain
-
-
 class _Prior(NamedTuple):
-    """What rows are shrunk to (of any rows, (entries,)), the moves that it is worth in each, its parts, what is said of it."""
+    """What rows are shrunk to (of any rows, (entries,)), the transitions that it is worth in each, its tilt, details."""
 
-    at: Columns
+    at: Callable[[Rows], Array]
     kappa: Array
-    parts: tuple[Part, ...]
+    tilt: Tilt | None
     details: dict[str, Any]
-
-
-def _none(given: Given, method: Conditional) -> _Prior:
-    """Nothing: maximum likelihood, the simulator where there are no data."""
-    return _Prior(_simulated, np.zeros(given.rows.number.shape), (), {"strength": 0.0})
 
 
 _simulated = attrgetter("weights")
 
 
+def _none(given: Given, method: Conditional) -> _Prior:
+    """Nothing: maximum likelihood, the simulator where there are no data."""
+    return _Prior(_simulated, np.zeros(given.rows.number.shape), None, {"strength": 0.0})
+
+
 def _simulator(given: Given, method: Conditional) -> _Prior:
-    return _of_strength(given, method, _simulated, (), {}, "simulator")
+    return _of_strength(given, method, _simulated, None, {}, "simulator")
 
 
-def _tilted(given: Given, method: Conditional) -> _Prior:
-    tilt, details, likelihood = _tilt(given, method.features, method.smoothness, method.solver)
-    part = Part("tilt", 1.0, likelihood, tilt.at, tilt.whole, tilt.information, gap=tilt.gap)
-    return _of_strength(given, method, lambda rows: tilt.at(rows)[0], (part,), details, "tilt")
+def _along_features(given: Given, method: Conditional) -> _Prior:
+    """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
+    features, details = _features(given, method)
+    directions = feature_directions(given.simulator, features)
+    rows = given.visited
+    tilt = fit_ridge(directions, rows, given.observed[rows.entries], None, by_evidence=False, solver=method.solver)
+    details |= {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
+    return _of_strength(given, method, tilt.at, tilt, details, "tilt")
 
 
-def _average(given: Given, method: Conditional) -> _Prior:
-    simulator, horizon = given.simulator, given.horizon
-    tilt, shared, likelihood, log = given.once(_of_all_policies, method.solver)
-    details = deepcopy(shared)
-    values = values_in(simulator, given.policies, horizon)
-    time = _time_in_rows(simulator, given.policies, horizon)
-    parts = fit_centre(given.observed, simulator, values, tilt, likelihood, time=time, solver=method.solver, log=log)
-    details["centre"] = [(part.name, part.weight, part.theta) for part in parts]
+def _along_all(given: Given, method: Conditional) -> _Prior:
+    """The tilt along all directions, shrunk by evidence."""
+    features, details = _features(given, method)
+    rows = given.visited
+    if not (np.diff(rows.indptr) > 1).any():
+        return _simulator(given, method)
+    counts, kind = given.observed[rows.entries], given.once(_kinds)[rows.number]
+    values = values_in(given.simulator, given.policies, given.horizon)
+    none = np.zeros((len(given.observed), 0))
+    directions = make_directions(given.simulator, rows, values, none if features is None else features)
 
-    def centre(rows: Rows) -> Array:
-        return np.asarray(sum(part.weight * part.at(rows)[0] for part in parts))
+    def kappa(model: Array) -> Array:
+        return choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row  # which weights do not notice
 
-    return _of_strength(given, method, centre, parts, details, "centre")
-
-
-def _of_all_policies(given: Given, solver: str) -> tuple[Tilt | LocalTilt, dict[str, Any], float, Log | None]:
-    """The tilt by log P, what is said of it, its evidence, and the log beside it."""
-    tilt, details, likelihood = _tilt(given, None, None, solver)
-    return tilt, details, likelihood, Log.of(given.observed, given.simulator, tilt, given.once(_graph, 1))
+    tilt = fit_ridge(directions, rows, counts, kappa, solver=method.solver)
+    details |= {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
+    return _of_strength(given, method, tilt.at, tilt, details, "tilt")
 
 
-def _graph(given: Given, width: int) -> Neighbours:
-    """The simulator's."""
-    return neighbours(given.simulator, width=width)
+def _features(given: Given, method: Conditional) -> tuple[Array | None, dict[str, Any]]:
+    """The user's features on the simulator's entries, and their rank; a warning where they are collinear within rows."""
+    if method.features is None:
+        return None, {}
+    features = feature_array(method.features, given.simulator)
+    centred = np.sqrt(given.rows.weights)[:, None] * given.rows.center(features)
+    rounding = 1e-12 * np.abs(features).max(axis=0) * np.sqrt(len(features))
+    centred = np.where((centred**2).sum(axis=0) > rounding**2, centred, 0.0)
+    return features, {"feature_rank": warn_of_rank(centred, where=" within rows")}
 
 
-def _time_in_rows(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> Array | None:
-    """(S*A,): the policies' time in each row; None without policies, or where one of them earns or pays for ever."""
-    try:
-        found = [time_in_pairs(simulator, policy, horizon).reshape(-1) for policy in policies]
-    except DivergentKernelError:
-        return None
-    return np.asarray(np.sum(found, axis=0)) if found else None
-
-
-PRIORS = {"average": _average, "tilt": _tilted, "simulator": _simulator, "none": _none}
+PRIORS = {
+    "ridge": _along_all,
+    "tilt": _along_features,
+    "simulator": _simulator,
+    "none": _none,
+}
 
 
 def _of_strength(
-    given: Given, method: Conditional, at: Columns, parts: tuple[Part, ...], details: dict[str, Any], name: str
+    given: Given,
+    method: Conditional,
+    at: Callable[[Rows], Array],
+    tilt: Tilt | None,
+    details: dict[str, Any],
+    name: str,
 ) -> _Prior:
     """kappa of each row as ``strength`` says; ``name`` is what its meaning calls the prior."""
     if not isinstance(method.strength, str):
         kappa = _checks.number_in(method.strength, "strength", 0.0, np.inf)
-        return _Prior(at, np.full(len(given.rows), kappa), parts, details | {"strength": kappa})
+        return _Prior(at, np.full(len(given.rows), kappa), tilt, details | {"strength": kappa})
     _checks.one_of(method.strength, "strength", CRITERIA)
     rows, kind = given.visited, given.once(_kinds)
     counts = given.observed[rows.entries]
@@ -323,7 +290,7 @@ def _of_strength(
         "strength_kinds": choice.kinds,
         "meaning": meaning(choice, rows.sums(counts), name),
     }
-    return _Prior(at, choice.by_kind[kind], parts, chosen | details)
+    return _Prior(at, choice.by_kind[kind], tilt, chosen | details)
 
 
 def _kinds(given: Given) -> IntArray:

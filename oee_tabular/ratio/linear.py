@@ -34,7 +34,7 @@ from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
 from oee_tabular.ratio.method import Given, Method
-from oee_tabular.ratio.result import Held, Influence, Part, TransitionRatio
+from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 
 N_CENTERS = 200
@@ -333,6 +333,6 @@ class InClass(Method):
         safe = np.maximum(zeta, 1e-12)
         details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
-        part = Part(self._name, 1.0, 0.0, Held(zeta * q, phi / safe[:, None]), rows, information, gap=found.gap)
-        influence = Influence(rows, observed, zeta, q / safe, np.zeros(len(rows)), (part,))
+        part = Part(zeta * q, phi / safe[:, None], information)
+        influence = Influence(rows, observed, zeta, q / safe, np.zeros(len(rows)), part)
         return given.ratio(zeta, self._name, found.gap, details, influence)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,7 +17,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.exact.linear import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.prior.neighbours import Factor
+from oee_tabular.ratio.prior.ridge import Ridge
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +124,19 @@ class TransitionRatio:
         """Whether zeta, its gap and what its errors are computed from are finite numbers."""
         known = [self.values.data, np.asarray(self.gap)]
         if self._influence is not None:
-            tables = [part.information for part in self._influence.parts if part.information is not None]
-            known += [x.data if sparse.issparse(x) else np.asarray(x) for x in tables]
+            part, tilt = self._influence.part, self._influence.tilt
+            known += [] if part is None else [part.information]
+            known += [] if tilt is None else [tilt.theta, tilt.covariances]
         return all(np.isfinite(x).all() for x in known)
 
     @one_thread
     def log_standard_error(self, gradient: Array) -> float | None:
-        """Delta-method standard error that the log's sampling noise gives to a function of zeta * P.
+        """Standard error of a function of zeta * P if its prior fits: that of the log's sampling noise.
 
         ``gradient`` is its derivative in each entry of zeta * P (``exact.transition_gradient``). Rows are taken as
-        multinomial given their counts, what was chosen on the data (the prior's strength, the tilt's features and smoothness)
-        as given; unvisited rows add only what they share with others (a tilt). The error that a wrong prior makes is not in
-        it. None where no formula is known.
+        multinomial given their counts, and what was chosen on the data (the prior's strength, the strengths of directions) as
+        given; parameters of a tilt have their posterior variance, so that rows without data add what they share with others.
+        The error that a wrong prior makes is not in it. None where no formula is known.
         """
         gradient = self._aligned(gradient)
         if self._influence is None:
@@ -192,61 +192,19 @@ class OneStep:
     change_error: float
 
 
-Made = Callable[[Rows], tuple[Array, Any]]
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """Probabilities and scores of all rows, as arrays."""
-
-    probabilities: Array
-    scores: Any
-
-    def __call__(self, rows: Rows) -> tuple[Array, Any]:
-        """Those of some rows."""
-        return self.probabilities[rows.entries], None if self.scores is None else self.scores[rows.entries]
-
-
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A candidate in the centre of the prior (``ratio.prior.centre``).
+    """Parameters of a class of ratios that all rows share.
 
     Attributes
     ----------
-    name : "simulator", "tilt by log P", or its features
-    weight : its share of the centre
-    evidence : nats, less its prices
-    at : of any rows their probabilities (entries,) and scores, d log probabilities / d parameters (None without parameters)
-    whole : all rows of the simulator
-    information : of the parameters
-    theta : its parameters by feature, in the features' units
-    gap : of its program
-    counted : (rows,) how much a move of each row counts in the parameters (``ratio.selection``); None: 1
+    probabilities : (entries,) zeta P; scores : (entries, d) d log zeta / d parameters
+    information : (d, d) the Hessian of the class's risk
     """
 
-    name: str
-    weight: float
-    evidence: float
-    at: Made
-    whole: Rows
-    information: Array | sparse.csc_array | None = None
-    theta: dict[str, float] = field(default_factory=dict)
-    gap: float = 0.0
-    counted: Array | None = None
-
-    @property
-    def rows(self) -> Array:
-        """(entries,) of all rows of the simulator."""
-        return self.at(self.whole)[0]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"at": Held(*self.at(self.whole))}
-
-    def moved(self, pull: Array) -> Array:
-        """information^-1 pull."""
-        if isinstance(self.information, sparse.csc_array):
-            return Factor(self.information).solve(pull)
-        return np.asarray(np.linalg.lstsq(np.asarray(self.information), pull)[0])
+    probabilities: Array
+    scores: Array
+    information: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +216,7 @@ class Influence:
     rows : the simulator's; counts : n_x on their entries; ratio : zeta
     curvature : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
     share : of the data in a row, n_sa / (n_sa + kappa)
-    parts : of the prior's centre, with their information (dense; of a tilt that varies over the states: sparse)
+    part : the parameters of a class of ratios; tilt : what the prior's rows are, where it is fitted
 
     What is computed of them goes over the rows block by block.
     """
@@ -268,7 +226,8 @@ class Influence:
     ratio: Array
     curvature: Array
     share: Array
-    parts: tuple[Part, ...] = ()
+    part: Part | None = None
+    tilt: Ridge | None = None
 
     @cached_property
     def n(self) -> Array:
@@ -276,24 +235,36 @@ class Influence:
         return self.rows.sums(self.counts)
 
     def standard_error(self, gradient: Array) -> float:
-        """sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation)."""
-        parts = [part for part in self.parts if part.information is not None]
-        pulls: list[Any] = [0.0 for _ in parts]  # d value / d theta
-        for rows in self.rows.blocks() if parts else ():
-            free = rows.spread(1.0 - self.share[rows.number]) * self._by_probability(gradient, rows)
-            for k, part in enumerate(parts):
-                model, scores = part.at(rows)
-                pulls[k] = pulls[k] + (part.weight * free * model) @ scores
-        steps = [part.moved(pull) for part, pull in zip(parts, pulls, strict=True)]
+        """The error that the log's noise makes.
+
+        Of a class, sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation). Else sqrt(sum_rows share^2 Var(d) / n
+        + p' H^-1 p), d = d value / d frequencies, p and H the derivative in the tilt's parameters, through what the rows
+        have of it, and their information. Variances are those under the frequencies.
+        """
+        visited = self.rows.select(self.n > 0)
+        if self.part is not None:
+            return self._class_error(gradient, self.part, visited)
         total = 0.0
-        for rows in self.rows.select(self.n > 0).blocks():
-            n = self.n[rows.number]
-            each = rows.spread(self.share[rows.number] / n) * self._by_probability(gradient, rows)
-            for part, step in zip(parts, steps, strict=True):
-                counted = 1.0 if part.counted is None else rows.spread(part.counted[rows.number])
-                each = each + counted * (part.at(rows)[1] @ step)
-            total += float(np.sum(n * rows.variance(rows.frequencies(self.counts[rows.entries]), each)))
+        for rows in visited.blocks():
+            share, n = self.share[rows.number], self.n[rows.number]
+            frequencies = rows.frequencies(self.counts[rows.entries])
+            total += float(np.sum(share**2 / n * rows.variance(frequencies, self._by_probability(gradient, rows))))
+        if self.tilt is not None:
+            pull: Any = 0.0
+            for rows in self.rows.blocks():
+                free = rows.spread(1.0 - self.share[rows.number]) * self._by_probability(gradient, rows)
+                pull = pull + self.tilt.pull(rows, free * self.tilt.at(rows))
+            total += self.tilt.variance(pull)
         return float(np.sqrt(total))
+
+    def _class_error(self, gradient: Array, part: Part, visited: Rows) -> float:
+        """The first of the two."""
+        free = self._by_probability(gradient, self.rows) * self.rows.spread(1.0 - self.share)
+        step = np.linalg.lstsq(part.information, (free * part.probabilities) @ part.scores)[0]
+        n, at = self.n[visited.number], visited.entries
+        each = visited.spread(self.share[visited.number] / n) * self._by_probability(gradient, visited)
+        each = each + part.scores[at] @ step
+        return float(np.sqrt(np.sum(n * visited.variance(visited.frequencies(self.counts[at]), each))))
 
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""

@@ -1,4 +1,4 @@
-"""Ratios in classes by own programs: linear, kernel and tied, and one tilt or one that varies."""
+"""Ratios in classes by own programs: linear, kernel and tied."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,6 @@ from numpy.testing import assert_allclose
 from scipy import optimize, sparse
 
 import oee_tabular as oee
-from oee_tabular.ratio.prior.local_tilt import fit_local_tilt
-from oee_tabular.ratio.prior.tilt import fit_tilt
 
 
 def small(seed=4, moves=150):
@@ -123,75 +121,6 @@ def test_the_standard_error_of_a_linear_class_is_its_sandwich():
     mean = (share * influence).sum(axis=2, keepdims=True)
     error = np.sqrt((n.sum(axis=2) * (share * (influence - mean) ** 2).sum(axis=2)).sum())
     assert_allclose(fit.log_standard_error(slope[P > 0]), error, rtol=0.02)
-
-
-def test_one_tilt_by_its_own_likelihood():
-    simulator, P, n, _ = small()
-    observed = n[P > 0]
-    phi = np.random.default_rng(3).normal(size=(2, *P.shape)) * (P > 0)
-    fit = fit_tilt(observed, simulator, np.moveaxis(phi, 0, 3))
-    centred = (phi - (P * phi).sum(axis=3, keepdims=True)) * (P > 0)
-    size = np.sqrt((P * centred**2).sum(axis=(1, 2, 3)) / 10)
-    standard = centred / size[:, None, None, None]
-
-    def model(theta):
-        raw = P * np.exp(np.tensordot(theta, standard, 1))
-        return raw / raw.sum(axis=2, keepdims=True)
-
-    def risk(theta):
-        return -(n[P > 0] * np.log(model(theta)[P > 0] / P[P > 0])).sum() + 0.5 * theta @ theta
-
-    theta = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-8}).x
-    assert_allclose(fit.theta, theta / size, rtol=1e-5)
-    assert_allclose(fit.ratio, model(theta)[P > 0] / P[P > 0], rtol=1e-5)
-    grid = np.linspace(-8, 8, 161)
-    spread = np.linalg.inv(fit.information)
-    root = np.linalg.cholesky(spread)
-    at = theta[:, None, None] + np.einsum("ij,jkl->ikl", root, np.array(np.meshgrid(grid, grid, indexing="ij")))
-    level = np.array([[risk(at[:, i, k]) for k in range(0, 161, 4)] for i in range(0, 161, 4)])
-    integral = np.log(np.exp(-(level - level.min())).sum() * 0.16 * np.linalg.det(root)) - level.min()
-    assert abs(fit.evidence - (integral - np.log(2 * np.pi))) < 0.03  # the prior's constant; Laplace's error
-
-
-@pytest.mark.parametrize("smoothness", [0.5, 20.0])
-def test_a_tilt_that_varies_by_its_own_risk_and_evidence(smoothness):
-    simulator, P, n, _ = small()
-    phi = np.where(P > 0, np.log(np.where(P > 0, P, 1.0)), 0.0)
-    phi = (phi - (P * phi).sum(axis=2, keepdims=True)) * (P > 0)
-    phi /= np.sqrt((P * phi**2).sum() / 10)
-    one = fit_tilt(n[P > 0], simulator)
-    fit = fit_local_tilt(n[P > 0], simulator, one, smoothness)
-    moves = P.mean(axis=1)
-    w = 0.5 * (moves + moves.T)
-    Q = np.diag(w.sum(axis=1) - np.diag(w) + 1e-4) - w + np.diag(np.diag(w))
-
-    def risk(x, prior=1.0):
-        u, theta = x[:5], x[5]
-        raw = P * np.exp((u + theta)[:, None, None] * phi)
-        z = raw / raw.sum(axis=2, keepdims=True)
-        likelihood = (n[P > 0] * np.log(z[P > 0] / P[P > 0])).sum()
-        return -likelihood + 0.5 * prior * theta**2 + 0.5 * smoothness * u @ Q @ u
-
-    x = optimize.minimize(risk, np.zeros(6), method="BFGS", options={"gtol": 1e-8}).x
-    assert_allclose(fit.theta[:, 0], x[:5] + x[5], atol=1e-5)
-    raw = P * np.exp((x[:5] + x[5])[:, None, None] * phi)
-    assert_allclose(fit.ratio, (raw / raw.sum(axis=2, keepdims=True))[P > 0] / P[P > 0], rtol=1e-5)
-
-    def bend(f, at, h=1e-3):
-        eye = h * np.eye(len(at))
-        four = [[f(at + p + q) - f(at + p - q) - f(at - p + q) + f(at - p - q) for q in eye] for p in eye]
-        return np.array(four) / (4 * h * h)
-
-    local = -risk(x) + 0.5 * np.linalg.slogdet(smoothness * Q)[1] - 0.5 * np.linalg.slogdet(bend(risk, x))[1]
-    alone = []
-    for prior in (1.0, (wide := smoothness * 1e-4 * 5) / (1 + wide)):
-
-        def still(t, prior=prior):
-            return risk(np.append(np.zeros(5), t), prior)
-
-        t = optimize.minimize(still, [one.coefficients[0]], method="BFGS", options={"gtol": 1e-8}).x
-        alone.append(-still(t) + 0.5 * np.log(prior) - 0.5 * np.log(bend(still, t)[0, 0]))
-    assert_allclose(fit.gain, local - max(alone), atol=2e-4)
 
 
 def test_tied_entries_by_their_own_sums():

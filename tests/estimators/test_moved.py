@@ -13,7 +13,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import exact
 from oee_tabular.estimators import ModelBased, OffEnvironment
-from oee_tabular.estimators.off_environment import AGAINST, nearer
+from oee_tabular.estimators.off_environment import THRESHOLDS, VARIANCE_RATIOS, nearer, threshold
 
 HALF = functools.partial(oee.transition_ratio, prior="simulator", strength=30.0)
 
@@ -42,18 +42,20 @@ def estimated(seed, *, size=0.5, per_row=10, horizon=None, estimator=None, skip=
 @pytest.mark.parametrize("horizon", [None, 5])
 @pytest.mark.parametrize("estimator", [OffEnvironment(), OffEnvironment(HALF)], ids=["default", "fixed"])
 def test_the_value_by_its_diagnostics(estimator, horizon):
-    """model value + max(0, 1 - (AGAINST / z^2)^2) change, change the nearer of one-step's and maximum likelihood's."""
+    """model value + sign(change) max(0, |change| - lambda s), change the nearer of one-step's and maximum likelihood's."""
     moved = []
     for seed in range(12):
         problem, policy, found = estimated(seed, size=0.3 * (seed % 4), horizon=horizon, estimator=estimator)
         facts = found.diagnostics
         changes = [facts[name] - facts["model_value"] for name in ("one_step_value", "maximum_likelihood_value")]
         change = 0.0 if changes[0] * changes[1] <= 0 else min(changes, key=abs)
-        z = facts["one_step_distance"]
-        share = max(0.0, 1 - (AGAINST / z**2) ** 2) if z > 0 else 0.0
-        assert_allclose(facts["moved"], share, rtol=1e-12)
-        assert_allclose(found.value, facts["model_value"] + share * change, rtol=1e-12)
-        assert (facts["moved"] == 0) == (z**2 <= AGAINST)
+        within = facts["standard_error_if_centre_fits"]
+        apart = np.sqrt(facts["one_step_standard_error"] ** 2 - within**2)
+        limit = np.interp(np.log(apart**2 / within**2), np.log(VARIANCE_RATIOS), THRESHOLDS)
+        assert_allclose(facts["one_step_distance"], abs(change) / apart, rtol=1e-9)
+        rest = np.sign(change) * max(0.0, abs(change) - limit * apart)
+        assert_allclose(found.value, facts["model_value"] + rest, rtol=1e-9)
+        assert_allclose(facts["moved"] * change, rest, rtol=1e-6, atol=1e-12)
         likelihood = ModelBased("simulator")(problem, policy).value  # every row is visited
         assert_allclose(facts["maximum_likelihood_value"], likelihood, rtol=1e-9)
         low, high = found.interval
@@ -64,8 +66,13 @@ def test_the_value_by_its_diagnostics(estimator, horizon):
         assert 0 < sum(moved) < 12
 
 
-def test_the_text_has_the_number():
-    assert f"value + max(0, 1 - ({AGAINST:g} / z^2)^2) change" in OffEnvironment.__doc__
+def test_the_threshold_is_the_published_table():
+    """Armstrong, Kline and Sun's, interpolated in the logarithm; constant beyond its ends."""
+    for ratio, limit in zip(VARIANCE_RATIOS, THRESHOLDS, strict=True):
+        assert_allclose(threshold(np.sqrt(ratio), 1.0), limit, rtol=1e-12)
+    assert threshold(0.0, 1.0) == THRESHOLDS[0]
+    assert threshold(1.0, 0.0) == threshold(1e6, 1.0) == THRESHOLDS[-1]
+    assert_allclose(threshold(5**0.25, 1.0), (0.73 + 0.98) / 2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("per_row", [1, 10])
@@ -88,7 +95,8 @@ def test_its_standard_error_row_by_row(per_row, skip):
                 continue
             error += variance / n
             change += gradient[s, a] @ (counts[s, a] / n - p[s, a])
-            own += (30 / (n + 30)) ** 2 * variance / n
+            seen = counts[s, a] / n
+            own -= (n / (n + 30)) ** 2 * (seen @ (gradient[s, a] - seen @ gradient[s, a]) ** 2) / n
     facts = found.diagnostics
     assert (unseen > 0) == (skip is not None or per_row == 1)
     assert_allclose(facts["one_step_standard_error"], np.sqrt(error + unseen), rtol=1e-9)
@@ -97,7 +105,7 @@ def test_its_standard_error_row_by_row(per_row, skip):
     assert_allclose(facts["one_step_value"] - facts["model_value"], change, rtol=1e-9)
     changes = change, facts["maximum_likelihood_value"] - facts["model_value"]
     nearest = 0.0 if changes[0] * changes[1] <= 0 else min(map(abs, changes))
-    assert_allclose(facts["one_step_distance"], nearest / np.sqrt(own), rtol=1e-9)
+    assert_allclose(facts["one_step_distance"], nearest / np.sqrt(error + own), rtol=1e-9)
 
 
 def test_a_row_of_one_move_has_a_variance():
@@ -142,21 +150,20 @@ def test_two_changes_by_hand():
     assert (nearer(2.0, 3.0), nearer(-3.0, -2.0), nearer(1.0, -5.0), nearer(0.0, 4.0)) == (2.0, -2.0, 0.0, 0.0)
 
 
-def test_a_value_that_was_moved_says_so():
-    """Also in ``meaning``, which says that the centre fits where it was not."""
-    _, _, far = estimated(
-        0, size=1.5, per_row=100, estimator=OffEnvironment(functools.partial(oee.transition_ratio, prior="simulator"))
-    )
-    facts = far.diagnostics
-    assert facts["moved"] > 0
-    share, distance = f"{facts['moved']:.0%}", f"{facts['one_step_distance']:.1f}"
-    assert facts["meaning"] == (
-        f"the log speaks against the centre along this policy (by {distance} standard errors): "
-        f"the value is moved from it by {share}"
-    )
-    _, _, near = estimated(0, size=0.0, per_row=100, estimator=OffEnvironment())
-    assert near.diagnostics["moved"] == 0
-    assert near.diagnostics["meaning"].startswith("the centre fits")
+def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
+    """More than two standard errors of their difference from maximum likelihood's value, in words with that value."""
+    told = []
+    for seed in range(30):
+        facts = (estimate := estimated(seed, size=1.5, per_row=1 + seed % 4)[2]).diagnostics
+        error = facts["one_step_standard_error"] ** 2 - facts["unseen_standard_error"] ** 2
+        apart = np.sqrt(error - facts["standard_error_if_centre_fits"] ** 2)
+        distance = abs(estimate.value - facts["maximum_likelihood_value"]) / apart
+        words = [str(finding) for finding in estimate.findings if finding.kind == "against"]
+        assert len(words) == (distance > 2)
+        if words:
+            assert f"alone say {facts['maximum_likelihood_value']:.4g}, {distance:.1f} standard errors" in words[0]
+        told += words
+    assert told
 
 
 def test_a_centre_that_is_wrong_is_left_and_one_that_is_right_is_kept():
@@ -184,7 +191,7 @@ def test_the_policy_s_own_value_is_a_direction_of_the_fit():
     assert_allclose(fitted.values.data, expected.values.data, rtol=1e-12)
     without = oee.transition_ratio(log, simulator)
     assert np.abs(without.values.data - expected.values.data).max() > 1e-4
-    assert not any("V" in name for name, _, _ in without.details["centre"])
+    assert "V" not in without.details["directions"]
 
 
 def test_ratios_without_a_log_s_noise_are_not_moved():

@@ -358,7 +358,6 @@ def rows(**options):
         (rows(solver="CLARABEL"), r"^solver must be left out with functions=.*; got 'CLARABEL'$"),
         (rows(prior="tilt"), r"^prior must be left out with functions=.*; got 'tilt'$"),
         (rows(features=[1.0]), r"^features must be left out with prior 'none'"),
-        (rows(smoothness=1.0), r"^smoothness must be left out with prior 'none'"),
         (rows(upper=5.0), r"^lower and upper must be left out with functions=.*; it is \[0, 5\]$"),
         (rows(lower=0.1), r"^lower and upper must be left out with functions=.*; it is \[0\.1, inf\]$"),
     ],

@@ -51,7 +51,7 @@ def test_options_that_a_method_does_not_use(method, name):
 WRONG = {
     "method": (zeta(method="q"), r"^method must be one of 'conditional', 'tied', 'linear', .*, 'joint'; got 'q'$"),
     "simulator": (lambda: oee.transition_ratio(LOG, 3), r"^simulator must be a FiniteMDP; got int$"),
-    "prior": (zeta(prior="q"), r"^prior must be one of 'average', 'tilt', 'simulator', 'none'; got 'q'$"),
+    "prior": (zeta(prior="q"), r"^prior must be one of 'ridge', 'tilt', 'simulator', 'none'; got 'q'$"),
     "strength": (zeta(strength="q"), r"^strength must be one of 'evidence', 'loo'; got 'q'$"),
     "a negative strength": (zeta(strength=-1), r"^strength must be in \[0, inf\); it is -1$"),
     "ridge": (zeta(ridge="q"), r"^ridge must be one of 'evidence', 'loo'; got 'q'$"),

@@ -12,7 +12,7 @@ import oee_tabular as oee
 CHOSEN = {"strength", "strength_by", "strength_score", "strength_curve", "strength_kinds", "meaning"}
 
 
-TILTED = {"theta", "tilt_gap", "feature_rank", "smoothness"}
+TILTED = {"theta", "tilt_gap"}
 
 
 ROWS = {"prior", "lower", "upper", "enclosure"}
@@ -22,7 +22,7 @@ BETAS = {"lower", "upper"}
 
 
 DETAILS = {
-    "the default": ({}, CHOSEN | TILTED | ROWS | {"centre"}),
+    "the default": ({}, CHOSEN | ROWS | {"directions", "direction_strengths", "tilt_gap"}),
     "the tilt": ({"prior": "tilt"}, CHOSEN | TILTED | ROWS),
     "the simulator": ({"prior": "simulator"}, CHOSEN | ROWS),
     "a strength": ({"prior": "simulator", "strength": 2.0}, {"strength"} | ROWS),
@@ -58,7 +58,7 @@ def test_the_words_in_the_details(name):
     sums = (found.values.toarray() * SIMULATOR.transitions.toarray()).sum(axis=1)
     assert_allclose(found.row_sum_error, np.abs(sums - 1).max(), atol=1e-15)
     if "prior" in keys:
-        assert found.details["prior"] == options.get("prior", "average")
+        assert found.details["prior"] == options.get("prior", "ridge")
     if "enclosure" in keys:
         below, above = found.details["enclosure"]
         assert (below <= found.values.data + 1e-12).all()
@@ -98,8 +98,6 @@ def test_models_of_rows_that_do_not_sum_to_one():
 FITS = {
     "none": {"prior": "none"},
     "simulator": {"prior": "simulator", "strength": 3.0},
-    "tilt": {"prior": "tilt", "strength": 3.0},
-    "tilt of features": {"prior": "tilt", "strength": 3.0, "features": FEATURES},
     "ridge": {"prior": "simulator", "strength": 1.0, "ridge": 0.3},
     "the paper's ridge": {"prior": "simulator", "strength": 1.0, "ridge": 0.3, "toward": None},
     "box": {"prior": "simulator", "strength": 1.0, "lower": 0.7, "upper": 1.6},

@@ -126,7 +126,7 @@ def test_entries_of_some_of_a_blocks_rows():
 
 OPTIONS = {
     "average": {},
-    "tilt": {"prior": "tilt", "smoothness": 3.0},
+    "tilt": {"prior": "tilt"},
     "box and ridge": {"prior": "simulator", "ridge": 0.1, "lower": 0.2, "upper": 3.0},
     "nothing": {"prior": "none", "ridge": lambda n: 1.0 / n},
 }

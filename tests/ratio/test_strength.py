@@ -33,10 +33,10 @@ def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
     fine = np.exp(np.linspace(0, np.log(1e4), 20_001))
     scores = np.array([score(k) for k in fine])
     assert found.criterion == criterion
-    assert_allclose(found.strength, fine[scores.argmax()], rtol=0.02)
-    assert_allclose(found.score, scores.max(), rtol=1e-7)
+    assert_allclose(found.strength, fine[scores.argmax()], rtol=0.04)
+    assert_allclose(found.score, scores.max(), rtol=1e-5)
     assert_array_equal(found.by_row, np.full(rows, found.strength))
-    assert_allclose((found.grid[0], found.grid[-1], len(found.grid)), (1.0, 1e8, 41))
+    assert_allclose((found.grid[0], found.grid[-1], len(found.grid)), (1.0, 1e8, 17))
     assert_allclose(found.curve, [score(k) for k in found.grid], rtol=1e-9)
     assert found.kinds == [(rows, 60 * rows, found.strength)]
 

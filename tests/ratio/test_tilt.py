@@ -1,4 +1,7 @@
+"""The tilt along given features, the strength of the prior, and the ridge that is chosen on the data."""
+
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -7,16 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from ratio.problem import COUNTS, FEATURES, SIMULATOR
-from scipy import integrate, optimize, sparse, special
+from scipy import optimize, sparse, special
 
 import oee_tabular as oee
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio import action_displacement, statements
-from oee_tabular.ratio.features import feature_array
+from oee_tabular.ratio import action_displacement
 from oee_tabular.ratio.prior import strength as prior
-from oee_tabular.ratio.prior._kernels import log_rising
-from oee_tabular.ratio.prior.tilt import fit_default_tilt, fit_tilt
-from oee_tabular.ratio.support import aligned_counts
+from oee_tabular.ratio.prior._strength import log_rising
+
+BELIEVED = 1e13  # a strength at which zeta is the tilt
+
+
+def fit_tilt(observed, simulator, features=None, **options):
+    """theta, zeta and the gap of the tilt for counts on the simulator's entries."""
+    matrix = simulator.transitions
+    counts = sparse.csr_array((observed, matrix.indices, matrix.indptr), matrix.shape)
+    options = {"prior": "tilt", "strength": BELIEVED, "features": features} | options
+    zeta = oee.transition_ratio(counts, simulator, **options)
+    return zeta.details["theta"], zeta.values.data, zeta.details["tilt_gap"]
 
 
 def sums(values, indptr):
@@ -39,6 +50,15 @@ def grids(size=5):
     return oee.tasks.gridworld(size, 0.3), oee.tasks.gridworld(size, 0.1)
 
 
+def standardised(phi, simulator, observed):
+    """phi centred in each row, its root mean square over the rows with counts 1; the scale."""
+    indptr, weights = simulator.transitions.indptr, simulator.transitions.data
+    centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
+    seen = sums(observed, indptr) > 0
+    scale = np.sqrt(sums(weights[:, None] * centred**2, indptr)[seen].sum(axis=0) / seen.sum())
+    return centred / scale, scale
+
+
 @given(rngs, st.integers(1, 3))
 def test_the_tilt_minimises_its_risk(rng, d):
     """Against scipy's BFGS on the risk written out anew, with standardised features and unit penalty."""
@@ -47,10 +67,8 @@ def test_the_tilt_minimises_its_risk(rng, d):
     phi = rng.normal(size=(simulator.transitions.nnz, d))
     indptr = simulator.transitions.indptr.astype(np.int64)
     weights = simulator.transitions.data
-    tilt = fit_tilt(observed, simulator, phi)
-    centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
-    scale = np.sqrt((weights[:, None] * centred**2).sum(axis=0) / 10)
-    standard = centred / scale
+    theta, zeta, gap = fit_tilt(observed, simulator, phi)
+    standard, scale = standardised(phi, simulator, observed)
 
     def risk(theta):
         log_z = np.log(sums(weights * np.exp(standard @ theta), indptr))
@@ -62,30 +80,11 @@ def test_the_tilt_minimises_its_risk(rng, d):
         return (tilted - observed) @ standard + theta
 
     found = optimize.minimize(risk, np.zeros(d), jac=slope, method="BFGS", options={"gtol": 1e-9})
-    assert risk(tilt.theta * scale) <= found.fun + 1e-10
-    assert_allclose(tilt.theta * scale, found.x, atol=1e-5)
-    assert 0 <= tilt.gap < 1e-15
-    assert_allclose(sums(weights * tilt.ratio, indptr), 1.0, rtol=1e-12)
-
-
-def test_the_gap_is_a_bound():
-    """f is 1-strongly convex: stop Newton early and the certificate still covers the distance to the optimum."""
-    rng = np.random.default_rng(0)
-    simulator, target = grids()
-    observed = observed_from(rng, target, 500)
-    best = fit_tilt(observed, simulator)
-    assert best.gap < 1e-20
-    # at theta = 0 the gradient is known in closed form
-    indptr = simulator.transitions.indptr.astype(np.int64)
-    phi = np.log(simulator.transitions.data)
-    centred = phi - spread(sums(simulator.transitions.data * phi, indptr), indptr)
-    scale = np.sqrt((simulator.transitions.data * centred**2).sum() / 100)
-    gradient = observed @ (centred / scale)
-    n_row = sums(observed, indptr)
-    theta = best.theta[0] * scale
-    log_z = np.log(sums(simulator.transitions.data * np.exp(theta * centred / scale), indptr))
-    fall = -(n_row @ log_z - theta * gradient + 0.5 * theta**2)
-    assert 0 < fall <= 0.5 * gradient**2
+    assert risk(theta * scale) <= found.fun + 1e-10
+    assert_allclose(theta * scale, found.x, atol=1e-5)
+    assert 0 <= gap < 1e-15
+    raw = weights * np.exp(phi @ theta)
+    assert_allclose(weights * zeta, raw / spread(sums(raw, indptr), indptr), rtol=1e-9)
 
 
 def test_a_target_that_is_a_tilt_is_found():
@@ -93,15 +92,9 @@ def test_a_target_that_is_a_tilt_is_found():
     indptr = simulator.transitions.indptr.astype(np.int64)
     raw = simulator.transitions.data**1.7
     data = raw / spread(sums(raw, indptr), indptr)
-    tilt = fit_tilt(1e7 * data, simulator)
-    assert_allclose(tilt.theta, [0.7], atol=1e-6)
-    assert_allclose(tilt.ratio, data / simulator.transitions.data, rtol=1e-6)
-
-
-def test_without_counts_the_tilt_is_the_simulator():
-    simulator, _ = grids()
-    tilt = fit_tilt(np.zeros(simulator.transitions.nnz), simulator)
-    assert_allclose(tilt.ratio, 1.0, rtol=1e-14)
+    theta, zeta, _ = fit_tilt(1e7 * data, simulator)
+    assert_allclose(theta, [0.7], atol=1e-6)
+    assert_allclose(zeta, data / simulator.transitions.data, rtol=1e-5)
 
 
 def test_features_in_every_form_are_the_same():
@@ -112,7 +105,7 @@ def test_features_in_every_form_are_the_same():
     flat = (simulator.transitions.indices - rows // 4).astype(float)
     dense.reshape(100, 25)[rows, simulator.transitions.indices] = flat
     forms = [flat, flat[:, None], dense, dense[..., None], lambda s, a, t: t - s]
-    values = [oee.transition_ratio(log, simulator, features=form).values.data for form in forms]
+    values = [oee.transition_ratio(log, simulator, prior="tilt", features=form).values.data for form in forms]
     for other in values[1:]:
         assert_allclose(other, values[0], rtol=1e-12)
 
@@ -140,13 +133,13 @@ def test_action_displacement_shares_between_states():
 def test_collinear_features_are_solved_with_a_warning():
     simulator, target = grids()
     observed = observed_from(np.random.default_rng(0), target, 300)
-    one = feature_array(None, simulator)
+    one = np.log(simulator.transitions.data)[:, None]
     with pytest.warns(UserWarning, match=r"they have rank 1 of 3"):
-        three = fit_tilt(observed, simulator, np.hstack([one, 2 * one, np.ones_like(one)]))
+        _, three, _ = fit_tilt(observed, simulator, np.hstack([one, 2 * one, np.ones_like(one)]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        single = fit_tilt(observed, simulator, one)
-    assert_allclose(three.ratio, single.ratio, rtol=1e-2)
+        _, single, _ = fit_tilt(observed, simulator, one)
+    assert_allclose(three, single, rtol=1e-2)
 
 
 @pytest.mark.parametrize(
@@ -213,10 +206,10 @@ def test_the_strength_maximises_its_criterion_and_says_what_it_means(criterion):
     assert sum(moves for _, moves, _ in kinds) == len(log)
     assert 1 < zeta.details["strength"] < 100
     assert "does not fit" in zeta.details["meaning"]
-    for name, options in {"tilt": {"prior": "tilt"}, "centre": {}}.items():
+    for name, options in {"tilt": {"prior": "tilt"}, "default": {}}.items():
         fitted = oee.transition_ratio(log, simulator, strength=criterion, **options)
         assert fitted.details["strength"] > 300
-        assert fitted.details["meaning"].startswith(f"the {name} fits")
+        assert fitted.details["meaning"].startswith("the tilt fits"), name
     assert len(grid) == len(curve)
 
 
@@ -253,8 +246,6 @@ def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
     problem = oee.Problem(simulator, log, horizon=60)
     likelihood = oee.estimators.ModelBased()(problem, policy)
     for strength in (20.0, 80.0):
-        from functools import partial
-
         ratio = partial(oee.transition_ratio, prior="simulator", strength=strength)
         estimate = oee.estimators.OffEnvironment(ratio)(problem, policy)
         one_step, exact = (estimate.diagnostics[name] for name in ("one_step_value", "model_value"))
@@ -267,25 +258,25 @@ def test_the_one_step_correction_removes_the_prior_s_first_order_bias():
 def test_a_feature_of_one_rare_move_is_fitted_with_a_true_certificate(p, n):
     simulator = oee.FiniteMDP([[[1 - p, p]], [[0.5, 0.5]]], [0.0, 0.0], [1.0, 0.0], 0.9)
     observed = np.array([0.0, n, 5.0, 5.0])
-    tilt = fit_tilt(observed, simulator, np.array([0.0, 1.0, 0.0, 0.0]))
+    (theta,), _, gap = fit_tilt(observed, simulator, np.array([0.0, 1.0, 0.0, 0.0]))
     centred, scale = np.array([-p, 1 - p]), np.sqrt(p * (1 - p) / 2)
 
     def risk(theta):  # of the first row; the second has no feature
         exponent = centred / scale * theta
         return n * (special.logsumexp(exponent, b=[1 - p, p]) - exponent[1]) + 0.5 * theta**2
 
-    found = tilt.theta[0] * scale
+    found = theta * scale
     best = min(risk(t) for t in np.concatenate([np.linspace(0, 60, 2001) * scale, [found]]))
-    assert (risk(found) - best) / (n + 10) <= tilt.gap + 1e-9
-    assert tilt.gap < 1e-6
+    assert (risk(found) - best) / (n + 10) <= gap + 1e-9
+    assert gap < 1e-6
 
 
 def test_enormous_counts_of_collinear_features():
     simulator = oee.FiniteMDP(np.full((2, 1, 2), 0.5), [0.0, 0.0], [1.0, 0.0], 0.9)
     features = np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
     with pytest.warns(UserWarning, match="rank 1 of 2"):
-        tilt = fit_tilt(np.array([3e17, 1e17, 3e17, 1e17]), simulator, features)
-    assert_allclose(tilt.ratio, [1.5, 0.5, 1.5, 0.5], rtol=1e-6)
+        _, zeta, _ = fit_tilt(np.array([3e15, 1e15, 3e15, 1e15]), simulator, features, strength=1e-3)
+    assert_allclose(zeta, [1.5, 0.5, 1.5, 0.5], rtol=1e-6)
 
 
 def test_one_move_tells_nothing_about_the_prior():
@@ -293,110 +284,22 @@ def test_one_move_tells_nothing_about_the_prior():
     zeta = oee.transition_ratio(oee.Transitions([0], [0], [1]), simulator)
     assert zeta.details["meaning"].startswith("too few moves to tell")
     assert zeta.details["strength"] == pytest.approx(1e8)
-    assert_allclose(zeta.values.data, 1.0, atol=1e-6)
-
-
-# ---- the default's features --------------------------------------------------------------------------------------
-
-
-def faulty(n_states=12, faults=0.2, noise=0.05):
-    """Six actions of which some lead to the same state: rows of three values; a random action is executed at times."""
-    rng = np.random.default_rng(3)
-    kernel = np.zeros((n_states, 6, n_states))
-    for s in range(n_states):
-        arrivals = rng.choice(n_states, 6 if s % 2 else 5, replace=False)
-        for a in range(6):
-            kernel[s, a, arrivals[a % len(arrivals)]] = 1.0
-    dry = oee.FiniteMDP(kernel, np.zeros(n_states), np.full(n_states, 1 / n_states), 0.9)
-    return dry.with_action_noise(noise), dry.with_action_noise(faults)
-
-
-def test_rows_of_three_values_get_a_second_number():
-    simulator, target = faulty(80)
-    observed = observed_from(np.random.default_rng(0), target, 200_000)
-    found = fit_default_tilt(observed, simulator)
-    assert found.theta.shape == (2,)
-    assert found.evidence > fit_tilt(observed, simulator).evidence + 10.0
-    log_p = np.log(simulator.transitions.data)
-    given = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]))
-    assert_allclose(found.theta, given.theta, rtol=1e-9)
-    truth = oee.true_ratio(target, simulator).values.data
-    weights = simulator.transitions.data
-    errors = [weights @ np.abs(tilt.ratio - truth) for tilt in (found, fit_tilt(observed, simulator))]
-    assert errors[0] < 0.4 * errors[1]
-
-
-def test_a_target_of_one_power_keeps_one_number():
-    simulator = random_mdp(np.random.default_rng(1), n_states=6, n_actions=2, zeros=0.0)
-    indptr = simulator.transitions.indptr.astype(np.int64)
-    raw = simulator.transitions.data**1.5
-    target = simulator.with_transitions(
-        sparse.csr_array((raw / spread(sums(raw, indptr), indptr), simulator.transitions.indices, indptr))
-    )
-    kept = [fit_default_tilt(observed_from(np.random.default_rng(seed), target, 2000), simulator) for seed in range(8)]
-    assert sum(tilt.theta.shape == (1,) for tilt in kept) >= 7
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # the second feature is nobody's fault, even where it adds nothing
-        grid, slippery = grids()
-        assert fit_default_tilt(observed_from(np.random.default_rng(0), slippery, 500), grid).rank == 1
-
-
-def test_rows_that_one_power_fits_are_not_bent_for_the_few_that_it_misses():
-    """A grid's corners, where moves merge, are not of one power; their own kappa sees to them."""
-    simulator, target = grids(8)
-    log = oee.sample_transitions(target, np.full((64, 4), 1 / 256), 200_000, seed=0)
-    zeta = oee.transition_ratio(log, simulator)
-    assert zeta.details["theta"].shape == (1,)
-    observed = aligned_counts(log.counts(64, 4), simulator)
-    log_p = np.log(simulator.transitions.data)
-    both = fit_tilt(observed, simulator, np.column_stack([log_p, log_p**2]))
-    assert both.evidence > fit_tilt(observed, simulator).evidence + 10.0  # as a tilt alone it would be preferred
-
-
-def test_the_evidence_of_a_tilt_is_its_integral():
-    simulator = random_mdp(np.random.default_rng(1), n_states=4, n_actions=1, zeros=0.0)
-    observed = observed_from(np.random.default_rng(0), simulator, 300)
-    tilt = fit_tilt(observed, simulator)
-    indptr, phi = simulator.transitions.indptr.astype(np.int64), tilt.phi(tilt.whole)[:, 0]
-
-    def risk(theta):
-        log_z = np.log(sums(simulator.transitions.data * np.exp(theta * phi), indptr))
-        return sums(observed, indptr) @ log_z - theta * observed @ phi + 0.5 * theta**2
-
-    line = tilt.coefficients[0] + np.linspace(-1, 1, 2001)
-    found = np.log(integrate.trapezoid(np.exp([-risk(t) for t in line]), line) / np.sqrt(2 * np.pi))
-    assert_allclose(tilt.evidence, found, atol=0.01)
+    assert_allclose(zeta.values.data, 1.0, atol=1e-4)
 
 
 def test_the_tilt_at_its_optimum():
-    """The penalised score is 0: expected less observed features plus theta, in standard units."""
-    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES)
+    """The penalised score is 0: expected less observed features plus theta, in standard units; with any solver."""
+    visited = COUNTS.sum(axis=1) > 0
     p, n = SIMULATOR.transitions.toarray(), COUNTS.sum(axis=1)
     phi = FEATURES.reshape(6, 3, 2)
     phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
-    scale = np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
-    raw = p * np.exp(phi @ tilt.theta)
-    model = raw / raw.sum(axis=1, keepdims=True)
-    assert_allclose(tilt.ratio.reshape(6, 3), model / p, rtol=1e-9)
-    score = np.einsum("x,xj,xjd->d", n, model, phi / scale) - np.einsum("xj,xjd->d", COUNTS, phi / scale)
-    assert_allclose(score + tilt.theta * scale, 0, atol=1e-6)
-    centred = phi / scale - (model[:, :, None] * phi / scale).sum(axis=1, keepdims=True)
-    assert_allclose(tilt.at(tilt.whole)[1], centred.reshape(18, 2), atol=1e-9)
-    information = np.einsum("x,xj,xjd,xje->de", n, model, centred, centred) + np.eye(2)
-    assert_allclose(tilt.information, information, rtol=1e-8)
-    assert tilt.rank == 2
-    assert tilt.gap < 1e-12
-    other = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
-    assert_allclose(other.theta, tilt.theta, rtol=1e-3, atol=1e-4)
-
-
-def test_the_gap_of_a_tilt_that_is_not_the_best(monkeypatch):
-    """|gradient|^2 / 2 over the number of moves, here at theta = 0: expected less observed features."""
-    monkeypatch.setattr(statements, "solve_tilt", lambda program, solver: np.zeros(2))
-    tilt = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver="CLARABEL")
-    p, phi = SIMULATOR.transitions.toarray(), FEATURES.reshape(6, 3, 2)
-    phi = phi - (p[:, :, None] * phi).sum(axis=1, keepdims=True)
-    phi = phi / np.sqrt(np.einsum("xj,xjd->d", p, phi**2) / 6)
-    gradient = -np.einsum("xj,xjd->d", COUNTS, phi)
-    assert_allclose(tilt.gap, 0.5 * gradient @ gradient / 43, rtol=1e-9)
-    assert_allclose(tilt.ratio, 1.0)
+    scale = np.sqrt(np.einsum("xj,xjd->d", p[visited], phi[visited] ** 2) / visited.sum())
+    for solver, close in (("dual", 1e-9), ("CLARABEL", 1e-3)):
+        theta, zeta, gap = fit_tilt(COUNTS.reshape(-1), SIMULATOR, FEATURES, solver=solver)
+        raw = p * np.exp(phi @ theta)
+        model = raw / raw.sum(axis=1, keepdims=True)
+        assert_allclose(zeta.reshape(6, 3), model / p, rtol=1e-7)
+        score = np.einsum("x,xj,xjd->d", n, model, phi / scale) - np.einsum("xj,xjd->d", COUNTS, phi / scale)
+        slope = score + theta * scale
+        assert_allclose(slope, 0, atol=close)
+        assert_allclose(gap, 0.5 * slope @ slope / 43, rtol=1e-2, atol=1e-20)

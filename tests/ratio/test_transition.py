@@ -196,8 +196,8 @@ def many_counts():
         {"prior": "simulator", "strength": 500.0},
         {"prior": "none", "ridge": 0.5},
         {"prior": "simulator", "strength": 1.0, "ridge": 0.5, "lower": 0.2, "upper": 1.25},
-        {"strength": 300.0, "smoothness": np.inf, "features": np.log(oee.tasks.gridworld(4, 0.3).transitions.data)},
-        {"strength": 1e5, "smoothness": np.inf, "features": np.log(oee.tasks.gridworld(4, 0.3).transitions.data)},
+        {"strength": 300.0, "prior": "tilt", "features": np.log(oee.tasks.gridworld(4, 0.3).transitions.data)},
+        {"strength": 1e5, "prior": "tilt", "features": np.log(oee.tasks.gridworld(4, 0.3).transitions.data)},
     ],
     ids=["dirichlet", "strong", "ridge", "box", "tilt", "strong tilt"],
 )

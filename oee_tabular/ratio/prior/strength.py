@@ -16,18 +16,18 @@ Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.rows import Rows, distinct_rows
-from oee_tabular.ratio.prior._kernels import Counts, evidence_by_kind
+from oee_tabular.ratio.prior._strength import Counts, maximise_by_kind, score_by_kind
 
 SMALLEST, LARGEST = 1.0, 1e8  # at least one move: few moves must not talk the evidence out of a row of the prior
 FITS, FITS_ROUGHLY = 300.0, 50.0
 FEWEST_ROWS, FEWEST_MOVES = 5, 100
+CRITERIA = ("evidence", "loo")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,9 @@ class StrengthChoice:
 
 def score(strength: float | Array, observed: Array, prior: Array, rows: Rows, criterion: str = "evidence") -> float:
     """A criterion of all rows together, one kappa or one a row."""
-    each, kappa = np.arange(len(rows)), np.broadcast_to(np.asarray(strength, dtype=np.float64), (len(rows),)).copy()
-    return float(_CRITERIA[criterion](observed, prior, rows, each)(kappa).sum())
+    kappa = np.broadcast_to(np.asarray(strength, dtype=np.float64), (len(rows),)).copy()
+    counts = _counts(observed, prior, rows, np.arange(len(rows)))
+    return float(score_by_kind(kappa, counts, criterion == "loo").sum())
 
 
 def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
@@ -74,28 +75,24 @@ def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
 
 
 def choose_strength(
-    observed: Array, prior: Array, rows: Rows, criterion: str = "evidence", *, kind: IntArray | None = None
+    observed: Array,
+    prior: Array,
+    rows: Rows,
+    criterion: str = "evidence",
+    *,
+    kind: IntArray | None = None,
+    n_halvings: int = 5,
 ) -> StrengthChoice:
     """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
 
-    A grid of five a decade, then three finer grids around the best point. ``kind``: the rows' kinds where they are known.
+    A grid of two a decade, then halvings of its spacing around the best point; five find kappa to 2%.
+    ``kind``: the rows' kinds where they are known.
     """
     kind = kinds_of_rows(observed, rows) if kind is None else kind
     n_kinds = int(kind.max()) + 1
-    score = _CRITERIA[criterion](observed, prior, rows, kind)
-    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 41)
-    width = grid[1] - grid[0]
-    scores = np.array([score(np.full(n_kinds, np.exp(t))) for t in grid])
-    value = scores.max(axis=0)
-    level = scores >= value - 1e-9 * (1.0 + np.abs(value))  # where the moves do not tell, the prior is believed
-    best = grid[len(grid) - 1 - np.argmax(level[::-1], axis=0)]
-    for _ in range(3):
-        center = best
-        for offset in np.linspace(-width, width, 9):
-            trial = np.clip(center + offset, grid[0], grid[-1])
-            found = score(np.exp(trial))
-            best, value = np.where(found > value, trial, best), np.maximum(found, value)
-        width /= 4.0
+    grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 17)
+    counts = _counts(observed, prior, rows, kind)
+    best, value, scores = maximise_by_kind(grid, counts, n_kinds, criterion == "loo", n_halvings)
     strength = np.exp(best)
     n_row = rows.sums(observed)
     table = [
@@ -116,32 +113,12 @@ def choose_strength(
     )
 
 
-_ByKind = Callable[[Array], Array]  # kappa of each kind of rows -> the criterion of its rows
-
-
-def _evidence(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> _ByKind:
+def _counts(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> Counts:
+    """What the loops read, of the rows with counts."""
     n_row, seen = rows.sums(observed), observed > 0
     visited = np.flatnonzero(n_row > 0)
     ends = np.concatenate([[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]).astype(np.int64)
-    counts = Counts(np.asarray(kind[visited], dtype=np.int64), ends, observed[seen], prior[seen], n_row[visited])
-    return lambda kappa: np.asarray(evidence_by_kind(kappa, counts))
-
-
-def _leave_one_out(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> _ByKind:
-    seen = observed > 0
-    n, rest, m = observed[seen], np.maximum(rows.spread(rows.sums(observed))[seen] - 1.0, 0.0), prior[seen]
-    of_entry = rows.spread(kind)[seen]
-
-    def score(kappa: Array) -> Array:
-        k = kappa[of_entry]
-        gained = n * np.log((np.maximum(n - 1.0, 0.0) + k * m) / (rest + k))
-        return np.bincount(of_entry, gained, len(kappa)).astype(np.float64)
-
-    return score
-
-
-_CRITERIA = {"evidence": _evidence, "loo": _leave_one_out}
-CRITERIA = tuple(_CRITERIA)
+    return Counts(kind[visited].astype(np.int64), ends, observed[seen], prior[seen], n_row[visited])
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

@@ -1,0 +1,261 @@
+"""Loops of the tilt: rows along all directions, Newton's method for its risk f, MacKay's rule for its strengths.
+
+A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in column d_1 + ``code`` (no one where the code
+is -1). The parameters are theta (1 + A, d): those of all actions, then those of each action alone. f'' is an arrow (see
+``ridge``): its blocks are diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the penalty, with one row
+where no action has parameters of its own.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+N_NEWTON = 50  # steps at most
+ROUND_TOLERANCE = 1e-5  # of f, in the rounds before the last: strengths need no more
+LARGEST_STRENGTH = 1e6  # of a group that is as good as out
+HYPERPRIOR = 0.25  # parameters that the prior of a strength is worth, all of them 0
+
+
+class Columns(NamedTuple):
+    """Numbers of some rows.
+
+    base (entries, d_1), code (entries,), n_codes, indptr (rows + 1,), action (rows,), weights (entries,) the simulator's.
+    """
+
+    base: Any
+    code: Any
+    n_codes: Any
+    indptr: Any
+    action: Any
+    weights: Any
+
+
+@njit(cache=True, nogil=True)
+def find_codes(places, state, arrival, indptr, kinds, tolerance):
+    """(entries,) the place in ``kinds`` (k, c) of places[s'] - places[s], or -1."""
+    code = np.full(len(arrival), -1)
+    for row in range(len(state)):
+        for x in range(indptr[row], indptr[row + 1]):
+            for k in range(len(kinds)):
+                same = True
+                for c in range(kinds.shape[1]):
+                    difference = places[arrival[x], c] - places[state[row], c]
+                    if abs(difference - kinds[k, c]) > tolerance:
+                        same = False
+                        break
+                if same:
+                    code[x] = k
+                    break
+    return code
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tilt_rows(columns, theta):
+    """(entries,) rows proportional to P exp((theta_0 + theta_a) . phi), and ln Z of each row."""
+    width = columns.base.shape[1]
+    model, log_normalizer = np.empty(len(columns.weights)), np.empty(len(columns.action))
+    for row in range(len(columns.action)):
+        own = theta[0] + theta[1 + columns.action[row]]
+        largest = -np.inf
+        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+            exponent = 0.0
+            for j in range(width):
+                exponent += own[j] * columns.base[x, j]
+            if columns.code[x] >= 0:
+                exponent += own[width + columns.code[x]]
+            model[x] = exponent
+            largest = max(largest, exponent)
+        total = 0.0
+        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+            model[x] = columns.weights[x] * np.exp(model[x] - largest)
+            total += model[x]
+        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+            model[x] /= total
+        log_normalizer[row] = largest + np.log(total)
+    return model, log_normalizer
+
+
+@njit(cache=True, nogil=True)
+def sum_columns(columns, values, n_actions):
+    """(A, d) the sums of values_x phi_x over each action's rows."""
+    width = columns.base.shape[1]
+    sums = np.zeros((n_actions, width + columns.n_codes))
+    for row in range(len(columns.action)):
+        own = sums[columns.action[row]]
+        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+            for j in range(width):
+                own[j] += values[x] * columns.base[x, j]
+            if columns.code[x] >= 0:
+                own[width + columns.code[x]] += values[x]
+    return sums
+
+
+@njit(cache=True, nogil=True)
+def sum_covariances(columns, model, mass, n_actions):
+    """(A, d) sums of mass E[phi] and (A, d, d) of mass Cov[phi] under ``model``, over each action's rows; mass (rows,)."""
+    width = columns.base.shape[1]
+    d = width + columns.n_codes
+    means, covariances = np.zeros((n_actions, d)), np.zeros((n_actions, d, d))
+    mean, used = np.zeros(d), np.arange(d)
+    for row in range(len(columns.action)):
+        if mass[row] == 0.0:
+            continue
+        own = covariances[columns.action[row]]
+        n_used = width  # the columns of the base, then the codes that the row has
+        for x in range(columns.indptr[row], columns.indptr[row + 1]):
+            share, code = mass[row] * model[x], columns.code[x]
+            if share == 0.0:
+                continue
+            for i in range(width):
+                part = share * columns.base[x, i]
+                mean[i] += part
+                for j in range(i + 1):
+                    own[i, j] += part * columns.base[x, j]
+                if code >= 0:
+                    own[width + code, i] += part
+            if code >= 0:
+                if mean[width + code] == 0.0:
+                    used[n_used] = width + code
+                    n_used += 1
+                mean[width + code] += share
+                own[width + code, width + code] += share
+        for i in range(n_used):
+            for j in range(n_used):
+                if used[j] <= used[i]:
+                    own[used[i], used[j]] -= mean[used[i]] * mean[used[j]] / mass[row]
+        for i in range(n_used):
+            means[columns.action[row], used[i]] += mean[used[i]]
+            mean[used[i]] = 0.0
+    for action in range(n_actions):
+        for i in range(d):
+            for j in range(i):
+                covariances[action, j, i] = covariances[action, i, j]
+    return means, covariances
+
+
+@njit(cache=True, nogil=True)
+def invert_arrow(covariances, penalty):
+    """(A, d, d) (G_a + L_a)^-1 and (G_a + L_a)^-1 G_a, and (d, d) the inverse of their Schur complement.
+
+    The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a, which does not cancel.
+    """
+    n_own, d = len(penalty) - 1, penalty.shape[1]
+    inverse, gain = np.zeros((n_own, d, d)), np.zeros((n_own, d, d))
+    left = np.diag(penalty[0])
+    if n_own == 0:
+        left = left + covariances.sum(axis=0)
+    for action in range(n_own):
+        inverse[action] = np.linalg.inv(covariances[action] + np.diag(penalty[1 + action]))
+        gain[action] = inverse[action] @ covariances[action]
+        left = left + gain[action].T * penalty[1 + action]
+    return inverse, gain, np.linalg.inv(0.5 * (left + left.T))
+
+
+@njit(cache=True, nogil=True)
+def solve_arrow(inverses, b):
+    """f''^-1 b, both (blocks, d)."""
+    inverse, gain, shared = inverses
+    x, right = np.empty(b.shape), b[0].copy()
+    for action in range(len(inverse)):
+        right -= gain[action].T @ b[1 + action]
+    x[0] = shared @ right
+    for action in range(len(inverse)):
+        x[1 + action] = inverse[action] @ b[1 + action] - gain[action] @ x[0]
+    return x
+
+
+@njit(cache=True, nogil=True)
+def invert_diagonal(inverses):
+    """(blocks, d) the diagonal of f''^-1."""
+    inverse, gain, shared = inverses
+    diagonal = np.empty((1 + len(inverse), len(shared)))
+    diagonal[0] = np.diag(shared)
+    for action in range(len(inverse)):
+        diagonal[1 + action] = np.diag(inverse[action]) + (gain[action] @ shared * gain[action]).sum(axis=1)
+    return diagonal
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def differentiate(columns, model, risk, theta, penalty):
+    """f' (blocks, d) and G (A, d, d) where the rows under the tilt are ``model``."""
+    mass, pulled = risk
+    means, covariances = sum_covariances(columns, model, mass, len(pulled))
+    gradient = penalty * theta[: len(penalty)]
+    gradient[0] += (means - pulled).sum(axis=0)
+    for action in range(len(penalty) - 1):
+        gradient[1 + action] += means[action] - pulled[action]
+    return gradient, covariances
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def evaluate(columns, risk, theta, penalty):
+    """f, and the rows under the tilt."""
+    mass, pulled = risk
+    model, log_normalizer = tilt_rows(columns, theta)
+    linear = np.sum(pulled * (theta[:1] + theta[1:]))
+    return np.sum(mass * log_normalizer) - linear + 0.5 * np.sum(penalty * theta[: len(penalty)] ** 2), model
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def minimise(columns, risk, theta, penalty, tolerance):
+    """Newton's method with backtracking, until a step gains less than ``tolerance`` of f or only rounding is left.
+
+    theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
+    """
+    value, model = evaluate(columns, risk, theta, penalty)
+    last = np.inf
+    for _ in range(N_NEWTON):
+        gradient, covariances = differentiate(columns, model, risk, theta, penalty)
+        step = np.zeros(theta.shape)
+        step[: len(penalty)] = -solve_arrow(invert_arrow(covariances, penalty), gradient)
+        decrement = -np.sum(gradient * step[: len(penalty)])
+        size = max(1.0, abs(value), np.sum(risk[0]))
+        if not decrement > tolerance * size or 1e-12 * size > decrement > 0.25 * last:
+            break
+        last = decrement
+        slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
+        length = 1.0
+        trial, tilted = evaluate(columns, risk, theta + step, penalty)
+        while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
+            length *= 0.5
+            trial, tilted = evaluate(columns, risk, theta + length * step, penalty)
+        if length <= 1e-12:
+            break
+        theta, value, model = theta + length * step, trial, tilted
+    return theta, covariances, 0.5 * np.sum(gradient**2 / penalty)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update_strengths(theta, inverses, penalty, scale, group, n_groups):
+    """(2, groups) MacKay's lambda of each group of columns, for all actions and for each action alone."""
+    diagonal = invert_diagonal(inverses)
+    told, size = np.zeros((2, n_groups)), np.zeros((2, n_groups))
+    for block in range(len(penalty)):
+        for j in range(len(group)):
+            told[min(block, 1), group[j]] += 1.0 - penalty[block, j] * diagonal[block, j]
+            size[min(block, 1), group[j]] += (scale[block, j] * theta[block, j]) ** 2
+    strengths = (told + HYPERPRIOR) / np.maximum(size, 1e-300)
+    return np.minimum(np.maximum(strengths, 1.0), LARGEST_STRENGTH)
+
+
+@njit(cache=True, nogil=True)
+def spread_strengths(strengths, scale, group):
+    """(blocks, d) L = lambda s^2 of each column."""
+    penalty = scale**2
+    for block in range(len(scale)):
+        for j in range(len(group)):
+            penalty[block, j] *= strengths[min(block, 1), group[j]]
+    return penalty
+
+
+@njit(cache=True, nogil=True)
+def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
+    """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f less its minimum."""
+    for _ in range(n_rounds):
+        penalty = spread_strengths(strengths, scale, group)
+        theta, covariances, _ = minimise(columns, risk, theta, penalty, ROUND_TOLERANCE)
+        inverses = invert_arrow(covariances, penalty)
+        strengths = update_strengths(theta, inverses, penalty, scale, group, strengths.shape[1])
+    theta, covariances, gap = minimise(columns, risk, theta, spread_strengths(strengths, scale, group), 1e-24)
+    return theta, strengths, covariances, gap

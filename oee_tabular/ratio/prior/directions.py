@@ -1,0 +1,170 @@
+"""Directions in which a target may differ from the simulator, made from the simulator, the policies and the user's features.
+
+A direction is a function phi(s, a, s'). They come in groups, each with the changes of environment that it stands for:
+
+log P        log P and (log P)^2: all noise a little less or more than simulated
+V            r(s, a, s') + gamma V_pi(s') in the simulator: everything a little worse. Small misfits of many rows add up to an
+             error of J along this direction alone, since J's derivative in P(s' | s, a) is d(s, a) times it
+steps        indicators of the most frequent displacements, in ``layout`` or in the states' numbers: an event (an arrival, a
+             slip to the left) that is more frequent than simulated
+drift        the displacement itself, one direction a coordinate: a wind, a weaker motor
+drift at s   the displacement times the coordinates of s: a wind that blows in one half, a motor that fades
+features     the user's own
+
+Each is there for all actions together, and for each action alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.exact import state_values
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import DIGITS, Rows, distinct_rows, round_displacements
+from oee_tabular.ratio.prior._ridge import Columns, find_codes
+
+N_STEPS = 24  # displacements that are directions of their own
+ALL_PAIRS = 4  # coordinates up to which each displacement is multiplied by each coordinate of s; beyond, by its own
+
+
+GROUPS = ("log P", "V", "drift", "drift at s", "features", "steps")
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """The columns of any rows.
+
+    Attributes
+    ----------
+    names : (d,) of the columns; ``group`` : (d,) their places in ``GROUPS``
+    simulator : FiniteMDP
+    powers : how many powers of log P
+    ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
+    rewards : (entries,) r(s, a, s') in the same scale, or None
+    places : (S, c) the coordinates of the states, standardised; ``steps`` : (k, c) the displacements with a column of their own
+    features : (entries, f) the user's
+    """
+
+    names: tuple[str, ...]
+    group: IntArray
+    simulator: FiniteMDP
+    powers: int
+    ahead: Array
+    rewards: Array | None
+    places: Array
+    steps: Array
+    features: Array
+
+    def columns(self, rows: Rows) -> Columns:
+        """The columns at the entries of ``rows``, each but the indicators less its mean in its row under the simulator."""
+        logs = np.log(rows.weights)
+        parts = [logs[:, None], (logs * logs)[:, None]][: self.powers]
+        if self.ahead.shape[1]:
+            ahead = self.simulator.discount * self.ahead[rows.arrival]
+            parts.append(ahead if self.rewards is None else ahead + self.rewards[rows.entries][:, None])
+        code = np.full(len(rows.arrival), -1)
+        if self.places.shape[1]:
+            start = rows.spread(self.places[rows.state])
+            drift = self.places[rows.arrival] - start
+            parts += [drift, _products(drift, start)]
+            tolerance = 10.0**-DIGITS
+            code = find_codes(self.places, rows.state, rows.arrival, rows.indptr, self.steps, tolerance)
+        parts.append(self.features[rows.entries])
+        base = np.ascontiguousarray(rows.center(np.concatenate(parts, axis=1)))
+        return Columns(base, code, len(self.steps), rows.indptr, rows.action, rows.weights)
+
+
+def _products(drift: Array, start: Array) -> Array:
+    """Displacements times coordinates of s, (entries, c c); (entries, c) where there are more than ``ALL_PAIRS``."""
+    if drift.shape[1] > ALL_PAIRS:
+        return np.asarray(drift * start)
+    return np.asarray((drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1))
+
+
+def make_directions(simulator: FiniteMDP, visited: Rows, values: Sequence[Array], features: Array) -> Directions:
+    """Directions of all groups.
+
+    Parameters
+    ----------
+    simulator : FiniteMDP
+    visited : the rows with data, in which displacements are counted
+    values : V_pi in the simulator, (S,) of each policy whose value matters
+    features : (entries, f), f = 0 without any
+
+    Notes
+    -----
+    O(c nnz log nnz) for displacements in c coordinates.
+    """
+    places, size = _standard_places(simulator)
+    drift = places[visited.arrival] - visited.spread(places[visited.state])
+    kinds, kind = distinct_rows(round_displacements(drift))
+    mass = np.bincount(kind, weights=visited.weights) / len(visited)
+    steps = np.ascontiguousarray(kinds[np.argsort(-np.round(mass, 12), kind="stable")[:N_STEPS]])
+    n_products = _products(drift[:1], places[:1]).shape[1]
+    names = (
+        ["log P", "(log P)^2"],
+        ["V"] if len(values) == 1 else [f"V of policy {k + 1}" for k in range(len(values))],
+        [f"drift {k}" for k in range(places.shape[1])],
+        [f"drift at s {k}" for k in range(n_products)],
+        [f"feature {k}" for k in range(features.shape[1])],
+        [f"step {_in_words(step * size)}" for step in steps],
+    )
+    pay = simulator.reward_data
+    ahead = np.array(values).reshape(len(values), simulator.n_states).T
+    largest = max(float(np.abs(x).max(initial=0.0)) for x in (ahead, ahead if pay is None else pay))
+    unit = max(largest, 1e-300)
+    rewards = None if pay is None else pay / unit
+    return _directions(names, simulator, ahead / unit, rewards, places, steps, features)
+
+
+def feature_directions(simulator: FiniteMDP, features: Array | None) -> Directions:
+    """The user's features alone, or log P where there are none."""
+    given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
+    none: list[str] = []
+    own = [f"feature {k}" for k in range(given.shape[1])]
+    names = (["log P"] if features is None else none, none, none, none, own, none)
+    nowhere = np.zeros((simulator.n_states, 0))
+    return _directions(names, simulator, nowhere, None, nowhere, np.zeros((0, 0)), given)
+
+
+def _directions(names: tuple[list[str], ...], simulator: FiniteMDP, *parts: Any) -> Directions:
+    """Directions with the columns ``names`` of each group."""
+    group = np.repeat(np.arange(len(GROUPS)), [len(own) for own in names])
+    return Directions(tuple(itertools.chain(*names)), group, simulator, len(names[0]), *parts)
+
+
+def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
+    """The states' coordinates, or their numbers, with mean 0 and standard deviation 1 over the states; their units."""
+    layout = simulator.layout
+    places = np.arange(simulator.n_states, dtype=np.float64)[:, None] if layout is None else layout
+    largest = np.maximum(np.abs(places).max(axis=0), 1e-300)
+    scaled = places / largest
+    size = scaled.std(axis=0)
+    size = np.where(size > 0, size, 1.0)
+    return np.ascontiguousarray((scaled - scaled.mean(axis=0)) / size), size * largest
+
+
+def _in_words(step: Array) -> str:
+    """A displacement in the layout's units."""
+    numbers = ", ".join(f"{x:+.4g}" if abs(x) > 1e-9 else "0" for x in step)
+    return numbers if len(step) == 1 else f"({numbers})"
+
+
+def values_in(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> list[Array]:
+    """V_pi of each policy in the simulator, where it exists."""
+    values = []
+    for policy in policies:
+        try:
+            level = state_values(simulator, policy, horizon=horizon)
+        except DivergentKernelError:
+            continue
+        if np.isfinite(level).all():
+            values.append(level)
+    return values
