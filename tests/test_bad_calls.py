@@ -322,9 +322,9 @@ the program must have numbers that double precision holds; ridge 1e+308
 >>> oee.density_ratio([1, 2], [2, 1], ridge=1, toward=1e300, loss="chi2", normalized=False)
 the program must have numbers that double precision holds; ridge 1 towards 1e+300
 >>> oee.ratio.Conditional(ridge=1e308).fit(LOG, GRID)
-the options of method 'Conditional' must make a program that double precision holds; ...ridge 1e+308, toward 1
+the options of method 'conditional' must make a program that double precision holds; ...ridge 1e+308, toward 1
 >>> oee.ratio.Conditional(ridge=1, toward=1e308).fit(LOG, GRID)
-the options of method 'Conditional' must make ...ridge 1, toward 1e+308
+the options of method 'conditional' must make ...ridge 1, toward 1e+308
 >>> oee.ratio.InClass(features=np.ones((GRID.transitions.nnz, 1)), ridge=1e308).fit(LOG, GRID)
 ridge must leave a program that double precision holds; it is 1e+308
 >>> oee.inference.compare_policies(oee.Problem(HUGE, LOG), {"a": UNIFORM, "b": [0] * 9})

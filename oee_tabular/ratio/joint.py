@@ -84,10 +84,6 @@ class Joint(Method):
 
     HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
-    @property
-    def _name(self) -> str:
-        return "joint"
-
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
         refuse_words(self.ridge, self._name)

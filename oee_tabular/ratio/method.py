@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, Seed
+from oee_tabular._checks import Array, BoolArray, PolicyLike, Seed
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
@@ -111,6 +111,11 @@ class Population:
         return policy_value(model, self.policy, horizon=self.horizon)
 
 
+def not_used(method: str) -> str:
+    """The rule that an option of another method breaks."""
+    return f"must not be given with method {method!r}, which does not use it"
+
+
 class Method:
     """A way from counts to zeta. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``.
 
@@ -124,56 +129,73 @@ class Method:
     ['conditional', 'ratio_of_ratios', 'joint']
     """
 
-    HEEDS: ClassVar[frozenset[str]] = frozenset()  # beside the log: values_of, horizon, simulator_data, behavior_policy
+    HEEDS: ClassVar[frozenset[str]] = frozenset()  # of values_of, horizon, simulator_data and behavior_policy
 
     @property
     def uses(self) -> frozenset[str]:
-        """What ``fit`` heeds beside the log with these options."""
+        """Which of ``HEEDS`` matter with these options."""
         return self.HEEDS
+
+    @property
+    def refuses(self) -> str:
+        """What is said of the others of ``HEEDS``."""
+        return "must be left out with these options, which do not use it"
 
     @property
     def _name(self) -> str:
         """As errors and results call it."""
-        return type(self).__name__
+        return type(self).__name__.lower()
 
-    @property
-    def refuses(self) -> str:
-        """What is said of the others."""
-        return f"must not be given with method {self._name!r}, which does not use it"
+    def refuse_unused(self, **inputs: Any) -> None:
+        """ValueError that names an input that is given and that ``fit`` would not look at."""
+        for name, value in inputs.items():
+            if value is not None and name not in self.uses:
+                reason = self.refuses if name in self.HEEDS else not_used(self._name)
+                raise ValueError(f"{name} {reason}; got {_checks.show(value)}")
 
     @one_thread
     def fit(
-        self, log_or_counts: Transitions | sparse.csr_array, simulator: FiniteMDP, **beside: Any
+        self,
+        log_or_counts: Transitions | sparse.csr_array,
+        simulator: FiniteMDP,
+        *,
+        discount: float | None = None,
+        values_of: object = None,
+        horizon: int | None = None,
+        simulator_data: SimulatorData = None,
+        behavior_policy: PolicyLike | None = None,
+        seed: Seed = None,
+        made: dict[Any, Any] | None = None,
     ) -> TransitionRatio:
         """zeta from a log of the target, or from counts, csr (S*A, S).
 
-        ``beside`` the log: discount, values_of, horizon, simulator_data, behavior_policy, seed, as in ``transition_ratio``; and
-        ``made``, a dict for fits to one log and simulator: what does not depend on the rest is made once.
-        What the method has no use for is not looked at.
+        The rest as in ``transition_ratio``; and ``made``, a dict for fits to one log and simulator: what does not depend on
+        the rest is made once. What the method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
-        log = log_or_counts.numbered(simulator) if isinstance(log_or_counts, Transitions) else None
-        values_of, horizon, behavior = (beside.pop(name, None) for name in ("values_of", "horizon", "behavior_policy"))
-        if log is not None:
-            counts = log.counts(simulator.n_states, simulator.n_actions, discount=beside.get("discount"))
+        log, made = None, {} if made is None else made
+        if isinstance(log_or_counts, Transitions):
+            log = log_or_counts.numbered(simulator)
+            counts = log.counts(simulator.n_states, simulator.n_actions, discount=discount)
         else:
-            counts = _given_counts(log_or_counts, simulator, beside.get("discount"))
-        made = beside.get("made", {})
-        rows = made.get(Rows)
-        if rows is None:
-            rows = made[Rows] = Rows.of(simulator)
+            counts = _given_counts(log_or_counts, simulator, discount)
+        if Rows not in made:
+            made[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
             raise ValueError("log_or_counts must have at least one move; it has none")
         given = Given(
             observed,
             simulator,
-            rows,
+            made[Rows],
             log,
-            policies=() if values_of is None else _policies(values_of, simulator),
-            horizon=None if horizon is None else horizon_length(horizon, simulator),
-            behavior_policy=None if behavior is None else check_policy(behavior, simulator, name="behavior_policy"),
-            **beside,
+            discount,
+            () if values_of is None else _policies(values_of, simulator),
+            None if horizon is None else horizon_length(horizon, simulator),
+            simulator_data,
+            None if behavior_policy is None else check_policy(behavior_policy, simulator, name="behavior_policy"),
+            seed,
+            made,
         )
         found = self._fit(given)
         if not found.finite:

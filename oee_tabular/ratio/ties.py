@@ -76,10 +76,6 @@ class Tied(Method):
     tie: Tie | Any = field(default=None, repr=False)
     strength: float | str = 3.0
 
-    @property
-    def _name(self) -> str:
-        return "tied"
-
     def __post_init__(self) -> None:
         if self.tie is None:
             raise ValueError("tie must be given with method 'tied': a key for each entry, or a function of (s, a, s')")

@@ -19,9 +19,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
@@ -33,7 +33,7 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
-from oee_tabular.ratio.method import Given, Method, SimulatorData
+from oee_tabular.ratio.method import Given, Method, SimulatorData, not_used
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
@@ -41,27 +41,22 @@ from oee_tabular.ratio.ties import Tied
 
 
 class _Named(NamedTuple):
-    """What a method's name stands for: a class, its options that may be given, and those that the name settles."""
+    """What a method's name stands for: a class, those of its fields that are no options, and those that the name settles."""
 
-    make: type[Method]
-    options: frozenset[str]
-    settled: Mapping[str, Any]
-
-
-def _named(make: Any, without: Collection[str] = (), **settled: Any) -> _Named:
-    return _Named(make, frozenset({option.name for option in fields(make)} - set(without)), settled)
+    make: Any
+    without: Collection[str] = ()
+    settled: Mapping[str, Any] = MappingProxyType({})
 
 
 METHODS = {
-    "conditional": _named(Conditional),
-    "tied": _named(Tied),
-    "linear": _named(InClass, without=("kernel", "coordinates", "bandwidth", "n_centers")),
-    "kernel": _named(InClass, without=("features",), kernel="gaussian"),
-    "ratio_of_ratios": _named(Quotient),
-    "joint": _named(Joint),
+    "conditional": _Named(Conditional),
+    "tied": _Named(Tied),
+    "linear": _Named(InClass, without=("kernel", "coordinates", "bandwidth", "n_centers")),
+    "kernel": _Named(InClass, without=("features",), settled={"kernel": "gaussian"}),
+    "ratio_of_ratios": _Named(Quotient),
+    "joint": _Named(Joint),
 }
-_OPTIONS = sorted(frozenset().union(*(named.options for named in METHODS.values())))
-_ANYWHERE = {"toward": 1.0, "solver": "dual"}  # what may be said to methods that have no such option: nothing else
+OPTIONS = {name: {each.name for each in fields(named.make)} - set(named.without) for name, named in METHODS.items()}
 
 
 def method_named(name: str, **options: Any) -> Method:
@@ -71,22 +66,15 @@ def method_named(name: str, **options: Any) -> Method:
     InClass(kernel=None, bandwidth=1.0, n_centers=200, lower=None, upper=None, ridge=None, solver='dual')
     """
     _checks.one_of(name, "method", tuple(METHODS))
-    named = METHODS[name]
-    given = dict(named.settled)
-    for option, value in options.items():
-        if value is None and option != "toward":
-            continue
-        if option in named.options:
-            given[option] = value
-        elif option not in _OPTIONS:
-            raise TypeError(f"{option} must be an option of a method: {', '.join(_OPTIONS)}; got {_checks.show(value)}")
-        elif not (option in _ANYWHERE and np.ndim(value) == 0 and value == _ANYWHERE[option]):
-            raise ValueError(f"{option} {_refused(name)}; got {_checks.show(value)}")
-    return named.make(**given)
-
-
-def _refused(method: str) -> str:
-    return f"must not be given with method {method!r}, which does not use it"
+    known = sorted(set().union(*OPTIONS.values()))
+    given = {option: value for option, value in options.items() if value is not None or option == "toward"}
+    for option, value in given.items():
+        if option not in known:
+            raise TypeError(f"{option} must be an option of a method: {', '.join(known)}; got {_checks.show(value)}")
+        if option not in OPTIONS[name]:
+            raise ValueError(f"{option} {not_used(name)}; got {_checks.show(value)}")
+    made: Method = METHODS[name].make(**{**METHODS[name].settled, **given})
+    return made
 
 
 def transition_ratio(
@@ -146,12 +134,6 @@ def transition_ratio(
     >>> bool(abs(paper.values.data - [0.8, 1.2, 0.8, 1.2]).max() < 0.05)
     True
     """
-    beside = {
-        "values_of": values_of,
-        "horizon": horizon,
-        "simulator_data": simulator_data,
-        "behavior_policy": behavior_policy,
-    }
     if isinstance(method, Method):
         if options:
             raise TypeError(f"{next(iter(options))} must be given to the method object; the method is {method!r}")
@@ -160,16 +142,17 @@ def transition_ratio(
         _checks.one_of(method, "method", tuple(METHODS))
         if method == "conditional" and options.get("tie") is not None:
             method = "tied"
-        for name, value in beside.items():
-            if value is not None and name not in METHODS[method].make.HEEDS:
-                raise ValueError(f"{name} {_refused(method)}; got {_checks.show(value)}")
         chosen = method_named(method, **options)
-    for name, value in beside.items():
-        if value is not None and name not in chosen.uses:
-            raise ValueError(f"{name} {chosen.refuses}; got {_checks.show(value)}")
+    inputs: dict[str, Any] = {
+        "values_of": values_of,
+        "horizon": horizon,
+        "simulator_data": simulator_data,
+        "behavior_policy": behavior_policy,
+    }
+    chosen.refuse_unused(**inputs)
     if horizon is not None and values_of is None:
         raise ValueError("horizon must be left out without values_of: it is that of the values")
-    return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **beside)
+    return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **inputs)
 
 
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:

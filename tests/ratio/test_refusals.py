@@ -37,6 +37,9 @@ OWN = {
 }
 
 
+NEEDED = {"linear": {"features": FEATURES}, "kernel": {"coordinates": PLACES}}
+
+
 @pytest.mark.parametrize("method", OWN)
 @pytest.mark.parametrize("name", UNUSED)
 def test_options_that_a_method_does_not_use(method, name):
@@ -45,7 +48,7 @@ def test_options_that_a_method_does_not_use(method, name):
     with pytest.raises(
         ValueError, match=rf"^{name} must not be given with method '{method}', which does not use it; got"
     ):
-        zeta(method=method, **{name: UNUSED[name]})()
+        zeta(method=method, **NEEDED.get(method, {}), **{name: UNUSED[name]})()
 
 
 WRONG = {
