@@ -86,9 +86,9 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
 
 
-def corrected(value, one_step):
+def corrected(value):
     """Stands for an estimator that corrects by the log."""
-    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, model_value=value, one_step_value=one_step)
+    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, model_value=value)
 
 
 @pytest.mark.parametrize("value", [-20.0, 40.0])
@@ -97,15 +97,16 @@ def test_a_value_outside_its_likelihood_interval_is_not_the_answer(value):
     problem = oee.Problem(dock(), log)
     sure = oee.interval(problem, FORWARDS)
     middle = 0.5 * (sure.lower + sure.upper)
-    report = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(value, middle)})
+    end, name = (sure.lower, "lower") if value < sure.lower else (sure.upper, "upper")
+    report = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(value)})
     assert report.warnings == (
-        f"oee (mine): the estimator's own value, {value:.3f}, lies outside the interval that the log allows; the one-step "
-        "value stands in its place.",
+        f"oee (mine): The estimator's own value, {value:.3f}, lies outside the interval that the log allows. The interval's "
+        f"{name} end stands in its place.",
     )
     assert report.notes["mine", "oee"] == (1,)
-    assert report.records()[0]["value"] == middle
-    assert f"is worth about {middle:.3f}, and with 95% confidence between" in first_words(report, answers(report))[0]
-    calm = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(middle, value)})
+    assert report.records()[0]["value"] == end
+    assert f"is worth about {end:.3f}, and with 95% confidence between" in first_words(report, answers(report))[0]
+    calm = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(middle)})
     assert calm.warnings == ()
     assert f"is worth about {middle:.3f}" in first_words(calm, answers(calm))[0]
 

@@ -252,7 +252,7 @@ class Calibrated:
         ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
         return replace(
             found, value=value, standard_error=error, interval=ends, diagnostics=kept, findings=tuple(told),
-            model_value=None, one_step_value=None, is_normal=True, is_from_log=True, is_from_episodes=False,
+            model_value=None, is_normal=True, is_from_log=True, is_from_episodes=False,
             is_headline=False,
         )  # fmt: skip
 

@@ -81,7 +81,7 @@ def report_on_rows(
     for i, (policy, table) in enumerate(tables.items()):
         for j, (name, estimator) in enumerate(rows.items()):
             estimate = estimator(problem, table, seed=_checks.seed_sequence(seed, (i, j)))
-            results.append(Result(policy, name, quoted(estimate, None, problem, table, level, scale)))
+            results.append(Result(policy, name, quoted(estimate, None, level, scale)))
     told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
     notes = {
         (r.policy, r.estimator): tuple(

@@ -52,7 +52,6 @@ class Estimate:
     status : "ok", or what is wrong and what would help
     findings : what to know before the value is used; a report prints them
     model_value : of what the log corrects, the exact value of zeta * P, whose rows sum to 1; None of any other value
-    one_step_value : of such a value, the one-step value; None where that is not known
     measured : share of the policy's time in state-action pairs whose variance the standard error counts
     is_normal : whether the interval is the value plus or minus a quantile times the standard error: it follows the level
     is_from_log : False of what the simulator alone says
@@ -75,7 +74,6 @@ class Estimate:
     status: str = "ok"
     findings: tuple[Finding, ...] = ()
     model_value: float | None = None
-    one_step_value: float | None = None
     measured: float = 1.0
     is_normal: bool = False
     is_from_log: bool = True

@@ -141,10 +141,11 @@ def conflict_with_centre(likeliest: float, distance: float) -> tuple[Finding, ..
     return (Finding("against", distance, text, f"{distance:.1f}"),)
 
 
-def outside(value: str, severity: float, by: str) -> Finding:
-    """The estimator's own value is one that the log rules out."""
+def outside(value: str, severity: float, end: str) -> Finding:
+    """The log rules the estimator's own value out; ``end`` is the interval's "lower" or "upper"."""
     text = (
-        f"the estimator's own value, {value}, lies outside the interval that the log allows; {by} stands in its place."
+        f"The estimator's own value, {value}, lies outside the interval that the log allows. The interval's {end} end stands "
+        "in its place."
     )
     return Finding("outside", severity, text)
 

@@ -276,7 +276,6 @@ def _moved(
         interval=interval,
         diagnostics=diagnostics,
         findings=(*findings.no_variation(told), *_contradiction(value, likeliest, apart), *exact.findings),
-        one_step_value=exact.value + step.change,
         is_normal=True,
     )
 

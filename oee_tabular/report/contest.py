@@ -168,6 +168,6 @@ def _value(problem: Problem, policy: Array, sure: Sureness, name: str, level: fl
     """What ``evaluate`` shows as ``oee``; where that has no value, maximum likelihood's."""
     _progress.report_step(f"value of “{name}”")
     estimate = OffEnvironment()(problem, policy, seed=0)  # exact: no seed matters
-    found = quoted(estimate, sure.intervals.get(name, {}).get(LIKELIHOOD), problem, policy, level).value
+    found = quoted(estimate, sure.intervals.get(name, {}).get(LIKELIHOOD), level).value
     assert sure.comparison is not None
     return found if math.isfinite(found) else float(sure.comparison.values[sure.comparison.names.index(name)])

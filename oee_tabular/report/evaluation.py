@@ -191,8 +191,8 @@ def evaluate(
         sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
     results = []
     for result in raw:
-        likelihood, policy = sure.intervals.get(result.policy, {}).get(LIKELIHOOD), named_policies[result.policy]
-        results.append(replace(result, estimate=quoted(result.estimate, likelihood, problem, policy, level, scale)))
+        likelihood = sure.intervals.get(result.policy, {}).get(LIKELIHOOD)
+        results.append(replace(result, estimate=quoted(result.estimate, likelihood, level, scale)))
     sure = _told(sure, results, problem, named_policies, chosen, scale)
     warnings, notes = _noted(problem, results, left_out)
     known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}

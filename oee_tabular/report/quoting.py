@@ -8,8 +8,7 @@ from dataclasses import replace
 from statistics import NormalDist
 
 from oee_tabular import _printing
-from oee_tabular._checks import Array
-from oee_tabular.estimators import Estimate, ModelBased, Problem
+from oee_tabular.estimators import Estimate
 from oee_tabular.estimators.findings import NEVER_VARIED, Finding, no_value, outside
 from oee_tabular.inference import Interval
 from oee_tabular.report.sureness import ENOUGH
@@ -27,19 +26,17 @@ METHODS: Mapping[str, str] = {
 _OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 
 
-def quoted(
-    estimate: Estimate, sure: Interval | None, problem: Problem, policy: Array, level: float, scale: float = 1.0
-) -> Estimate:
+def quoted(estimate: Estimate, sure: Interval | None, level: float, scale: float = 1.0) -> Estimate:
     """The estimate with the interval to quote, a value inside it, and the findings that are to be told.
 
-    A value that the log corrects has the likelihood interval ``sure``, where there is one; outside of it stands no value: the
-    one-step value takes its place, or else maximum likelihood's (``replaced_value``, ``replaced_by``). Others have the
+    A value that the log corrects has the likelihood interval ``sure``, where there is one; outside of it stands no value: its
+    nearer end takes its place (``replaced_value``, ``replaced_by``). Others have the
     estimator's own interval, at ``level``, or value plus or minus a normal quantile times the standard error, where that
     counts what matters: not below ``ENOUGH``, not where the variance is not known.
     ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
     """
     if sure is not None and sure.status == "ok" and estimate.model_value is not None:
-        found = _inside(estimate, sure, problem, policy, scale)
+        found = _inside(estimate, sure, scale)
     else:
         found = _with_own_interval(estimate, level)
     lacking = found.interval is None and (found.standard_error is not None or found.status == "ok")
@@ -68,26 +65,21 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
 
 
-def _inside(estimate: Estimate, sure: Interval, problem: Problem, policy: Array, scale: float) -> Estimate:
+def _inside(estimate: Estimate, sure: Interval, scale: float) -> Estimate:
     facts, value = estimate.diagnostics | {"interval_method": LIKELIHOOD}, estimate.value
     room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
     low, high = sure.lower - room, sure.upper + room
     if low <= value <= high:
         ends = (min(sure.lower, value), max(sure.upper, value))
         return replace(estimate, interval=ends, diagnostics=facts)
-    own, by = value, "the one-step value"
-    value = math.nan if estimate.one_step_value is None else estimate.one_step_value
-    if not low <= value <= high:
-        by = "the maximum-likelihood value"
-        value = ModelBased(fallback="simulator")(problem, policy).value
-    ends = (min(sure.lower, value), max(sure.upper, value))
-    shown = format(own * scale, _printing.spec(ends[0] * scale, ends[1] * scale))
+    end, by = (sure.lower, "lower") if value < low else (sure.upper, "upper")
+    shown = format(value * scale, _printing.spec(sure.lower * scale, sure.upper * scale))
     return replace(
         estimate,
-        value=value,
-        interval=ends,
-        diagnostics=facts | {"replaced_value": own, "replaced_by": by},
-        findings=(*estimate.findings, outside(shown, max(ends[0] - own, own - ends[1]), by)),
+        value=end,
+        interval=(sure.lower, sure.upper),
+        diagnostics=facts | {"replaced_value": value, "replaced_by": f"the interval's {by} end"},
+        findings=(*estimate.findings, outside(shown, abs(value - end), by)),
     )
 
 

@@ -38,18 +38,17 @@ class Corrected:
     """Stands for an estimator that corrects by the log: its value, its one-step value, an interval of its own."""
 
     value: float
-    one_step: float
     error: float = 0.1
     facts: dict = field(default_factory=dict)
 
     def __call__(self, problem, policy, *, seed=None):
         facts = {
-            "one_step_value": self.one_step, "one_step_standard_error": 0.2, "interval_method": "one-step",
+            "one_step_standard_error": 0.2, "interval_method": "one-step",
             "model_value": self.value, "moved": 0.0, "coverage": 0.5, "row_sum_error": 0.0,
         }  # fmt: skip
         ends = (self.value - 1.96 * self.error, self.value + 1.96 * self.error)
         return Estimate(
-            self.value, self.error, ends, facts | self.facts, model_value=self.value, one_step_value=self.one_step,
+            self.value, self.error, ends, facts | self.facts, model_value=self.value,
             is_normal=True, measured=0.5,
         )  # fmt: skip
 
@@ -133,38 +132,40 @@ def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_
     from oee_tabular.report import sureness
 
     monkeypatch.setattr(sureness, "LARGEST", 10)
-    found = oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0, 2.2)})
+    found = oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0)})
     assert row_of(found)["interval_method"] == "one-step"
     assert_allclose([row_of(found)[end] for end in ("lower", "upper")], [1.804, 2.196])
-    wide = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0, 2.2)}, confidence=0.99))
+    wide = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0)}, confidence=0.99))
     assert_allclose(wide["upper"] - 2.0, 0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975))
     says = oee.policy_value(SIMULATOR, MINE)
     assert f"mine: The simulator says {says:.4g}. Corrected by the log: 2.000." in str(found)
 
 
-def test_a_value_outside_gives_way_to_the_one_step_value_or_to_maximum_likelihood():
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
     problem = even(2000)
     sure = oee.interval(problem, MINE)
-    inside, likeliest = sure.lower + 0.3 * sure.width, ModelBased(fallback="simulator")(problem, MINE).value
-    far = sure.upper + 1.0
-    for one_step, given_value, by in (
-        (inside, inside, "the one-step value"),
-        (far, likeliest, "the maximum-likelihood value"),
-    ):
-        report = oee.evaluate(problem, {"mine": MINE}, estimators={"oee": Corrected(far, one_step)}, normalized=True)
-        row = row_of(report)
-        assert_allclose(row["value"], 0.1 * given_value)
-        assert_allclose(row["replaced_value"], 0.1 * far)
-        assert row["replaced_by"] == by
-        assert_allclose(row["standard_error"], 0.01)
-        shown = format(0.1 * far, _printing.spec(row["lower"], row["upper"]))
-        told = [report.warnings[k - 1] for k in row["notes"]]
-        assert any(
-            f"own value, {shown}, lies outside the interval that the log allows; {by} stands" in text for text in told
-        )
-        page = report.to_html()
-        assert f"is worth about {within(row['value'], row['lower'], row['upper'])}" in page
-    kept = row_of(oee.evaluate(problem, {"mine": MINE}, estimators={"oee": Corrected(inside, far)}))
+    far = sure.upper + 1.0 if end == "upper" else sure.lower - 1.0
+    report = oee.evaluate(problem, {"mine": MINE}, estimators={"oee": Corrected(far)}, normalized=True)
+    row = row_of(report)
+    assert_allclose(
+        [row["value"], row["lower"], row["upper"]], 0.1 * np.array([getattr(sure, end), sure.lower, sure.upper])
+    )
+    assert_allclose(row["replaced_value"], 0.1 * far)
+    assert row["replaced_by"] == f"the interval's {end} end"
+    assert_allclose(row["standard_error"], 0.01)
+    shown = format(0.1 * far, _printing.spec(row["lower"], row["upper"]))
+    told = [report.warnings[k - 1] for k in row["notes"]]
+    expected = f"own value, {shown}, lies outside the interval that the log allows. The interval's {end} end stands"
+    assert any(expected in text for text in told)
+    assert f"is worth about {within(row['value'], row['lower'], row['upper'])}" in report.to_html()
+
+
+def test_a_value_inside_stays():
+    problem = even(2000)
+    sure = oee.interval(problem, MINE)
+    inside = sure.lower + 0.3 * sure.width
+    kept = row_of(oee.evaluate(problem, {"mine": MINE}, estimators={"oee": Corrected(inside)}))
     assert kept["value"] == inside
     assert "replaced_value" not in kept
 
@@ -186,7 +187,7 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
     for name in kinds:
         row = row_of(report, name)
         assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
-    assert row_of(report, "tied")["replaced_by"] == "the maximum-likelihood value"
+    assert row_of(report, "tied")["replaced_by"].startswith("the interval's ")
     assert "orrected by the log: tied " in str(report)
     product = OffEnvironment(evaluation="monte_carlo")
     other = oee.evaluate(
