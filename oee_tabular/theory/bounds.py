@@ -1,9 +1,4 @@
-"""Bounds on the error of J that hold: (A), (B) and, by the divergence of paths, (C) of notebooks/statements.md.
-
-P' is the target, K the model that stands for it, K = zhat * P or any other, with the target's rewards, start and discount;
-R = max |r|, and alpha_t the distribution of (s_t, a_t). A horizon T means the rewards at t = 0..T-1, as everywhere in this
-package. A reward r(s, a) at t rests on t moves, a reward r(s, a, s') on t + 1: each bound below counts moves, and so is
-larger by one step in the second case. Functions ``*_bound`` take a bound's constants, functions ``*_sides`` a pair.
+"""Bounds on the error of J that hold: (A), (B) and, by the divergence of paths, (C) of ``oee_tabular.theory``.
 
 Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4 (Pinsker; KL of a path).
 """
@@ -26,7 +21,7 @@ from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.simulation_lemma import Sides, check_pair, forward_distributions
 from oee_tabular.theory.theorem_1 import divergence_terms
 
-_LONGEST, _NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
+N_TERMS, NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
 
 
 def unnormalised_bound(
@@ -52,7 +47,7 @@ def unnormalised_bound(
     (0.5625, inf)
     """
     _checks.boolean(rewards_on_moves, "rewards_on_moves")
-    eta, bound, gamma, steps = constants(eta, reward_bound, discount, horizon)
+    eta, bound, gamma, steps = _check_constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:
         return 0.0
@@ -86,10 +81,9 @@ def unnormalised_sides(
     0.357
     """
     kernel = check_pair(target, model, ratio)
-    left = value_error(target, kernel, policy, horizon)
-    return Sides(
-        left, unnormalised_bound(*measured(target, kernel), horizon=horizon, rewards_on_moves=on_moves(target))
-    )
+    left = _value_error(target, kernel, policy, horizon)
+    constants, on_moves = _constants(target, kernel), target.reward_data is not None
+    return Sides(left, unnormalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves))
 
 
 def normalised_bound(
@@ -111,23 +105,18 @@ def normalised_bound(
     (0.5, 15.0)
     """
     _checks.boolean(rewards_on_moves, "rewards_on_moves")
-    eta, bound, gamma, steps = constants(eta, reward_bound, discount, horizon)
+    eta, bound, gamma, steps = _check_constants(eta, reward_bound, discount, horizon)
     shift = int(rewards_on_moves)
     if bound == 0.0 or eta == 0.0:
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = terms_of_a_sum(gamma) if steps is None else limit_horizon(steps, gamma, work=100.0, kept=8)
+    length = _n_terms(gamma) if steps is None else limit_horizon(steps, gamma, work=100.0, kept=8)
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:
         total += gamma**length / (1.0 - gamma) * min(2.0, (length + shift + gamma / (1.0 - gamma)) * eta)
     return bound * total
-
-
-def terms_of_a_sum(gamma: float) -> int:
-    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded by Jensen's inequality."""
-    return 1 if gamma == 0.0 else min(_LONGEST, math.ceil(math.log(_NEGLIGIBLE) / math.log(gamma)))
 
 
 def normalised_sides(
@@ -145,51 +134,10 @@ def normalised_sides(
     >>> round(normalised_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
     0.375
     """
-    kernel = check_pair(target, model, ratio)
-    require_rows(kernel)
-    left = value_error(target, kernel, policy, horizon)
-    return Sides(left, normalised_bound(*measured(target, kernel), horizon=horizon, rewards_on_moves=on_moves(target)))
-
-
-def require_rows(model: Model) -> None:
-    """ValueError where rows of K miss 1."""
-    sums = row_sums(model.transitions).reshape(model.n_states, model.n_actions)
-    _checks.require_sums_to_one(sums, "model.transitions")
-
-
-def constants(
-    eta: float, reward_bound: float, discount: float, horizon: int | None
-) -> tuple[float, float, float, int | None]:
-    """What a bound takes, checked."""
-    return (
-        _checks.number_in(eta, "eta", 0.0, math.inf),
-        _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf),
-        _checks.number_in(discount, "discount", 0.0, 1.0),
-        _checks.optional_horizon(horizon),
-    )
-
-
-def value_error(target: FiniteMDP, model: Model, policy: PolicyLike, horizon: int | None) -> float:
-    """|J(K) - J'|; inf where J(K) does not exist (nothing is paid: 0)."""
-    truth = policy_value(target, policy, horizon=horizon)
-    pi = check_policy(policy, target, horizon=horizon)
-    try:
-        return abs(policy_value(model, pi, horizon=horizon) - truth)
-    except DivergentKernelError:
-        return math.inf if measured(target, model)[1] > 0.0 else 0.0
-
-
-def measured(target: Model, model: Model) -> tuple[float, float, float]:
-    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the moves of either, and the discount."""
-    change = row_sums(sparse.csr_array(abs(model.transitions - target.transitions)))
-    tables = [m.rewards if m.reward_data is None else m.reward_data for m in (target, model)]
-    largest = max(float(np.abs(table).max(initial=0.0)) for table in tables)
-    return float(change.max(initial=0.0)), largest, target.discount
-
-
-def on_moves(mdp: FiniteMDP) -> bool:
-    """Whether a reward is r(s, a, s'), and so rests on one move more."""
-    return mdp.reward_data is not None
+    kernel = _check_normalised_pair(target, model, ratio)
+    left = _value_error(target, kernel, policy, horizon)
+    constants, on_moves = _constants(target, kernel), target.reward_data is not None
+    return Sides(left, normalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves))
 
 
 def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: object = None) -> Array:
@@ -209,18 +157,18 @@ def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int
     >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()  # log(25 / 24) / 2 a move
     [0.0, 0.0204, 0.0408, 0.0612]
     """
-    kernel = check_pair(target, model, ratio)
-    require_rows(kernel)
+    kernel = _check_normalised_pair(target, model, ratio)
     steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
     pi = check_policy(policy, target, horizon=steps)
-    return _path_kl(kernel, pi, steps, _row_kl(target, kernel))
+    return _accumulate_kl(kernel, pi, steps, _row_kl(target, kernel))
 
 
-def _path_kl(kernel: Model, pi: Array, steps: int, rows: Array) -> Array:
+def _accumulate_kl(kernel: Model, pi: Array, steps: int, row_kl: Array) -> Array:
+    """KL_t = KL_{t-1} + <alpha_{t-1}, row_kl> for t = 0..steps, alpha under K."""
     result = np.zeros(steps + 1)
     for t, pairs in enumerate(forward_distributions(kernel, pi, steps)):
-        made = pairs.reshape(-1) > 0.0  # 0 * inf is 0 here
-        result[t + 1] = result[t] + pairs.reshape(-1)[made] @ rows[made]
+        reached = pairs.reshape(-1) > 0.0  # 0 * inf is 0 here
+        result[t + 1] = result[t] + pairs.reshape(-1)[reached] @ row_kl[reached]
     return result
 
 
@@ -256,7 +204,7 @@ def kl_path_bound(path_divergence: object, reward_bound: float, discount: float)
     bad = np.flatnonzero(~(kl >= 0.0))
     if bad.size:
         raise ValueError(f"path_divergence[{bad[0]}] must be nonnegative; it is {kl[bad[0]]}")
-    _, bound, gamma, _ = constants(0.0, reward_bound, discount, None)
+    _, bound, gamma, _ = _check_constants(0.0, reward_bound, discount, None)
     return float(bound * np.sum(gamma ** np.arange(len(kl)) * np.minimum(2.0, np.sqrt(2.0 * kl))))
 
 
@@ -278,21 +226,61 @@ def kl_path_sides(
     >>> round(kl_path_sides(target, model, [[1.0]] * 2, horizon=3).ratio, 3)
     0.435
     """
-    kernel = check_pair(target, model, ratio)
-    require_rows(kernel)
-    left = value_error(target, kernel, policy, horizon)
-    _, bound, gamma = measured(target, kernel)
-    shift = int(on_moves(target))
-    rows = _row_kl(target, kernel)
+    kernel = _check_normalised_pair(target, model, ratio)
+    left = _value_error(target, kernel, policy, horizon)
+    _, bound, gamma = _constants(target, kernel)
+    shift, row_kl = int(target.reward_data is not None), _row_kl(target, kernel)
     steps = optional_horizon_length(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
-        return Sides(left, kl_path_bound(_path_kl(kernel, pi, steps, rows)[shift:][:steps], bound, gamma))
-    if gamma == 1.0:  # every state that is reached is reached in S moves
-        never = bound == 0.0 or _path_kl(kernel, pi, kernel.n_states, rows)[-1] == 0.0
-        return Sides(left, 0.0 if never else math.inf)
-    length = terms_of_a_sum(gamma)
-    kl = _path_kl(kernel, pi, length + shift, rows)[shift:]
-    later = kl[length] + rows.max() * gamma / (1.0 - gamma) if gamma > 0.0 else 0.0
+        return Sides(left, kl_path_bound(_accumulate_kl(kernel, pi, steps, row_kl)[shift:][:steps], bound, gamma))
+    if gamma == 1.0:  # every state that is reached is reached in S transitions
+        is_zero = bound == 0.0 or _accumulate_kl(kernel, pi, kernel.n_states, row_kl)[-1] == 0.0
+        return Sides(left, 0.0 if is_zero else math.inf)
+    length = _n_terms(gamma)
+    kl = _accumulate_kl(kernel, pi, length + shift, row_kl)[shift:]
+    later = kl[length] + row_kl.max() * gamma / (1.0 - gamma) if gamma > 0.0 else 0.0
     tail = gamma**length / (1.0 - gamma) * min(2.0, math.sqrt(2.0 * later))
     return Sides(left, kl_path_bound(kl[:length], bound, gamma) + bound * tail)
+
+
+def _n_terms(gamma: float) -> int:
+    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded by Jensen's inequality."""
+    return 1 if gamma == 0.0 else min(N_TERMS, math.ceil(math.log(NEGLIGIBLE) / math.log(gamma)))
+
+
+def _check_normalised_pair(target: object, model: object, ratio: object) -> Model:
+    """K, as ``check_pair`` has it; ValueError where its rows miss 1."""
+    kernel = check_pair(target, model, ratio)
+    sums = row_sums(kernel.transitions).reshape(kernel.n_states, kernel.n_actions)
+    _checks.require_sums_to_one(sums, "model.transitions")
+    return kernel
+
+
+def _check_constants(
+    eta: float, reward_bound: float, discount: float, horizon: int | None
+) -> tuple[float, float, float, int | None]:
+    return (
+        _checks.number_in(eta, "eta", 0.0, math.inf),
+        _checks.number_in(reward_bound, "reward_bound", 0.0, math.inf),
+        _checks.number_in(discount, "discount", 0.0, 1.0),
+        _checks.optional_horizon(horizon),
+    )
+
+
+def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
+    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the transitions of either, and the discount."""
+    change = row_sums(sparse.csr_array(abs(kernel.transitions - target.transitions)))
+    tables = [m.rewards if m.reward_data is None else m.reward_data for m in (target, kernel)]
+    largest = max(float(np.abs(table).max(initial=0.0)) for table in tables)
+    return float(change.max(initial=0.0)), largest, target.discount
+
+
+def _value_error(target: FiniteMDP, kernel: Model, policy: PolicyLike, horizon: int | None) -> float:
+    """|J(K) - J'|; inf where J(K) does not exist (where nothing is paid: 0)."""
+    truth = policy_value(target, policy, horizon=horizon)
+    pi = check_policy(policy, target, horizon=horizon)
+    try:
+        return abs(policy_value(kernel, pi, horizon=horizon) - truth)
+    except DivergentKernelError:
+        return math.inf if _constants(target, kernel)[1] > 0.0 else 0.0

@@ -111,31 +111,30 @@ def simulation_lemma(
     steps = optional_horizon_length(horizon, kernel, policy, kept=kernel.n_states)
     pi = check_policy(policy, target, horizon=steps)
     difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
-    first = _moved_value(target, kernel, pi, steps, measured=target, valued=kernel)
-    second = _moved_value(target, kernel, pi, steps, measured=kernel, valued=target)
+    first = _error_by_occupancy(target, kernel, pi, steps, measured=target, valued=kernel)
+    second = _error_by_occupancy(target, kernel, pi, steps, measured=kernel, valued=target)
     return SimulationLemma(difference, first, second)
 
 
-def _moved_value(
+def _error_by_occupancy(
     target: Model, kernel: Model, pi: Array, steps: int | None, *, measured: Model, valued: Model
 ) -> float:
     """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of ``valued``."""
-    gamma, paid = target.discount, target.rewards - kernel.rewards
+    gamma, reward_error = target.discount, target.rewards - kernel.rewards
 
-    def moved(value: Array) -> Array:
+    def row_errors(value: Array) -> Array:
         change: Array = target.transitions @ value - kernel.transitions @ value
-        return paid + gamma * change.reshape(paid.shape)
+        return reward_error + gamma * change.reshape(reward_error.shape)
 
     if steps is None:
-        return float(np.sum(occupancy(measured, pi) * moved(state_values(valued, pi))) / (1.0 - gamma))
+        errors = row_errors(state_values(valued, pi))
+        return float(np.sum(occupancy(measured, pi) * errors) / (1.0 - gamma))
     to_go = np.zeros((steps + 1, target.n_states))
     for t in range(steps - 1, -1, -1):
-        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(paid.shape)
+        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(reward_error.shape)
         to_go[t] = np.sum((pi if pi.ndim == 2 else pi[t]) * q, axis=1)
-    return sum(
-        gamma**t * float(np.sum(pairs * moved(to_go[t + 1])))
-        for t, pairs in enumerate(forward_distributions(measured, pi, steps))
-    )
+    alphas = enumerate(forward_distributions(measured, pi, steps))
+    return sum(gamma**t * float(np.sum(pairs * row_errors(to_go[t + 1]))) for t, pairs in alphas)
 
 
 def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array]:
@@ -171,7 +170,7 @@ def check_pair(target: object, model: object, ratio: object = None) -> FiniteMDP
 
 
 def _check_rewards(target: FiniteMDP, model: Model) -> None:
-    """The same form of rewards, and the same values (for r(s, a, s') on the moves that both make)."""
+    """Check the form of rewards, and their values (r(s, a, s') on the transitions that both make)."""
     if target.reward_data is None or model.reward_data is None:
         if target.reward_data is not model.reward_data:
             forms = ["r(s, a)" if m.reward_data is None else "r(s, a, s')" for m in (target, model)]
@@ -198,7 +197,7 @@ def check_box(nu: float, mu: float) -> tuple[float, float]:
     return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
 
 
-def in_box(value: object, name: str, nu: float, mu: float) -> Array:
+def check_ratio(value: object, name: str, nu: float, mu: float) -> Array:
     """The values of a g as an array, or ValueError where one is outside [nu, mu]."""
     array = _checks.float_array(value, name, ndim=1)
     bad = np.flatnonzero(~((array >= nu) & (array <= mu)))

@@ -1,10 +1,4 @@
-"""Theorem 1 of the paper, on the error of the ratio g, beside what is true (notebooks/statements.md).
-
-Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables. Theorem 1
-(equation "upperbound") needs a constant K that does not exist (``universal_constant_counterexample``); ``sup_error_bound``
-holds. g* = p/q; the paper's class of functions is nu <= g <= mu with nu < 1 < mu. ``ratio.check_assumptions`` says whether
-p/q lies in it. Divergences and risks are in nats.
-"""
+"""Theorem V.1 of the paper, on the error of the ratio g = p/q, beside what is true; divergences and excess risks."""
 
 from __future__ import annotations
 
@@ -18,7 +12,7 @@ from scipy import special
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio.arguments import check_distributions
-from oee_tabular.theory.simulation_lemma import Sides, check_box, in_box
+from oee_tabular.theory.simulation_lemma import Sides, check_box, check_ratio
 
 
 def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
@@ -45,15 +39,15 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
         raise ValueError("order must be positive; it is 0")
     if a == 1.0:
         return float(np.sum(divergence_terms(ps, qs)))
-    shared, alone = (ps > 0.0) & (qs > 0.0), float(np.sum(ps[qs == 0.0]))
-    if not shared.any() or (a > 1.0 and alone > 0.0):
+    shared, unshared_mass = (ps > 0.0) & (qs > 0.0), float(np.sum(ps[qs == 0.0]))
+    if not shared.any() or (a > 1.0 and unshared_mass > 0.0):
         return math.inf
     log_ratio = np.log(ps[shared]) - np.log(qs[shared])
     if math.isinf(a):
         return max(0.0, float(log_ratio.max()))
     powers = (a - 1.0) * log_ratio
-    if np.abs(powers).max() < 0.5 and alone < 0.5:  # the sum is near 1: what it differs by, for orders near 1
-        log_sum = math.log1p(float(ps[shared] @ np.expm1(powers)) - alone)
+    if np.abs(powers).max() < 0.5 and unshared_mass < 0.5:  # the sum is near 1: its distance from 1, for orders near 1
+        log_sum = math.log1p(float(ps[shared] @ np.expm1(powers)) - unshared_mass)
     else:
         log_sum = float(special.logsumexp(powers + np.log(ps[shared])))
     return max(0.0, log_sum / (a - 1.0))
@@ -83,17 +77,15 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
 
     Notes
     -----
-    No such K exists: ``universal_constant_counterexample``. K must contain 1 / min q and the size of the class; with P and
-    Q fixed the bound holds for large n, but the rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states.
-    ``sup_error_bound`` is a version with its constants. The paper calls both this bound and its root M(G, delta).
+    No such K exists (``universal_constant_counterexample``); ``sup_error_bound`` is a version with its constants. The paper
+    calls both this bound and its root M(G, delta).
 
     Examples
     --------
     >>> round(estimation_bound(100, 10.0, 0.1, 0.95, 0.0, 1.0), 4)
     1.475
     """
-    samples = _checks.positive_integer(n, "n")
-    lower, upper = check_box(nu, mu)
+    samples, (lower, upper) = _checks.positive_integer(n, "n"), check_box(nu, mu)
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     divergence = _checks.number_in(renyi, "renyi", 0.0, math.inf, infinite=True)
     k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
@@ -106,9 +98,7 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
 def estimation_sides(
     g: ArrayLike, p: ArrayLike, q: ArrayLike, *, n: int, mu: float, nu: float, confidence: float, constant: float
 ) -> Sides:
-    """Theorem 1 on tables: left = max |g - p/q|^2 over the cells with p + q > 0, right = ``estimation_bound``.
-
-    Both sides are inf where p > 0 = q.
+    """Theorem 1 on tables: left = max |g - p/q|^2 where p + q > 0, right = ``estimation_bound``; both inf where p > 0 = q.
 
     Parameters
     ----------
@@ -122,8 +112,8 @@ def estimation_sides(
     True
     """
     ps, qs = check_distributions(p, q)
-    values = in_box(g, "g", *check_box(nu, mu))
-    _same_length(values, ps)
+    values = check_ratio(g, "g", *check_box(nu, mu))
+    _check_same_length(values, ps)
     right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
     with np.errstate(over="ignore"):  # a square beyond floats is infinite
         return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0]) ** 2), right)
@@ -210,6 +200,7 @@ def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float,
 
 
 def _chernoff(log_term: float, mean: float) -> float:
+    """The e with n p e^2 / 3 = log_term, mean = n p, or with 2 + e in place of 3 where that e is above 1."""
     if mean == 0.0:
         return math.inf
     small = math.sqrt(3.0 * log_term / mean)
@@ -219,8 +210,8 @@ def _chernoff(log_term: float, mean: float) -> float:
 def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
     """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p log g, phi(u) = u - 1 - log u.
 
-    left is the difference of the two risks, right the expectation, which is accurate for g near g* as well; they are
-    equal up to rounding. inf where g = 0 < p or q = 0 < p.
+    left is the difference of the two risks, right the expectation, accurate for g near g* as well; equal up to rounding.
+    inf where g = 0 < p or q = 0 < p.
 
     Parameters
     ----------
@@ -236,7 +227,7 @@ def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
     ps, qs = check_distributions(p, q)
     values = _checks.float_array(g, "g", ndim=1)
     _checks.require_nonnegative(values, "g")
-    _same_length(values, ps)
+    _check_same_length(values, ps)
     right = float(np.sum(divergence_terms(ps, qs * values)))
     if math.isinf(right):
         return Sides(right, right)
@@ -270,7 +261,7 @@ def squared_error_sides(g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float |
     return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound * bound * risk)
 
 
-def _same_length(g: Array, p: Array) -> None:
+def _check_same_length(g: Array, p: Array) -> None:
     if g.shape != p.shape:
         raise ValueError(f"g must have the length of p, {len(p)}; it has {len(g)}")
 

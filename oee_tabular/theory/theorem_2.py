@@ -1,9 +1,4 @@
-"""The paper's Lemma (zeta) and Theorem 2 (the value), beside what is true of them (notebooks/statements.md).
-
-Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given MDPs. The Lemma holds
-and is loose (``tight=True``: its tight constant); Theorem 2 is false (``value_bound_counterexample``);
-``corrected_value_error_bound`` and the module ``bounds`` say what holds. The paper's class is nu <= g <= mu, nu < 1 < mu.
-"""
+"""The paper's Lemma V.1 (zeta) and Theorem V.2 (the value), beside what is true of them."""
 
 from __future__ import annotations
 
@@ -18,7 +13,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import limit_horizon
-from oee_tabular.theory.simulation_lemma import Sides, check_box, check_pair, in_box
+from oee_tabular.theory.simulation_lemma import Sides, check_box, check_pair, check_ratio
 
 
 def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
@@ -64,7 +59,7 @@ def ratio_error_sides(
     """
     _checks.boolean(tight, "tight")
     named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
-    top, bottom, best_top, best_bottom = (in_box(value, name, *check_box(nu, mu)) for name, value in named.items())
+    top, bottom, best_top, best_bottom = (check_ratio(value, name, *check_box(nu, mu)) for name, value in named.items())
     for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):
         if array.shape != top.shape:
             raise ValueError(f"{name} must have the length of moves, {len(top)}; it has {len(array)}")
@@ -92,8 +87,8 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     Notes
     -----
     ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1 + error))^2 > gamma / nu. Causes: sum t
-    stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta.
-    What holds: ``corrected_value_error_bound`` and ``bounds``. It is inf where x^T overflows.
+    stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta. It is
+    inf where x^T overflows.
 
     Examples
     --------
