@@ -59,22 +59,20 @@ def calibrate(
     below = _checks.number_in(discretised, "discretised", -np.inf, np.inf)
     truth = _checks.number_in(continuous, "continuous", -np.inf, np.inf)
     error = _checks.number_in(continuous_error, "continuous_error", 0.0, np.inf)
+    if kind == "ratio" and below * truth <= 0.0:
+        raise ValueError(
+            f"kind must be 'difference' unless discretised and continuous have one sign; they are {below:g} and {truth:g}"
+        )
     if kind == "ratio":
-        if below * truth <= 0.0:
-            raise ValueError(
-                f"kind must be 'difference' unless discretised and continuous have one sign; they are {below:g} and {truth:g}"
-            )
-        factor = truth / below
-        value, slope, words = estimate.value * factor, estimate.value / below, f"times {truth:g} / {below:g}"
+        value, factor, slope = estimate.value * truth / below, truth / below, estimate.value / below
+        words = f"times {truth:g} / {below:g} (simulator: continuous / discretised)"
     else:
-        factor, slope = 1.0, 1.0
-        value, words = estimate.value + truth - below, f"plus {truth:g} - {below:g}"
+        value, factor, slope = estimate.value + truth - below, 1.0, 1.0
+        words = f"plus {truth:g} - {below:g} (simulator: continuous - discretised)"
     own = estimate.standard_error
-    found: dict[str, object] = {
+    calibrated = {
         "calibrated_value": value,
         "calibrated_standard_error": None if own is None else float(np.hypot(factor * own, slope * error)),
-        "calibration": f"{kind}: {words} (simulator: continuous / discretised)"
-        if kind == "ratio"
-        else f"{kind}: {words} (simulator: continuous - discretised)",
+        "calibration": f"{kind}: {words}",
     }
-    return replace(estimate, diagnostics=estimate.diagnostics | found)
+    return replace(estimate, diagnostics=estimate.diagnostics | calibrated)

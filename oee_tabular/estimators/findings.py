@@ -1,4 +1,4 @@
-"""What a reader must know before using an estimate: each finding in its words, made where the fact is known."""
+"""What a reader must know before using an estimate: each finding in its words; () where there is nothing to say."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 
 from oee_tabular._checks import Array
+
+MIN_SHARE = 0.02  # of the policy's discounted time: less is not worth a sentence
 
 
 @dataclass(frozen=True)
@@ -33,12 +35,14 @@ class Finding:
     alone: str | None = None
 
     def __str__(self) -> str:
-        return self.told(self.figure)
+        return self.sentence(self.figure)
 
-    def told(self, figure: str) -> str:
+    def sentence(self, figure: str) -> str:
         """The sentence with a figure."""
         return self.text.replace("{}", figure)
 
+
+Findings = tuple[Finding, ...]
 
 NEVER_VARIED = Finding(
     "constant",
@@ -47,33 +51,37 @@ NEVER_VARIED = Finding(
     "no standard error",
     "there is {} and no interval: what was seen never varied, which does not make the value certain.",
 )
-
-
 WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
     "weightless",
     1.0,
     "the weight of every whole episode is 0: none of the log is one that the policy could have made",
 )
+SAMPLED = Finding(
+    "sampled",
+    0.0,
+    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and moves that "
+    "were never met may change.",
+)
 
 
-def no_variation(error: float | None) -> tuple[Finding, ...]:
+def no_variation(error: float | None) -> Findings:
     """Whether the data vary: what does not has no standard error."""
     return (NEVER_VARIED,) if error is None else ()
 
 
 def no_value(status: str, value: float) -> Finding:
     """Why a value is not to be used."""
-    text = "no value: {}." if math.isnan(value) or math.isinf(value) else "do not rely on the value: {}."
+    text = "do not rely on the value: {}." if math.isfinite(value) else "no value: {}."
     return Finding("status", 1.0, text, status)
 
 
-def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied: bool = False) -> tuple[Finding, ...]:
+def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied: bool = False) -> Findings:
     """``share`` of the policy's discounted time is where the log has nothing.
 
     ``bare``: the standard error leaves it out; ``judged``: the value has an error or should have, so that the lack of an
-    interval is explained; ``tied``: moves of the same kind speak for what was not seen.
+    interval is explained; ``tied``: transitions of the same kind speak for what was not seen.
     """
-    if share <= 0.02:
+    if share <= MIN_SHARE:
         return ()
     text = "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
     if tied:
@@ -85,9 +93,9 @@ def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied:
     return (Finding("coverage", share, f"{text}.", f"{share:.0%}", alone),)
 
 
-def single_moves(share: float, error: float | None) -> tuple[Finding, ...]:
-    """``share`` of the policy's discounted time is where the log has one move, whose variance nobody knows."""
-    if share <= 0.02:
+def single_moves(share: float, error: float | None) -> Findings:
+    """``share`` of the policy's discounted time is where the log has one transition, whose variance nobody knows."""
+    if share <= MIN_SHARE:
         return no_variation(error)
     alone = (
         "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is not "
@@ -96,7 +104,7 @@ def single_moves(share: float, error: float | None) -> tuple[Finding, ...]:
     return (Finding("single", share, "", f"{share:.0%}", alone),)
 
 
-def row_sums(error: float) -> tuple[Finding, ...]:
+def row_sums(error: float) -> Findings:
     """How far rows of zeta * P are from summing to 1."""
     text = (
         "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) does "
@@ -105,15 +113,14 @@ def row_sums(error: float) -> tuple[Finding, ...]:
     return (Finding("row sums", error, text, f"{error:.2g}"),) if error > 1e-3 else ()
 
 
-def weights(effective: float, samples: int, noun: str) -> tuple[Finding, ...]:
+def weights(effective: float, samples: int, noun: str) -> Findings:
     """How few of the samples carry the weight."""
-    if not effective < max(10.0, 0.05 * samples):
-        return ()
     text = f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, its standard error too small."
-    return (Finding("weights", -effective, text, f"{effective:.1f}"),)
+    few = effective < max(10.0, 0.05 * samples)
+    return (Finding("weights", -effective, text, f"{effective:.1f}"),) if few else ()
 
 
-def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> tuple[Finding, ...]:
+def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> Findings:
     """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
@@ -122,7 +129,7 @@ def truncation(number: int, episodes: int, bound: float, value: float, error: fl
     return (Finding("truncation", bound, text, reach),)
 
 
-def foreign_starts(share: float) -> tuple[Finding, ...]:
+def foreign_starts(share: float) -> Findings:
     """Episodes begin where the simulator never does."""
     text = (
         "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
@@ -131,7 +138,7 @@ def foreign_starts(share: float) -> tuple[Finding, ...]:
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
 
-def conflict_with_centre(likeliest: float, distance: float) -> tuple[Finding, ...]:
+def conflict_with_centre(likeliest: float, distance: float) -> Findings:
     """The value rests on the corrected simulator against the log, ``distance`` standard errors of their difference away."""
     text = (
         f"The value rests on the corrected simulator. The log's frequencies alone say {likeliest:.4g}, {{}} standard errors of "
@@ -150,8 +157,8 @@ def outside(value: str, severity: float, end: str) -> Finding:
     return Finding("outside", severity, text)
 
 
-def missing_support(share: float, largest: float, nats: float) -> tuple[Finding, ...]:
-    """Moves of the log that only the defensive share of a continuous simulator makes possible."""
+def missing_support(share: float, largest: float, nats: float) -> Findings:
+    """Transitions of the log that only the defensive share of a continuous simulator makes possible."""
     text = (
         "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "
         f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
@@ -161,70 +168,55 @@ def missing_support(share: float, largest: float, nats: float) -> tuple[Finding,
     return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()
 
 
-def gap(nats: float) -> tuple[Finding, ...]:
+def gap(nats: float) -> Findings:
     """How far the ratio's program is from its optimum."""
     text = "the ratio's program is solved only to a gap of {} nats."
     return (Finding("gap", nats, text, f"{nats:.1e}"),) if nats > 1e-6 else ()
 
 
-def linear_algebra(bound: float, value: float) -> tuple[Finding, ...]:
+def linear_algebra(bound: float, value: float) -> Findings:
     """What rounding can have done to the value."""
-    text = "the linear algebra is certain only to {}."
-    if not bound > 1e-6 * max(1.0, abs(value)):
-        return ()
-    return (Finding("linear algebra", bound, text, f"{bound:.1e}"),)
+    text = "the linear solve is accurate only to {}."
+    return (Finding("linear algebra", bound, text, f"{bound:.1e}"),) if bound > 1e-6 * max(1.0, abs(value)) else ()
 
 
 def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
     """The log's rewards are not the simulator's."""
     if log_pays:
-        remedy = "The oee and model-based values pay the log's mean where it has seen a move."
+        remedy = "oee and model-based use the log's mean reward where it was observed."
     else:
         remedy = (
-            'The simulator, oee and model-based values pay the simulator\'s; rewards="log" (--rewards log) pays what the '
-            "log has seen."
+            'The simulator, oee and model-based values use the simulator\'s rewards; rewards="log" (--rewards log) uses those '
+            "of the log."
         )
     text = str(conflict)
     return Finding("rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}")
 
 
-def rows_dropped(rows: int, reasons: tuple[str, ...]) -> tuple[Finding, ...]:
+def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
     """Rows of the log's files that are none of a log's, and were not counted."""
-    if not rows:
-        return ()
-    return (Finding("dropped", 0.0, f"{rows} bad rows of the log were not counted: {'; '.join(reasons)}."),)
+    text = f"{rows} bad rows of the log were not counted: {'; '.join(reasons)}."
+    return (Finding("dropped", 0.0, text),) if rows else ()
 
 
-def moves_dropped(dropped: Array, kept: float) -> tuple[Finding, ...]:
-    """Moves that the simulator calls impossible, left out: ``dropped`` of each (s, a), beside ``kept`` in all."""
+def moves_dropped(dropped: Array, kept: float) -> Findings:
+    """Transitions that the simulator calls impossible, left out: ``dropped`` of each pair, beside ``kept`` in all."""
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
-    if not number:
-        return ()
     text = (
         f"{number:g} of the log's {number + kept:g} moves, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "
-        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood intervals have "
-        "such moves lead anywhere; other standard errors and intervals know nothing of them."
+        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood intervals let "
+        "these moves lead anywhere; all other intervals ignore them."
     )
-    return (Finding("impossible", 1.0, text),)
+    return (Finding("impossible", 1.0, text),) if number else ()
 
 
-SAMPLED = Finding(
-    "sampled",
-    0.0,
-    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and moves that "
-    "were never met may change.",
-)
-
-
-def episodes_sampled(kept: int, of: int) -> tuple[Finding, ...]:
+def episodes_sampled(kept: int, of: int) -> Findings:
     """Importance sampling sees some of the log's episodes."""
-    if not 0 < kept < of:
-        return ()
     text = f"Importance sampling sees a sample of {kept} of the log's {of} episodes; all others see every move."
-    return (Finding("sample", 0.0, text),)
+    return (Finding("sample", 0.0, text),) if 0 < kept < of else ()
 
 
-def behavior_contradicts(rows: int) -> tuple[Finding, ...]:
+def behavior_contradicts(rows: int) -> Findings:
     """The policy that is said to have recorded the log did not."""
     text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."
     return (Finding("behavior", 0.0, text, str(rows)),) if rows else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -12,15 +13,8 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import TransitionCounts, Transitions, read_log
-from oee_tabular.estimators.findings import (
-    SAMPLED,
-    Finding,
-    behavior_contradicts,
-    episodes_sampled,
-    moves_dropped,
-    rewards_contradict,
-    rows_dropped,
-)
+from oee_tabular.estimators import findings
+from oee_tabular.estimators.findings import Finding
 from oee_tabular.estimators.rewards import RewardConflict, conflict, simulator_rewards, with_log_rewards
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -58,16 +52,7 @@ class Problem:
         Moves of the log to which the simulator gives probability 0: an error, or left out of ``counts``. Then nothing is said
         of where they led: likelihood intervals have them lead anywhere (``inference.margins``).
 
-    Attributes
-    ----------
-    log : with terminated transitions led to the simulator's terminal states
-    model : the simulator with the rewards that model-based values are to pay
-    counts : csr (S*A, S) of the log's moves, or the given ones, without those that were dropped
-    dropped : (S*A,) how many were, of each (s, a)
-    observed : what a ratio is fitted to: the log, or the counts where they were given
-    soft : whether the counts are no whole numbers
-    recorded : what has whole episodes, if anything has: ``episodes``, the log, or the sample beside its counts
-    reward_conflict : RewardConflict or None
+    ``log`` has terminated transitions led to the simulator's terminal states, and ``counts`` is csr, without what was dropped.
 
     Raises
     ------
@@ -99,101 +84,91 @@ class Problem:
     def __init__(
         self,
         simulator: FiniteMDP,
-        log: object,
+        log: Any,
         horizon: int | None = None,
         behavior_policy: PolicyLike | None = None,
-        simulator_data: object = None,
+        simulator_data: Any = None,
         rewards: Literal["simulator", "log"] = "simulator",
-        episodes: Transitions | None = None,
-        counts: object = None,
+        episodes: Any = None,
+        counts: Any = None,
         *,
         impossible: Literal["refuse", "drop"] = "refuse",
-        _counts: object = None,  # dataclasses.replace passes fields on
+        _counts: Any = None,  # dataclasses.replace passes fields on
     ) -> None:
-        given = {"simulator": simulator, "log": log, "horizon": horizon, "behavior_policy": behavior_policy,
-                 "simulator_data": simulator_data, "rewards": rewards, "episodes": episodes,
-                 "_counts": _counts if counts is None else counts, "impossible": impossible}  # fmt: skip
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
-        self._check()
-
-    def _check(self) -> None:
-        _checks.instance(self.simulator, FiniteMDP, "simulator")
-        _checks.one_of(self.impossible, "impossible", ("refuse", "drop"), _ALLOW)
-        drop = self.impossible == "drop"
-        if sparse.issparse(self.log):
-            moves = checked_counts(self.log, self.simulator)
-            moves = moves if drop else _supported(moves, self.simulator)
-            object.__setattr__(self, "log", TransitionCounts.of(moves, self.simulator.n_actions))
-        object.__setattr__(self, "log", read_log(self.log, self.simulator))
-        if self.episodes is not None:
-            object.__setattr__(self, "episodes", read_log(self.episodes, self.simulator, "episodes"))
-        if self.episodes is not None:
-            _checks.instance(self.episodes, Transitions, "episodes", "Transitions")
-        _checks.one_of(self.rewards, "rewards", ("simulator", "log"))
-        object.__setattr__(self, "horizon", optional_horizon_length(self.horizon, self.simulator))
-        if self.behavior_policy is not None:
-            checked = check_policy(self.behavior_policy, self.simulator, name="behavior_policy")
-            object.__setattr__(self, "behavior_policy", checked)
-        object.__setattr__(self, "log", settle(self.log, self.simulator, "log"))
-        if self.episodes is not None:
-            object.__setattr__(self, "episodes", settle(self.episodes, self.simulator, "episodes"))
-        check_simulator_data(self.simulator_data)
-        if isinstance(self.simulator_data, Transitions):
-            settled = settle(
-                self.simulator_data.numbered(self.simulator, "simulator_data"), self.simulator, "simulator_data"
-            )
-            object.__setattr__(self, "simulator_data", settled)
-        if self.rewards == "log" and self.log.moves().reward_sum is None:
+        _checks.instance(simulator, FiniteMDP, "simulator")
+        _checks.one_of(impossible, "impossible", ("refuse", "drop"), _ALLOW)
+        may_drop, counts = impossible == "drop", _counts if counts is None else counts
+        if sparse.issparse(log):
+            log = TransitionCounts.of(_check_counts(log, simulator, may_drop=may_drop), simulator.n_actions)
+        log = read_log(log, simulator)
+        if episodes is not None:
+            episodes = read_log(episodes, simulator, "episodes")
+            _checks.instance(episodes, Transitions, "episodes", "Transitions")
+        _checks.one_of(rewards, "rewards", ("simulator", "log"))
+        horizon = optional_horizon_length(horizon, simulator)
+        if behavior_policy is not None:
+            behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+        log = settle(log, simulator, "log")
+        if episodes is not None:
+            episodes = settle(episodes, simulator, "episodes")
+        check_simulator_data(simulator_data)
+        if isinstance(simulator_data, Transitions):
+            name = "simulator_data"
+            simulator_data = settle(simulator_data.numbered(simulator, name), simulator, name)
+        if rewards == "log" and log.moves().reward_sum is None:
             raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
-        if self._counts is not None:
-            matrix = checked_counts(self._counts, self.simulator)
-            object.__setattr__(self, "_counts", matrix if drop else _supported(matrix, self.simulator))
-        elif not drop:
-            refuse_unsupported(self.counts, self.simulator)
-        if drop and self.counts.nnz == 0:
+        if counts is not None:
+            counts = _check_counts(counts, simulator, may_drop=may_drop)
+        fields = (simulator, log, horizon, behavior_policy, simulator_data, rewards, episodes, counts, impossible)
+        for field, value in zip(dataclasses.fields(self), fields, strict=True):
+            object.__setattr__(self, field.name, value)
+        if counts is None and not may_drop:
+            refuse_unsupported(self.counts, simulator)
+        if may_drop and self.counts.nnz == 0:
             raise ValueError("log must have a move that the simulator allows; none is left where impossible is 'drop'")
 
     def __repr__(self) -> str:
-        span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         return (
-            f"Problem({self.simulator!r}, {self.log!r}, value: sum of discount^t * reward over {span}, "
+            f"Problem({self.simulator!r}, {self.log!r}, value: sum of discount^t * reward over {self._span}, "
             f"rewards of the {self.rewards})"
         )
 
+    @property
+    def _span(self) -> str:
+        return "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
+
     def _repr_html_(self) -> str:
-        span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         rows = [
             ("simulator", repr(self.simulator)), ("log", self.log.describe()), ("rewards", f"the {self.rewards}'s"),
-            ("value", f"sum of discount^t * reward over {span}, not normalised"),
+            ("value", f"sum of discount^t * reward over {self._span}, not normalised"),
             ("rewards of log and simulator", "agree" if self.reward_conflict is None else str(self.reward_conflict)),
         ]  # fmt: skip
         return _printing.facts("Problem: the value of a policy in the target", rows)
 
-    @cached_property
+    @property
     def counts(self) -> sparse.csr_array:
         """(S*A, S) counts of the log's moves, or those that were given, without those that were dropped."""
-        return self._parted[0]
+        return self._kept_and_dropped[0]
 
     @property
     def dropped(self) -> Array:
         """(S*A,) how many moves of each (s, a) were left out as impossible in the simulator."""
-        return self._parted[1]
+        return self._kept_and_dropped[1]
 
     @cached_property
-    def _parted(self) -> tuple[sparse.csr_array, Array]:
-        found = self._counts
-        if found is None:
-            found = self.log.counts(self.simulator.n_states, self.simulator.n_actions)
+    def _kept_and_dropped(self) -> tuple[sparse.csr_array, Array]:
+        counts = self._counts
+        if counts is None:
+            counts = self.log.counts(self.simulator.n_states, self.simulator.n_actions)
         if self.impossible == "refuse":
-            return found, np.zeros(found.shape[0])
-        return without_impossible(found, self.simulator)
+            return counts, np.zeros(counts.shape[0])
+        return without_impossible(counts, self.simulator)
 
     @property
     def observed(self) -> Transitions | sparse.csr_array:
         """What a ratio is fitted to: the log, or the counts where they were given."""
-        whole = self._counts is None and isinstance(self.log, Transitions) and not self.dropped.any()
-        return self.log if whole else self.counts
+        is_whole = self._counts is None and isinstance(self.log, Transitions) and not self.dropped.any()
+        return self.log if is_whole else self.counts
 
     @cached_property
     def made(self) -> dict[Any, Any]:
@@ -234,14 +209,17 @@ class Problem:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is odd about the data, whatever the policy."""
-        conflict = self.reward_conflict
-        return (
-            *(() if conflict is None else (rewards_contradict(conflict, log_pays=self.rewards == "log"),)),
-            *behavior_contradicts(self.behavior_conflict),
-            *_of_counted(self.log),
-            *moves_dropped(self.dropped, float(self.counts.sum())),
-            *(() if self.simulator.sampling is None else (SAMPLED,)),
-        )
+        log, conflict = self.log, self.reward_conflict
+        told: list[Finding] = []
+        if conflict is not None:
+            told.append(findings.rewards_contradict(conflict, log_pays=self.rewards == "log"))
+        told += findings.behavior_contradicts(self.behavior_conflict)
+        if isinstance(log, TransitionCounts):
+            told += findings.rows_dropped(*log.recording[-2:])
+            kept = 0 if log.sample is None else log.sample.n_episodes or 0
+            told += findings.episodes_sampled(kept, log.recording.episodes)
+        told += findings.moves_dropped(self.dropped, float(self.counts.sum()))
+        return (*told, *(() if self.simulator.sampling is None else (findings.SAMPLED,)))
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, and the simulator's where the log has none."""
@@ -266,22 +244,18 @@ def require_policy(problem: object, policy: PolicyLike) -> Array:
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     """The log with terminated moves led to ``simulator.terminal_state``; errors for indices and for termination."""
-    for column, limit in (
-        ("state", simulator.n_states),
-        ("action", simulator.n_actions),
-        ("next_state", simulator.n_states),
-    ):
+    sizes = {"state": simulator.n_states, "action": simulator.n_actions, "next_state": simulator.n_states}
+    for column, size in sizes.items():
         values: IntArray = getattr(log, column)
-        bad = np.flatnonzero(values >= limit)
+        bad = np.flatnonzero(values >= size)
         if bad.size:
-            shifted = values.max() == limit and values.min() >= 1
+            is_from_1 = bool(values.max() == size and values.min() >= 1)
             raise ValueError(
-                f"{name}.{column}[{bad[0]}] must be in 0..{limit - 1}, the simulator's; it is {values[bad[0]]} "
-                f"({bad.size} such rows in all)" + "; are they numbered from 1? Then subtract 1" * bool(shifted)
+                f"{name}.{column}[{bad[0]}] must be in 0..{size - 1}, the simulator's; it is {values[bad[0]]} "
+                f"({bad.size} such rows in all)" + "; are they numbered from 1? Then subtract 1" * is_from_1
             )
-    own = len(simulator.terminal_state)
     lead = np.arange(simulator.n_states)
-    lead[:own] = simulator.terminal_state
+    lead[: len(simulator.terminal_state)] = simulator.terminal_state
     arrival = np.where(log.terminated, lead[log.next_state], log.next_state)
     going_on = np.flatnonzero(log.terminated & ~simulator.absorbing()[arrival])
     if going_on.size:
@@ -299,17 +273,12 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     return log if np.array_equal(arrival, log.next_state) else log.led_to(arrival)
 
 
-def _supported(matrix: sparse.csr_array, simulator: FiniteMDP) -> sparse.csr_array:
-    """Counts that were given, of which there are some, where the simulator has probability."""
+def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> sparse.csr_array:
+    """Counts that were given, of which there are some, where the simulator has probability unless they may be dropped."""
+    matrix = checked_counts(counts, simulator)
+    if may_drop:
+        return matrix
     if matrix.nnz == 0:
         raise ValueError("counts must have at least one move; all are 0")
     refuse_unsupported(matrix, simulator, what="counts")
     return matrix
-
-
-def _of_counted(log: Transitions | TransitionCounts) -> tuple[Finding, ...]:
-    """What was left out of a log that was counted."""
-    if isinstance(log, Transitions):
-        return ()
-    kept = 0 if log.sample is None else log.sample.n_episodes or 0
-    return (*rows_dropped(*log.recording[-2:]), *episodes_sampled(kept, log.recording.episodes))

@@ -1,33 +1,50 @@
-"""The two ends of the scale: the simulator as it is, and the oracle that knows the true ratio."""
+"""The two ends of the scale: the simulator as it is, and the oracle that knows the true ratio.
+
+A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error of its own. By the delta method,
+with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``), D(s, a) the discounted time in (s, a), n(s, a) samples
+of each pair and m first states,
+
+    Var J = sum_(s, a) Var_(s' ~ P(. | s, a)) G(s, a, s') / (n(s, a) - 1) + Var_mu V / m
+            + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of the transition).
+
+n - 1, since P is the frequency of these samples. A pair without two samples has no variance to show.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from oee_tabular import _checks
-from oee_tabular._checks import PolicyLike, Seed
+from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._sparse import align
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, ExactLimit, catch_divergence
+from oee_tabular.estimators.model_based import delta_error
 from oee_tabular.estimators.off_environment import OffEnvironment
 from oee_tabular.estimators.problem import Problem, require_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_claims, product_estimate
-from oee_tabular.estimators.sampling import compute_sampling_error, short_samples
-from oee_tabular.exact import evaluate_policy, reweight
+from oee_tabular.estimators.rollouts import check_rollout_options, product_claims
+from oee_tabular.exact import evaluate_policy, occupancy, reweight, transition_gradient
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.ratio import true_ratio
+from oee_tabular.mdp.horizons import total_discount
+from oee_tabular.ratio import TransitionRatio, true_ratio
 from oee_tabular.ratio.method import Population
 
 NORMAL_QUANTILE = 1.959963984540054  # of a 95% interval
 MAX_UNKNOWN_SHARE = 0.1  # of the policy's time in pairs with one sample or none: above it there is no interval
+N_FEW = 10  # samples: with fewer, a normal interval is a guess
+MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentence
 
 
 @dataclass(frozen=True)
 class Simulator(ExactLimit):
     """J in the simulator as it stands, with its own rewards; the log is not used.
 
-    Of a simulator that was made of samples the value has their standard error and a 95% interval (``estimators.sampling``).
+    Of a simulator that was made of samples the value has their standard error and a 95% interval.
 
     Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
 
@@ -44,27 +61,29 @@ class Simulator(ExactLimit):
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact; ``seed`` is not used."""
         pi = require_policy(problem, policy)
-        found = evaluate_policy(problem.simulator, pi, horizon=problem.horizon)
-        facts: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
-        told = findings.linear_algebra(found.error_bound, found.value)
-        error = compute_sampling_error(problem.simulator, pi, problem.horizon)
-        if error is None:
-            return Estimate(found.value, diagnostics=facts, findings=told, is_from_log=False)
-        is_known = error.unknown_share <= MAX_UNKNOWN_SHARE
-        told += short_samples(error, has_interval=is_known)
-        reach = NORMAL_QUANTILE * error.standard_error
-        if not reach > ROUNDING * abs(found.value):  # the samples never varied
-            return Estimate(found.value, diagnostics=facts, findings=told, is_from_log=False)
-        ends = (found.value - reach, found.value + reach) if is_known else None
+        simulator, sampling = problem.simulator, problem.simulator.sampling
+        result = evaluate_policy(simulator, pi, horizon=problem.horizon)
+        facts: dict[str, object] = {"error_bound": result.error_bound, "method": result.method}
+        told = findings.linear_algebra(result.error_bound, result.value)
+        known = Estimate(result.value, diagnostics=facts, findings=told, is_from_log=False)
+        if sampling is None or (problem.horizon is None and simulator.discount == 1.0):
+            return known
+        share = occupancy(simulator, pi, horizon=problem.horizon).reshape(-1)
+        unknown = float(share[sampling.pairs < 2.0].sum())
+        told += _few_samples(sampling.pairs, share, has_interval=unknown <= MAX_UNKNOWN_SHARE)
+        error = _sampling_error(simulator, pi, problem.horizon, result.values, share)
+        reach = NORMAL_QUANTILE * error
+        if not reach > ROUNDING * abs(result.value):  # the samples never varied
+            return Estimate(result.value, diagnostics=facts, findings=told, is_from_log=False)
         return Estimate(
-            found.value,
-            error.standard_error,
-            ends,
+            result.value,
+            error,
+            (result.value - reach, result.value + reach) if unknown <= MAX_UNKNOWN_SHARE else None,
             diagnostics=facts | {"standard_error_of": "simulator's samples", "interval_method": "simulator's samples"},
             findings=told,
-            is_from_log=False,
+            measured=1.0 - unknown,
             is_normal=True,
-            measured=1.0 - error.unknown_share,
+            is_from_log=False,
         )
 
     @property
@@ -72,9 +91,39 @@ class Simulator(ExactLimit):
         """Words of ``testing.CLAIMS``."""
         return OF_COUNTS | {"identical", "shift"}
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J in the simulator."""
-        return people.value(people.simulator)
+        return population.value(population.simulator)
+
+
+def _sampling_error(simulator: FiniteMDP, policy: Array, horizon: int | None, values: Array, share: Array) -> float:
+    """The standard error of J by the equation above; ``share`` (S*A,) of the policy's time."""
+    sampling, matrix = simulator.sampling, simulator.transitions
+    assert sampling is not None
+    gradient = transition_gradient(simulator, policy, horizon=horizon)
+    variance = delta_error(matrix, matrix.data, np.maximum(sampling.pairs - 1.0, 1.0), gradient) ** 2
+    variance += float(simulator.initial @ (values - simulator.initial @ values) ** 2) / sampling.starts
+    if sampling.reward_error is not None:
+        time = share * total_discount(simulator.discount, horizon)
+        each, _ = align(sampling.reward_error, matrix)
+        variance += float((np.repeat(time, np.diff(matrix.indptr)) * matrix.data) ** 2 @ each)
+    return math.sqrt(variance)
+
+
+def _few_samples(n_samples: Array, share: Array, *, has_interval: bool) -> tuple[findings.Finding, ...]:
+    """The policy goes where the simulator was hardly sampled."""
+    is_few = (share > 0.0) & (n_samples < N_FEW)
+    time = float(share[is_few].sum())
+    if time <= MIN_SHARE:
+        return ()
+    n_used = int(((share > 0.0) & np.isfinite(n_samples)).sum())
+    text = (
+        f"the simulator was sampled, and {{}} of the {n_used} state-action pairs that the policy uses have fewer than "
+        f"{N_FEW} samples ({time:.1%} of its discounted time)"
+    )
+    if not has_interval:
+        text += "; do not rely on the value, which has no interval"
+    return (findings.Finding("few samples", time, f"{text}.", str(int(is_few.sum()))),)
 
 
 @dataclass(frozen=True)
@@ -123,25 +172,13 @@ class Oracle(ExactLimit):
         pi = require_policy(problem, policy)
         ratio = true_ratio(self.target, problem.simulator)
         if self.evaluation == "monte_carlo":
-            return product_estimate(
-                problem.model,
-                ratio,
-                pi,
-                horizon=problem.horizon,
-                weighting=self.weighting,
-                self_normalized=self.self_normalized,
-                n_rollouts=self.n_rollouts,
-                seed=seed,
-            )
-        found = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
+            return self._off_environment(ratio)(problem, pi, seed=seed)
+        result = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
+        largest = float(ratio.values.data.max())
         return Estimate(
-            found.value,
-            diagnostics={
-                "error_bound": found.error_bound,
-                "method": found.method,
-                "largest_weight": float(ratio.values.data.max()),
-            },
-            findings=findings.linear_algebra(found.error_bound, found.value),
+            result.value,
+            diagnostics={"error_bound": result.error_bound, "method": result.method, "largest_weight": largest},
+            findings=findings.linear_algebra(result.error_bound, result.value),
         )
 
     @property
@@ -152,11 +189,9 @@ class Oracle(ExactLimit):
         known = product_claims(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
         return known if self.self_normalized else known | {"unbiased"}
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
-        return OffEnvironment(
-            ratio=true_ratio(self.target, people.simulator),
-            evaluation=self.evaluation,
-            weighting=self.weighting,
-            self_normalized=self.self_normalized,
-        ).limit_of(people)
+        return self._off_environment(true_ratio(self.target, population.simulator)).limit_of(population)
+
+    def _off_environment(self, ratio: TransitionRatio) -> OffEnvironment:
+        return OffEnvironment(ratio, self.evaluation, self.weighting, self.self_normalized, self.n_rollouts)

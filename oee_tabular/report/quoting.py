@@ -100,7 +100,7 @@ def sentences(told: list[tuple[str, str, Finding]]) -> list[tuple[str, frozenset
         if any(member[2].figure != figure for member in members):
             several = len({member[0] for member in members}) > 1
             figure += f" ({policy if several else estimator} is the worst)"
-        found.append((f"{about}: {worst.told(figure)}", frozenset(member[:2] for member in members)))
+        found.append((f"{about}: {worst.sentence(figure)}", frozenset(member[:2] for member in members)))
     return found
 
 

@@ -34,8 +34,8 @@ SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, 
                 "plain simulator, where no ratio exists; what is said of them rests on the defensive share (largest zeta 2, "
                 "D_inf 0.69 nats)."),
     "linear algebra": (lambda x: findings.linear_algebra(x, 10.0), 9e-6, 2e-5,
-                       "the linear algebra is certain only to 2.0e-05."),
-    "small values": (lambda x: findings.linear_algebra(x, 0.1), 1e-6, 2e-6, "is certain only to 2.0e-06."),
+                       "the linear solve is accurate only to 2.0e-05."),
+    "small values": (lambda x: findings.linear_algebra(x, 0.1), 1e-6, 2e-6, "is accurate only to 2.0e-06."),
     "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
                    "over; what they lack can change the value by up to 0.02 (as a discounted sum)."),
     "truncation beside an error": (lambda x: findings.truncation(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
@@ -130,10 +130,10 @@ def test_what_a_problem_s_data_contradict():
     (rewards,) = Problem(simulator, paid).findings
     assert rewards.severity > 0  # of every value that a model gives
     assert str(rewards).startswith("The log's rewards contradict the simulator's in ")
-    assert str(rewards).endswith("pays what the log has seen.")
+    assert str(rewards).endswith("uses those of the log.")
     (settled,) = Problem(simulator, paid, rewards="log").findings
     assert settled.severity == 0
-    assert str(settled).endswith("pay the log's mean where it has seen a move.")
+    assert str(settled).endswith("use the log's mean reward where it was observed.")
     (other,) = Problem(simulator, log, behavior_policy=POLICY).findings
     assert "differ from behavior_policy" in str(other)
 

@@ -156,8 +156,7 @@ def test_a_problem_drops_what_it_says():
     told = [str(finding) for finding in problem.findings]
     assert told == [
         f"6 of the log's {counts.sum():g} moves, of 2 pairs of a state and an action, are impossible in the simulator and left "
-        "out of every model. Likelihood intervals have such moves lead anywhere; other standard errors and intervals know "
-        "nothing of them."
+        "out of every model. Likelihood intervals let these moves lead anywhere; all other intervals ignore them."
     ]
     one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
     assert one.startswith(

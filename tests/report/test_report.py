@@ -97,8 +97,8 @@ def test_reward_conflicts_are_told_with_the_remedy():
     simulator = oee.tasks.gridworld(3, 0.3)
     log = oee.Transitions([0], [0], [3], [9.0])
     for rewards, remedy in (
-        ("simulator", 'rewards="log" (--rewards log) pays what the log has seen'),
-        ("log", "pay the log's mean"),
+        ("simulator", 'rewards="log" (--rewards log) uses those of the log'),
+        ("log", "use the log's mean"),
     ):
         report = oee.evaluate(Problem(simulator, log, rewards=rewards), oee.uniform_policy(simulator))
         assert "The log's rewards contradict the simulator's in 1 of 1 transitions" in report.warnings[1]
@@ -182,7 +182,7 @@ def test_reward_conflicts_are_noted_on_every_value_that_a_model_gives():
     assert 1 not in report.notes["policy", "pdis"]
     assert json.loads(report.to_json())["results"][0]["notes"] == [1]
     settled = oee.evaluate(Problem(simulator, paid, horizon=20, rewards="log"), oee.uniform_policy(simulator))
-    assert "pay the log's mean" in settled.warnings[0]
+    assert "use the log's mean" in settled.warnings[0]
     assert all(1 not in notes for notes in settled.notes.values())
 
 
