@@ -183,30 +183,27 @@ def _occupancy_ratio(model: Model, simulator: FiniteMDP, policy: Array, horizon:
 
 
 def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntArray]:
-    """phi as (S*A, d), 0 where the episode is over, and the columns' numbers."""
+    """phi as (S*A, d), 0 where the episode is over, and the numbers of the columns that are not 0 then."""
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
     array = features(*np.divmod(np.arange(size), shape[1])) if callable(features) else features
     array = _checks.float_array(array, "features")
-    if array.shape[:2] == shape and array.ndim in (2, 3):
-        array = array.reshape(size, -1)
-    if array.ndim not in (1, 2) or len(array) != size or array.size == 0:
+    if array.size == 0 or (array.shape[:2] != shape and len(array) != size) or array.ndim > 3:
         raise ValueError(
             f"features must have shape {shape} (+ d), or {size} rows, one for each state-action pair; "
             f"they have shape {array.shape}"
         )
     _checks.require_finite(array, "features")
-    going = np.repeat(~simulator.absorbing(), shape[1])
-    given = array.reshape(size, -1)
+    given, going = array.reshape(size, -1), np.repeat(~simulator.absorbing(), shape[1])
     empty = np.flatnonzero((given == 0.0).all(axis=0))
     if empty.size:
         raise ValueError(f"features must not be 0 in every state-action pair; column {empty[0]} is")
     if (np.ptp(given[going], axis=0) == 0.0).all():
         raise ValueError("features must differ between state-action pairs; every column is constant")
     phi = given * going[:, None]
-    names = np.flatnonzero((phi != 0.0).any(axis=0))
-    _refuse_dependent(phi[np.ix_(going, names)], names)
-    return phi[:, names], names
+    columns = np.flatnonzero((phi != 0.0).any(axis=0))
+    _refuse_dependent(phi[np.ix_(going, columns)], columns)
+    return phi[:, columns], columns
 
 
 def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:

@@ -19,7 +19,6 @@ from oee_tabular.estimators.base import (
     Estimate,
     ExactLimit,
     catch_divergence,
-    expected_rewards,
 )
 from oee_tabular.estimators.off_environment import coverage
 from oee_tabular.estimators.problem import Problem, require_policy
@@ -68,32 +67,34 @@ class ModelBased(ExactLimit):
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = require_policy(problem, policy)
-        totals = row_sums(problem.counts)
-        model = self.model(problem)
-        found = evaluate_policy(model, pi, horizon=problem.horizon)
-        diagnostics: dict[str, object] = {"error_bound": found.error_bound, "method": found.method}
-        told = findings.linear_algebra(found.error_bound, found.value)
-        shape = (model.n_states, model.n_actions)
+        model, totals = self.model(problem), row_sums(problem.counts)
+        result = evaluate_policy(model, pi, horizon=problem.horizon)
         time = time_in_pairs(model, pi, problem.horizon)
-        seen = coverage(problem, model, pi, totals.reshape(shape), time)
-        repeated = np.where((totals == 1) & (np.diff(problem.model.transitions.indptr) > 1), 0.0, totals)
-        known = coverage(problem, model, pi, repeated.reshape(shape), time)["coverage"]
-        single = seen["coverage"] - known
-        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=found.values, time=time)
+        shares = coverage(problem, model, pi, totals.reshape(pi.shape), time)
+        n_successors = np.diff(problem.model.transitions.indptr)
+        repeated = np.where((totals == 1) & (n_successors > 1), 0.0, totals)
+        measured = coverage(problem, model, pi, repeated.reshape(pi.shape), time)["coverage"]
+        single = shares["coverage"] - measured
+        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=result.values, time=time)
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
-        certain = bool((np.diff(problem.model.transitions.indptr) <= 1).all())
-        least = ROUNDING * max(abs(found.value), float(np.abs(model.rewards).max()))
-        error = delta if certain or delta > least else None
+        least = ROUNDING * max(abs(result.value), float(np.abs(model.rewards).max()))
+        error = delta if (n_successors <= 1).all() or delta > least else None
         return Estimate(
-            found.value,
+            result.value,
             error,
-            diagnostics=diagnostics | seen | {"single_share": single, "standard_error_of": "log"},
+            diagnostics={
+                "error_bound": result.error_bound,
+                "method": result.method,
+                **shares,
+                "single_share": single,
+                "standard_error_of": "log",
+            },
             findings=(
-                *findings.unseen_time(seen["fallback_share"], bare=error is not None, judged=True),
+                *findings.unseen_time(shares["fallback_share"], bare=error is not None, judged=True),
                 *findings.single_moves(single, error),
-                *told,
+                *findings.linear_algebra(result.error_bound, result.value),
             ),
-            measured=known,
+            measured=measured,
         )
 
     @property
@@ -101,39 +102,27 @@ class ModelBased(ExactLimit):
         """Words of ``testing.CLAIMS``."""
         return OF_COUNTS | {"consistent", "shift"}
 
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J of the target's rows where the data are, the fallback's elsewhere."""
-        if self.fallback == "simulator":
-            return people.value(people.model(people.simulator.transitions))
-        rows = np.arange(people.simulator.n_states * people.simulator.n_actions)
-        stay = sparse.csr_array(
-            (np.ones(len(rows)), (rows, rows // people.simulator.n_actions)), shape=people.simulator.transitions.shape
-        )
-        keep, rest = (np.where(mask, 1.0, 0.0) for mask in (people.support, ~people.support))
-        model = sparse.csr_array(sparse.diags_array(keep) @ people.target.transitions + sparse.diags_array(rest) @ stay)
-        staying = people.simulator.rewards.reshape(-1)
-        if people.simulator.transition_rewards is not None:
-            own, defined = align(people.simulator.transition_rewards, stay)
-            staying = np.where(defined, own, staying)
-        paid = np.where(people.support, expected_rewards(people.simulator, people.target.transitions), staying)
-        rewards = paid.reshape(people.simulator.rewards.shape)
-        return people.value(FiniteMDP(model, rewards, people.simulator.initial, people.simulator.discount))
+        keep = sparse.diags_array(population.support.astype(np.float64), format="csr")
+        rows = sparse.csr_array(keep @ population.target.transitions)
+        return population.value(self._fill_rows(population.simulator, rows))
 
     def model(self, problem: Problem) -> FiniteMDP:
         """The frequencies of the log, the fallback where it has none."""
         counts = problem.counts
-        totals = row_sums(counts)
-        base = problem.model
-        unseen = np.flatnonzero(totals == 0)
-        rows = row_of_entry(counts)
-        frequency = sparse.csr_array((counts.data / totals[rows], counts.indices, counts.indptr), shape=counts.shape)
+        data = counts.data / row_sums(counts)[row_of_entry(counts)]
+        rows = sparse.csr_array((data, counts.indices, counts.indptr), shape=counts.shape)
+        return self._fill_rows(problem.model, rows)
+
+    def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
+        """``base`` with these rows, and the fallback's where they are 0."""
+        size, unseen = rows.shape[0], np.flatnonzero(row_sums(rows) == 0)
         if self.fallback == "simulator":
-            keep = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen)), shape=(len(totals), len(totals)))
-            rest = keep @ base.transitions
+            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen)), shape=(size, size)) @ base.transitions
         else:
-            stay = unseen // base.n_actions
-            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, stay)), shape=counts.shape)
-        matrix = sparse.csr_array(frequency + rest)
+            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // base.n_actions)), shape=rows.shape)
+        matrix = sparse.csr_array(rows + rest)
         rewards: object = base.rewards
         if base.transition_rewards is not None:
             matrix.sort_indices()
