@@ -105,7 +105,6 @@ def test_what_a_report_acts_on():
     found = OffEnvironment()(problem, POLICY)
     facts = found.diagnostics
     assert found.model_value == facts["model_value"]
-    assert found.one_step_value == facts["one_step_value"]
     assert found.is_normal
     assert found.measured == facts["coverage"]
     model = ModelBased()(problem, POLICY)
