@@ -85,25 +85,29 @@ def excesses(slope, p, g, lower, upper):
 
 
 @njit(cache=True, error_model="numpy")
+def joint_gap(f, k, moves, b, theta, eta, xi):
+    """The gap of B (``moves``), b and multipliers in the (s, a) ``k`` of the program ``f`` of ``ratio.joint``."""
+    gap, mass, miss, slope = 0.0, 0.0, 0.0, f.r[k]
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        mass += f.q[x]
+        miss += f.q[x] * (moves[x] - b)
+        gap += excess((1.0 + theta) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
+        above = moves[x] - f.ratio_lower * b
+        gap += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
+        slope += f.ratio_lower * eta[x]
+        if f.ratio_upper < np.inf:
+            below = f.ratio_upper * b - moves[x]
+            gap += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
+            slope -= f.ratio_upper * xi[x]
+    gap += excess(slope - theta * mass, f.lam, f.s[k], b, f.nu, f.mu)
+    return gap + missed(miss, theta, f.indptr[k + 1] - f.indptr[k])
+
+
+@njit(cache=True, error_model="numpy")
 def joint_gaps(f, point):
-    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in the program ``f`` of ``ratio.joint``."""
+    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``)."""
     moves, pairs, theta, eta, xi = point
-    gaps = np.zeros(len(f.s))
+    gaps = np.empty(len(f.s))
     for k in range(len(gaps)):
-        b, mass, miss, slope = pairs[k], 0.0, 0.0, f.r[k]
-        for x in range(f.indptr[k], f.indptr[k + 1]):
-            mass += f.q[x]
-            miss += f.q[x] * (moves[x] - b)
-            gaps[k] += excess((1.0 + theta[k]) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
-            gaps[k] += eta[x] * abs(moves[x] - f.ratio_lower * b) + (f.p[x] + f.q[x]) * max(
-                f.ratio_lower * b - moves[x], 0.0
-            )
-            slope += f.ratio_lower * eta[x]
-            if f.ratio_upper < np.inf:
-                gaps[k] += xi[x] * abs(f.ratio_upper * b - moves[x]) + (f.p[x] + f.q[x]) * max(
-                    moves[x] - f.ratio_upper * b, 0.0
-                )
-                slope -= f.ratio_upper * xi[x]
-        gaps[k] += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
-        gaps[k] += missed(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
+        gaps[k] = joint_gap(f, k, moves, pairs[k], theta[k], eta, xi)
     return gaps

@@ -14,12 +14,14 @@ and the value is convex in b with the derivative (envelope theorem)
 
     r - s / b + lam b - theta r + ratio_lower sum eta - ratio_upper sum xi,
 
-theta = m - 1 the multiplier of sum q B = r b, eta and xi those of the moving bounds: one bracketed root in b.
+theta = m - 1 the multiplier of sum q B = r b, eta and xi those of the moving bounds: one bracketed root in b. Where theta is
+free in an interval, the one of least gap is taken, by the certificate itself.
 """
 
 import numpy as np
 from numba import njit
 
+from oee_tabular.ratio._certificate import joint_gap
 from oee_tabular.ratio._dual import Form, coordinate, solve_row
 
 
@@ -102,21 +104,6 @@ def inner(b, f, k, scaled, moves):
 
 
 @njit(cache=True, error_model="numpy")
-def above_least(b, a, p, g, lower, upper):
-    """h(g) - min h, h(g) = b g - p log g + a/2 g^2, without cancellation; h' counts only at the bounds."""
-    y = coordinate(b, a, p, lower, upper)
-    step = g - y
-    if step == 0.0:
-        return 0.0
-    total = 0.5 * a * step * step
-    if y <= lower or y >= upper:
-        total += (b + a * y - (p / y if p > 0.0 else 0.0)) * step
-    if p > 0.0:
-        total += p * (step / y - np.log1p(step / y))
-    return total
-
-
-@njit(cache=True, error_model="numpy")
 def multipliers(b, theta, f, k, moves, eta, xi):
     """Fills eta and xi in for B (``moves``), b and theta; returns what is left of b's condition, and its derivative in theta.
 
@@ -149,24 +136,6 @@ def multipliers(b, theta, f, k, moves, eta, xi):
         if not moving_upper:
             xi[x] *= share
     return rest + share * loose, turn
-
-
-@njit(cache=True, error_model="numpy")
-def excess_of(b, theta, f, k, moves, eta, xi):
-    """How far B (``moves``) and b are above the least value of the Lagrangian at these multipliers."""
-    miss, gap, lift = -f.r[k] * b, 0.0, 0.0
-    for x in range(f.indptr[k], f.indptr[k + 1]):
-        slope = (1.0 + theta) * f.q[x] - eta[x] + xi[x]
-        gap += above_least(slope, f.lam, f.p[x], moves[x], f.nu, f.mu)
-        if eta[x] > 0.0:
-            gap += eta[x] * abs(moves[x] - f.ratio_lower * b)
-            lift += f.ratio_lower * eta[x]
-        if xi[x] > 0.0:
-            gap += xi[x] * abs(f.ratio_upper * b - moves[x])
-            lift -= f.ratio_upper * xi[x]
-        miss += f.q[x] * moves[x]
-    gap += above_least(f.r[k] - theta * f.r[k] + lift, f.lam, f.s[k], b, f.nu, f.mu)
-    return gap + abs(theta * miss)
 
 
 @njit(cache=True, error_model="numpy")
@@ -205,13 +174,13 @@ def solve_boxed(f, k, scaled, moves, eta, xi):
     """One (s, a) with a box on the ratio: fills B (``moves``), eta and xi; returns b and theta."""
     b, theta = root_in_b(f, k, scaled, moves)
     rest, turn = multipliers(b, theta, f, k, moves, eta, xi)
-    gap, trial = excess_of(b, theta, f, k, moves, eta, xi), theta
+    gap, trial = joint_gap(f, k, moves, b, theta, eta, xi), theta
     for _ in range(8):  # where B cannot move theta is free in an interval: take the one that suits b
         if rest == 0.0 or turn == 0.0:
             break
         trial -= rest / turn
         rest, turn = multipliers(b, trial, f, k, moves, eta, xi)
-        other = excess_of(b, trial, f, k, moves, eta, xi)
+        other = joint_gap(f, k, moves, b, trial, eta, xi)
         if other < gap:
             gap, theta = other, trial
     multipliers(b, theta, f, k, moves, eta, xi)

@@ -23,7 +23,7 @@ from oee_tabular._progress import progress_bar
 from oee_tabular.ratio.network import Network, Training
 
 EVERY = 100  # iterations between two looks at the held-out risk
-_AT_ONCE = 2**16  # cells evaluated together
+N_CELLS_AT_ONCE = 2**16  # evaluated together
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,46 +82,27 @@ class Batch(NamedTuple):
     known: Any = None
 
 
-class Boxed(eqx.Module):  # type: ignore[misc]
-    """log g = log nu + (log mu - log nu) sigmoid(f + c), cell by cell; batches are draws of p and draws of q."""
+class Program(eqx.Module):  # type: ignore[misc]
+    """From f to the ratio, and what a batch is: cell by cell in a box, or row by row (``row``, ``known``, ``indptr``).
+
+    In a box log g = log nu + (log mu - log nu) sigmoid(f + c), and a batch is draws of p and draws of q; by rows
+    log zeta = f - log sum_s' P exp f, and a batch is draws of p, each with the whole of its row.
+    """
 
     p: jax.Array
     q: jax.Array
-    span: tuple[float, float] = eqx.field(static=True)
+    known: jax.Array | None = None
+    row: jax.Array | None = None
+    indptr: jax.Array | None = None
+    widest: int = eqx.field(static=True, default=0)
+    span: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
 
     def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
         """log g from f on the batch."""
-        low, high = self.span
-        start = math.log(-low / high) if low < 0.0 < high else 0.0
-        return low + (high - low) * jax.nn.sigmoid(f + start)
-
-    def whole(self) -> Batch:
-        """Every cell with its shares."""
-        return Batch(jnp.arange(len(self.p)), self.p, self.q)
-
-    def batch(self, drawn: jax.Array) -> Batch:
-        """N draws of p, then N of q."""
-        size = len(drawn) // 2
-        of_p = jnp.asarray(np.repeat([1.0 / size, 0.0], size))
-        return Batch(drawn, of_p, of_p[::-1])
-
-    def sides(self) -> tuple[Any, ...]:
-        """What a batch draws from."""
-        return self.p, self.q
-
-
-class Rowwise(eqx.Module):  # type: ignore[misc]
-    """log zeta = f - log sum_s' P exp f in each row; batches are draws of p, each with the whole of its row."""
-
-    p: jax.Array
-    q: jax.Array
-    known: jax.Array
-    row: jax.Array
-    indptr: jax.Array
-    widest: int = eqx.field(static=True)
-
-    def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
-        """log zeta from f on the batch."""
+        if self.row is None:
+            low, high = self.span
+            start = math.log(-low / high) if low < 0.0 < high else 0.0
+            return low + (high - low) * jax.nn.sigmoid(f + start)
         top = jax.lax.stop_gradient(jax.ops.segment_max(f, batch.row, num_segments=len(f)))[batch.row]
         total = jax.ops.segment_sum(batch.known * jnp.exp(f - top), batch.row, num_segments=len(f))
         return f - top - jnp.log(total[batch.row])
@@ -131,7 +112,11 @@ class Rowwise(eqx.Module):  # type: ignore[misc]
         return Batch(jnp.arange(len(self.p)), self.p, self.q, self.row, self.known)
 
     def batch(self, drawn: jax.Array) -> Batch:
-        """The rows of N draws; narrow ones repeat their first cell without weight."""
+        """N draws of p, then N of q; by rows those of N draws of p, where narrow ones repeat a cell without weight."""
+        if self.row is None or self.indptr is None or self.known is None:
+            size = len(drawn) // 2
+            of_p = jnp.asarray(np.repeat([1.0 / size, 0.0], size))
+            return Batch(drawn, of_p, of_p[::-1])
         begin, end = self.indptr[self.row[drawn]], self.indptr[self.row[drawn] + 1]
         index = begin[:, None] + jnp.arange(self.widest)
         inside = index < end[:, None]
@@ -141,19 +126,13 @@ class Rowwise(eqx.Module):  # type: ignore[misc]
         row = jnp.repeat(jnp.arange(len(drawn)), self.widest)
         return Batch(index.ravel(), p.ravel(), known.ravel() / len(drawn), row, known.ravel())
 
-    def sides(self) -> tuple[Any, ...]:
-        """What a batch draws from."""
-        return (self.p,)
 
-
-def _program(training: Training) -> Boxed | Rowwise:
-    """From f to the ratio, and what a batch is."""
-    p, q = jnp.asarray(training.p), jnp.asarray(training.q)
-    if training.rows is None:
-        return Boxed(p, q, (math.log(training.lower), math.log(training.upper)))
-    rows = training.rows
+def _program(training: Training) -> Program:
+    p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
+    if rows is None:
+        return Program(p, q, span=(math.log(training.lower), math.log(training.upper)))
     row, indptr = jnp.asarray(rows.spread(np.arange(len(rows)))), jnp.asarray(rows.indptr)
-    return Rowwise(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
+    return Program(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
 
 
 @functools.lru_cache(maxsize=16)
@@ -222,84 +201,58 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
     program, ridge = _program(training), jnp.asarray(training.ridge)
-    draw = _draws(network, program, generator)
-    watch = _Watch(network, training)
-    done = 0
+    start = training.risk(np.ones(len(training.p)), training.p, training.q)
+    iterations, ratios = [0], [_ratio_everywhere(model, places, cells, program, training)]
+    held = [training.held_out_risk(ratios[0])]
     bar = progress_bar("training", total=network.n_iterations)
-    watch.look(0, _everywhere(model, places, cells, program, training))
-    while done < network.n_iterations and not watch.over:
-        count = min(EVERY, network.n_iterations - done)
+    while iterations[-1] < network.n_iterations and len(held) - 1 - _least(held) < network.patience:
+        count = min(EVERY, network.n_iterations - iterations[-1])
+        drawn = _draw(network.batch_size, program, generator, count)
         model, state, values = _iterate(
-            model, state, optimizer, places, cells, program, ridge, training.toward, draw(count), count
+            model, state, optimizer, places, cells, program, ridge, training.toward, drawn, count
         )
-        watch.refuse_divergence(done, np.asarray(values))
-        done += count
-        watch.look(done, _everywhere(model, places, cells, program, training))
+        _refuse_divergence(np.asarray(values), start, iterations[-1], network.step_size)
+        iterations.append(iterations[-1] + count)
+        ratios.append(_ratio_everywhere(model, places, cells, program, training))
+        held.append(training.held_out_risk(ratios[-1]))
         bar.update(count)
     bar.close()
-    return watch.found()
+    kept = _least(held)
+    return Trained(ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held))
 
 
-def _everywhere(model: Perceptron, places: Any, cells: tuple[Any, ...], program: Any, training: Training) -> Array:
+def _least(held: list[float]) -> int:
+    """The check of least held-out risk; the last where nothing is held out (nan)."""
+    return len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))
+
+
+def _ratio_everywhere(
+    model: Perceptron, places: Any, cells: tuple[Any, ...], program: Program, training: Training
+) -> Array:
     """g on all cells."""
     parts = [
-        _outputs(model, places, tuple(column[low : low + _AT_ONCE] for column in cells))
-        for low in range(0, len(cells[0]), _AT_ONCE)
+        _outputs(model, places, tuple(column[low : low + N_CELLS_AT_ONCE] for column in cells))
+        for low in range(0, len(cells[0]), N_CELLS_AT_ONCE)
     ]
     return np.asarray(np.clip(np.asarray(_ratio(program, jnp.concatenate(parts))), training.lower, training.upper))
 
 
-def _draws(network: Network, program: Boxed | Rowwise, generator: np.random.Generator) -> Any:
-    """count -> (count, draws): the cells of N draws from each side; None where every iteration has them all."""
-    if network.batch_size is None:
-        return lambda count: None
-    size = network.batch_size
-    sums = [np.cumsum(np.asarray(weights)) for weights in program.sides()]
-    last = len(sums[0]) - 1
-
-    def draw(count: int) -> Any:
-        drawn = [np.searchsorted(s, generator.random((count, size)) * s[-1], side="right") for s in sums]
-        return jnp.asarray(np.minimum(np.concatenate(drawn, axis=1), last))
-
-    return draw
+def _draw(size: int | None, program: Program, generator: np.random.Generator, count: int) -> Any:
+    """(count, draws): the cells of N draws from each side; None where every iteration has them all."""
+    if size is None:
+        return None
+    sides = (program.p, program.q) if program.row is None else (program.p,)
+    sums = [np.cumsum(np.asarray(weights)) for weights in sides]
+    drawn = [np.searchsorted(s, generator.random((count, size)) * s[-1], side="right") for s in sums]
+    return jnp.asarray(np.minimum(np.concatenate(drawn, axis=1), len(program.p) - 1))
 
 
-class _Watch:
-    """Looks at the held-out risk, keeps the best, says when to stop."""
-
-    def __init__(self, network: Network, training: Training):
-        self._network, self._training = network, training
-        self._iteration: list[int] = []
-        self._checked: list[Array] = []
-        self._risk: list[float] = []
-        self._start = training.risk(np.ones(len(training.p)), training.p, training.q)
-
-    @property
-    def over(self) -> bool:
-        """No new least held-out risk for ``patience`` checks."""
-        if self._training.held_p is None:
-            return False
-        return len(self._risk) - 1 - int(np.argmin(self._risk)) >= self._network.patience
-
-    def look(self, iteration: int, ratio: Array) -> None:
-        """A check."""
-        held_p, held_q = self._training.held_p, self._training.held_q
-        self._iteration.append(iteration)
-        self._checked.append(ratio)
-        self._risk.append(np.nan if held_p is None or held_q is None else self._training.risk(ratio, held_p, held_q))
-
-    def refuse_divergence(self, done: int, values: Array) -> None:
-        """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat above that of g = 1."""
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size or values.mean() > self._start + 1.0:
-            at, value = (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
-            raise RuntimeError(
-                f"training must not diverge; at iteration {done + at + 1} the risk is {value:.4g}, at the start it was "
-                f"{self._start:.4g}: give a smaller step_size than {self._network.step_size:g}"
-            )
-
-    def found(self) -> Trained:
-        """The parameters' ratio that is kept."""
-        held = np.array(self._risk)
-        kept = len(held) - 1 if self._training.held_p is None else int(np.argmin(held))
-        return Trained(self._checked[kept], self._iteration[kept], np.array(self._iteration), self._checked, held)
+def _refuse_divergence(values: Array, start: float, done: int, step_size: float) -> None:
+    """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat above that of g = 1."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size or values.mean() > start + 1.0:
+        at, value = (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
+        raise RuntimeError(
+            f"training must not diverge; at iteration {done + at + 1} the risk is {value:.4g}, at the start it was "
+            f"{start:.4g}: give a smaller step_size than {step_size:g}"
+        )

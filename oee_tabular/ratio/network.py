@@ -123,6 +123,10 @@ class Training:
         """sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
         return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
 
+    def held_out_risk(self, g: Array) -> float:
+        """The risk on what is held out; nan without."""
+        return np.nan if self.held_p is None or self.held_q is None else self.risk(g, self.held_p, self.held_q)
+
 
 def check_network(network: object, *, solver: object) -> None:
     """What no method can have with a network: a ValueError, at the making of the method."""

@@ -86,19 +86,10 @@ def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, 
 
     p, share = counts / counts.sum(), rows.spread(rows.sums(counts)) / counts.sum()
     training = Training(
-        rows.transitions,
-        (rows.n_states, rows.n_actions),
-        _places(network, rows.n_states),
-        p_train,
-        of_rows(p_train),
-        p_held,
-        None if p_held is None else of_rows(p_held),
-        0.0,
-        np.inf,
-        program.curvature / rows.weights,
-        float(program.center[0]),
-        rows,
-    )
+        rows.transitions, (rows.n_states, rows.n_actions), _places(network, rows.n_states), p_train, of_rows(p_train),
+        p_held, None if p_held is None else of_rows(p_held), 0.0, np.inf, program.curvature / rows.weights,
+        float(program.center[0]), rows,
+    )  # fmt: skip
     found = train(network, training, generator)
     best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
     weighted = program._replace(p=p, q=of_rows(p), curvature=share * program.curvature)
@@ -132,15 +123,12 @@ def _trace(found: Any, risks: list[float], least: float, ratio: Array, known: Bo
 
 
 def _places(network: Network, n_states: int) -> Array | None:
-    """(S, c) standardised coordinates; None: one-hot."""
-    return None if isinstance(network.inputs, str) else _standard(check_layout(network.inputs, n_states, "inputs"))
-
-
-def _standard(places: Array) -> Array:
-    """Each coordinate with mean 0 and standard deviation 1 over the states; a constant one is 0."""
-    centred = places - places.mean(axis=0)
-    spread = centred.std(axis=0)
-    return np.asarray(centred / np.where(spread > 0, spread, 1.0))
+    """(S, c) coordinates, each of mean 0 and standard deviation 1 (0 where it is constant); None: one-hot."""
+    if isinstance(network.inputs, str):
+        return None
+    places = check_layout(network.inputs, n_states, "inputs")
+    spread = places.std(axis=0)
+    return np.asarray((places - places.mean(axis=0)) / np.where(spread > 0, spread, 1.0))
 
 
 def _split(weights: Array, name: str, held_out: float, generator: np.random.Generator) -> tuple[Array, Array | None]:

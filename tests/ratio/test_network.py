@@ -11,8 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.ratio import Conditional, Network, Quotient
-from oee_tabular.ratio.network import Training
-from oee_tabular.ratio.trained import _split
 
 trained = pytest.mark.skipif(find_spec("equinox") is None, reason="the extra neural is not installed")
 BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}
@@ -53,7 +51,7 @@ def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activatio
     found, best = fit(logs, batch_size=None, held_out=0, activation=activation), exact(logs)
     for beta, table in zip(found.details["beta"], best.details["beta"], strict=True):
         assert_allclose(beta.ratio, table.ratio, rtol=0.01)
-        assert 0 <= beta.gap < 1e-4
+        assert 0 <= beta.gap < 2e-4
         assert_allclose(beta.objective, table.objective + beta.gap, atol=1e-12)
         assert_allclose(beta.gap, beta.trace.excess[-1], atol=1e-12)
         assert beta.trace.excess[0] > 5 * beta.gap
@@ -76,17 +74,6 @@ def test_batches_and_early_stopping_come_near(logs):
     held = moves.details["held_out_risk"]
     assert moves.details["kept"] == moves.trace.iteration[np.argmin(held)]
     assert np.abs(moves.ratio - table.ratio).mean() == pytest.approx(moves.trace.error[np.argmin(held)])
-
-
-def test_the_moves_held_out_are_the_logs_and_no_others():
-    weights = np.array([0.0, 5.0, 20.0, 75.0])
-    train, held = _split(weights, "p", 0.1, np.random.default_rng(0))
-    assert_allclose(90 * train + 10 * held, weights, atol=1e-12)
-    assert_allclose([train.sum(), held.sum()], 1.0)
-    assert_array_equal(10 * held, np.round(10 * held))
-    whole, none = _split(weights, "p", 0.0, np.random.default_rng(0))
-    assert_allclose(whole, weights / 100)
-    assert none is None
 
 
 @trained
@@ -177,56 +164,6 @@ def test_rows_sum_to_one_whatever_their_width_and_the_logs_share(ragged, size):
     unseen = found.values.toarray().reshape(16, 4, 16)[5]
     assert not found.visited[5].any()
     assert np.abs(unseen[unseen > 0] - 1).max() > 0.01  # the network's word, not the prior's
-
-
-@trained
-@pytest.mark.parametrize("ridge", [0.0, 0.7])
-def test_the_draws_of_all_moves_have_the_whole_logs_risk(ragged, ridge):
-    """A batch with each move as often as the log has it, against sums over rows in numpy."""
-    from jax import enable_x64
-
-    from oee_tabular._sparse import align
-    from oee_tabular.mdp.rows import Rows
-    from oee_tabular.ratio import _neural
-
-    simulator, log, _ = ragged
-    rows = Rows.of(simulator)
-    counts, _ = align(log.counts(16, 4), simulator.transitions)
-    p = counts / counts.sum()
-    f = np.random.default_rng(0).normal(0.0, 3.0, len(p))
-    zeta = np.exp(f) / rows.spread(rows.sums(rows.weights * np.exp(f)))
-    q = rows.spread(rows.sums(p)) * rows.weights
-    risk = q @ (zeta + ridge / 2 * (zeta - 1) ** 2) - p @ np.log(zeta)
-    with enable_x64(True):
-        training = Training(
-            (rows.arrival,), (16, 4), None, p, q, None, None, 0.0, np.inf, np.full(len(p), ridge), 1.0, rows
-        )
-        program = _neural._program(training)
-        drawn = np.repeat(np.arange(len(p)), counts.astype(int))
-        for batch in (program.whole(), program.batch(np.random.default_rng(1).permutation(drawn))):
-            log_z = np.asarray(program.log_ratio(f[batch.index], batch))
-            g = np.exp(log_z)
-            assert np.asarray(batch.q) @ (g + ridge / 2 * (g - 1) ** 2) - np.asarray(batch.p) @ log_z == pytest.approx(
-                risk, rel=1e-12
-            )
-        assert_allclose(np.asarray(_neural._ratio(program, f)), zeta, rtol=1e-12)
-    assert training.risk(zeta, p, q) == pytest.approx(risk, rel=1e-12)
-
-
-@trained
-def test_any_size_of_exponents_gives_rows_that_sum_to_one(ragged):
-    from jax import enable_x64
-
-    from oee_tabular.mdp.rows import Rows
-    from oee_tabular.ratio import _neural
-
-    rows = Rows.of(ragged[0])
-    p = rows.weights / len(rows)
-    with enable_x64(True):
-        training = Training((rows.arrival,), (16, 4), None, p, p, None, None, 0.0, np.inf, 0.0 * p, 1.0, rows)
-        f = np.random.default_rng(0).choice([-2000.0, 0.0, 2000.0], len(p))
-        zeta = np.asarray(_neural._ratio(_neural._program(training), f))
-    assert_allclose(rows.sums(zeta * rows.weights), 1.0, atol=1e-14)
 
 
 @trained

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from ratio.problem import COUNTS, LOG, POLICY, SIMULATOR, fit
+from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions
-from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.method import Given
-from oee_tabular.ratio.quotient import estimated_behavior, simulator_weights
 
 
 @pytest.mark.parametrize("method", ["ratio_of_ratios", "joint"])
@@ -54,43 +52,28 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     assert_allclose(boxed.details["share_at_the_box"], low + high)
 
 
-def weights(observed, log, simulator, data, behavior, seed, discount=None):
-    return simulator_weights(
-        Given(observed, simulator, Rows.of(simulator), log=log, discount=discount, seed=seed), data, behavior
-    )
-
-
 def test_data_of_the_simulator():
-    """Exact occupancies over the log's longest episode; counts; samples of the log's size under its policy."""
-    observed = LOG.counts(3, 2)
-    aligned = observed.toarray().reshape(-1)
-    behavior = estimated_behavior(Given(aligned, SIMULATOR, Rows.of(SIMULATOR)))
-    pairs = observed.sum(axis=1).reshape(3, 2)
-    assert_allclose(behavior, pairs / pairs.sum(axis=1, keepdims=True))
-    assert_array_equal(estimated_behavior(Given(np.zeros(18), SIMULATOR, Rows.of(SIMULATOR))), np.full((3, 2), 0.5))
-    share = weights(aligned, LOG, SIMULATOR, "exact", behavior, None)
-    expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=8, of="transition")
-    assert_allclose(share, expected.data, rtol=1e-12)
-    weighted = weights(aligned, LOG, SIMULATOR, "exact", behavior, None, 0.5)
-    expected = oee.occupancy(SIMULATOR.with_discount(0.5), behavior, horizon=8, of="transition")
-    assert_allclose(weighted, expected.data, rtol=1e-12)
-    counted = weights(aligned, LOG, SIMULATOR, LOG, behavior, None)
-    assert_array_equal(counted, aligned)
-    halved = weights(aligned, LOG, SIMULATOR, LOG, behavior, None, 0.5)
-    assert_allclose(halved, LOG.counts(3, 2, discount=0.5).toarray().reshape(-1))
-    drawn = weights(aligned, LOG, SIMULATOR, None, behavior, 3)
-    assert drawn.sum() == len(LOG)
-    assert_array_equal(drawn, weights(aligned, LOG, SIMULATOR, None, behavior, 3))
-    faded = weights(aligned, LOG, SIMULATOR, None, behavior, 3, 0.5)
-    assert faded.sum() < 0.4 * len(LOG)  # 8 steps of 0.5^t: a quarter
-    without = weights(aligned, None, SIMULATOR, None, behavior, 3)
-    assert without.sum() == len(LOG)
-    long = weights(aligned, None, SIMULATOR, "exact", behavior, None)
-    expected = oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=1000, of="transition")
-    assert_allclose(long, expected.data, rtol=1e-9)
+    """Exact occupancies over the log's longest episode under its estimated policy; samples of the log's size, by the seed."""
+    options = {"lower": 0.0, "upper": np.inf, "method": "ratio_of_ratios"}
+    behavior = LOG.counts(3, 2).sum(axis=1).reshape(3, 2)
+    behavior = behavior / behavior.sum(axis=1, keepdims=True)
+    for discount in (None, 0.5):
+        exact = oee.transition_ratio(LOG, SIMULATOR, simulator_data="exact", discount=discount, **options)
+        weighted = SIMULATOR.with_discount(discount or 1.0)
+        q = oee.occupancy(weighted, behavior, horizon=8, of="transition").data
+        p = LOG.counts(3, 2, discount=discount).toarray().reshape(-1)
+        moves, pairs = (oee.density_ratio(p.reshape(-1, k).sum(axis=1), q.reshape(-1, k).sum(axis=1)) for k in (1, 3))
+        assert_allclose(exact.values.data, moves.ratio / np.repeat(pairs.ratio, 3), rtol=1e-9)
+    drawn, again, other = (oee.transition_ratio(LOG, SIMULATOR, seed=k, **options) for k in (3, 3, 4))
+    assert_array_equal(drawn.values.data, again.values.data)
+    assert np.abs(drawn.values.data - other.values.data).max() > 1e-3
+    assert drawn.details["beta"][0].q_total == len(LOG)
+
+
+def test_logs_stop_where_an_episode_is_over():
     over = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [1, 0], 0.9)
-    share = weights(np.array([1.0, 1.0, 0.0]), None, over, "exact", np.ones((2, 1)), None)
-    ended = FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.9)
-    assert_array_equal(weights(np.ones(1), None, ended, "exact", np.ones((1, 1)), None), [1.0])
-    assert share[2] == 0.0  # logs stop where an episode is over
-    assert_allclose(share[0], share[1])
+    fit = oee.transition_ratio(
+        sparse.csr_array([[1.0, 1.0], [0.0, 0.0]]), over, method="ratio_of_ratios", simulator_data="exact"
+    )
+    assert_allclose(fit.values.data, 1.0, rtol=1e-12)
+    assert fit.details["undetermined_moves"] == 1
