@@ -389,7 +389,7 @@ solver must be 'dual' or one of ...; got 'dial'
 >>> oee.transition_ratio(LOG, GRID, method="joined")
 method must be one of 'conditional', 'tied', 'linear', 'kernel', 'ratio_
 >>> oee.transition_ratio(LOG, GRID, prior="flat")
-prior must be one of 'average', 'tilt', 'simulator', 'none'; got 'f
+prior must be one of 'ridge', 'tilt', 'simulator', 'none'; got 'f
 >>> oee.transition_ratio(LOG, GRID, strength=-1)
 strength must be in [0, inf); it is -1
 >>> oee.transition_ratio(np.zeros((36, 9)), GRID)

@@ -98,7 +98,7 @@ def test_two_states_at_one_place_have_one_ratio(logs):
 @trained
 def test_exact_data_of_the_simulator_are_trained_and_stopped_on_whole(logs):
     exact = fit(logs, data="exact", n_iterations=300)
-    assert exact.details["beta"][0].gap < 0.05
+    assert exact.details["beta"][0].gap < 0.1
     assert (np.diff(exact.details["beta"][0].details["held_out_risk"]) < 0.01).all()
 
 
