@@ -17,7 +17,7 @@ from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulated_rows
-from oee_tabular.inference.margins import sampling_margin, stray_swing
+from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 
@@ -208,13 +208,12 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
 
 
 def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
-    """By how much dropped moves, and the simulator's own sampling, may change a value: down, up."""
-    down, up = stray_swing(problem, evidence)
-    margin = sampling_margin(problem, evidence)
+    """By how much dropped transitions, and the simulator's own sampling, may change a value: down, up."""
+    margin = outside_margin(problem, evidence)
     if margin is None:
-        return down, up
+        return 0.0, 0.0
     half = z * float(np.sqrt(margin.variance))
-    return down + margin.down + half, up + margin.up + half
+    return margin.down + half, margin.up + half
 
 
 def _differs(one: Array, other: Array) -> Array:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -15,7 +13,6 @@ from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import reweight
-from oee_tabular.inference.ascent import ProfileEnd
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.evidence import (
     Evidence,
@@ -26,9 +23,9 @@ from oee_tabular.inference.evidence import (
     require_squares,
     unseen_time,
 )
-from oee_tabular.inference.likelihood import Start, profile_end
-from oee_tabular.inference.margins import Found, sampling_margin, stray_end, stray_share
-from oee_tabular.inference.robust import Extreme, contradicted_rows, extreme_value, radii
+from oee_tabular.inference.likelihood import likelihood_ends
+from oee_tabular.inference.margins import outside_margin
+from oee_tabular.inference.robust import contradicted_rows, extreme_value, radii
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -141,9 +138,9 @@ def interval(
     Cost: likelihood some hundred linear solves and passes over the rows that the policy takes (10 000 states in a second);
     robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
     likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
-    Impossible moves that a Problem dropped are taken to have led anywhere, each end where that is most extreme
-    (``inference.margins``): "likelihood" and "robust" alone. All widen where the simulator was made of samples, by its first
-    states', rewards' and unmet moves' (``inference.margins``; ``unmet_share``: the time that those may take).
+    Impossible transitions that a Problem dropped are taken to have led anywhere: "likelihood" and "robust" alone widen by what
+    that may change to first order. All widen where the simulator was made of samples, by its first states', rewards' and unmet
+    transitions' (``inference.margins``; ``unmet_share``: the time that those may take). Neither counts in ``sampling``.
 
     Examples
     --------
@@ -161,32 +158,24 @@ def interval(
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
-    strayed = bool(problem.dropped.any())
-    if strayed and method not in ("likelihood", "robust"):
+    has_dropped = bool(problem.dropped.any())
+    if has_dropped and method not in ("likelihood", "robust"):
         raise ValueError(
             f"method must be 'likelihood' or 'robust' where impossible moves were dropped; it is {_checks.show(method)}"
         )
-    if strayed and evidence.has_box:
+    if has_dropped and evidence.has_box:
         raise ValueError(
             "lower_ratio and upper_ratio must be None where impossible moves were dropped: no box holds those"
         )
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
-    diagnostics = _coverage(evidence)
-    if strayed:
-        diagnostics |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": stray_share(problem, evidence)}
-
-    margin = sampling_margin(problem, evidence)
-    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    diagnostics, margin = _describe_unobserved(evidence), outside_margin(problem, evidence)
     if margin is not None:
-        diagnostics |= {"unmet_share": margin.unmet_share, "sampling_error": float(np.sqrt(margin.variance))}
+        diagnostics |= margin.diagnostics
 
-    def told(lower: float, upper: float, added: dict[str, Any]) -> Interval:
+    def finish(lower: float, upper: float, added: dict[str, Any]) -> Interval:
         if margin is not None:
-            lower, upper = margin.widened(lower, -1.0, z), margin.widened(upper, 1.0, z)
+            lower, upper = margin.widen(lower, upper, NormalDist().inv_cdf(0.5 + level / 2.0))
         return Interval(lower, upper, level, method, diagnostics | added)
-
-    def reached(sign: float, end: Callable[[Evidence], Found]) -> Found:
-        return stray_end(problem, evidence, sign, end) if strayed else end(evidence)
 
     if evidence.has_box:
         wrong = contradicted_rows(evidence, level, kind)
@@ -198,32 +187,41 @@ def interval(
             return Interval(np.nan, np.nan, level, method, diagnostics | {"contradicted_rows": wrong}, status)
     if method == "delta":
         lower, upper, error = delta_ends(evidence, level)
-        return _varied(told(lower, upper, {"standard_error": error}), evidence)
+        return _require_variation(finish(lower, upper, {"standard_error": error}), evidence)
     if method == "bootstrap":
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
         tail = (1.0 - level) / 2.0
         low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
-        return _varied(told(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
+        return _require_variation(finish(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
-        lower, upper, added = _likeliest(reached, level)
-        sampling = (lower, upper)
-        if strayed or diagnostics["unvisited_rows"]:
-            held = hold_unobserved(evidence, estimated_rows(problem, evidence.policy))
-            sampling = _likeliest(lambda _, end: end(held), level)[:2]
-            lower, upper = min(lower, sampling[0]), max(upper, sampling[1])  # whose models are possible, too
-        return replace(told(lower, upper, added), sampling=sampling)
+        ends = likelihood_ends(evidence, level)
+        held = ends
+        if has_dropped or diagnostics["unvisited_rows"]:
+            held = likelihood_ends(hold_unobserved(evidence, estimated_rows(problem, evidence.policy)), level)
+        sampling = held[0].value, held[1].value
+        # a model of the smaller set is one of the larger: where its end is farther, the other ascent stopped short
+        lower, upper = min(ends[0].value, sampling[0]), max(ends[1].value, sampling[1])
+        names = {
+            "divergence": "divergence",
+            "iterations": "iterations",
+            "change": "last_change",
+            "promised": "promised",
+        }
+        added = {told: max(getattr(end, name) for end in ends) for name, told in names.items()}
+        return replace(finish(lower, upper, added), sampling=sampling)
     require_squares(problem.model)
-    low_end, high_end = _guaranteed(reached, level, kind)
-    if low_end.contradicted.size:
-        status = f"the counts and the box contradict each other in rows {describe_rows(evidence, low_end.contradicted)}"
+    radius_of_row = radii(evidence, level, kind)
+    lowest, highest = (extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0))
+    if lowest.contradicted.size:
+        status = f"the counts and the box contradict each other in rows {describe_rows(evidence, lowest.contradicted)}"
         return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
     certified: dict[str, object] = {
         "radius": kind,
-        "sweeps": max(low_end.sweeps, high_end.sweeps),
-        "certified_beyond": max(abs(end.bound - end.value) for end in (low_end, high_end)),
+        "sweeps": max(lowest.sweeps, highest.sweeps),
+        "certified_beyond": max(abs(end.bound - end.value) for end in (lowest, highest)),
     }
-    return told(low_end.bound, high_end.bound, certified)
+    return finish(lowest.bound, highest.bound, certified)
 
 
 def estimated_rows(problem: Problem, policy: Array) -> Array:
@@ -232,36 +230,7 @@ def estimated_rows(problem: Problem, policy: Array) -> Array:
     return np.asarray(reweight(problem.model, zeta).transitions.data)
 
 
-def _likeliest(
-    reached: Callable[[float, Callable[[Evidence], ProfileEnd]], ProfileEnd], level: float
-) -> tuple[float, float, dict[str, Any]]:
-    """The ends of the profile likelihood, and what they say of themselves."""
-    start = cache(Start.of)  # of both ends
-    low, high = (reached(sign, partial(profile_end, confidence=level, sign=sign, start=start)) for sign in (-1.0, 1.0))
-    added = {
-        "divergence": max(low.divergence, high.divergence),
-        "iterations": max(low.iterations, high.iterations),
-        "last_change": max(low.change, high.change),
-        "promised": max(low.promised, high.promised),
-    }
-    return low.value, high.value, added
-
-
-def _guaranteed(
-    reached: Callable[[float, Callable[[Evidence], Extreme]], Extreme],
-    level: float,
-    kind: str,
-) -> tuple[Extreme, Extreme]:
-    """The extremes over all rows' balls, certified."""
-
-    def extreme(found: Evidence, sign: float) -> Extreme:
-        return extreme_value(found, radii(found, level, kind), sign)
-
-    low, high = (reached(sign, partial(extreme, sign=sign)) for sign in (-1.0, 1.0))
-    return low, high
-
-
-def _varied(found: Interval, evidence: Evidence) -> Interval:
+def _require_variation(found: Interval, evidence: Evidence) -> Interval:
     """An interval from the log's own variation; without any there is none, and neither error nor interval."""
     lower, upper = found.lower, found.upper
     if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reached_rows(evidence)).any():
@@ -273,7 +242,7 @@ def _varied(found: Interval, evidence: Evidence) -> Interval:
     return Interval(np.nan, np.nan, found.confidence, found.method, unknown, status)
 
 
-def _coverage(evidence: Evidence) -> dict[str, Any]:
+def _describe_unobserved(evidence: Evidence) -> dict[str, Any]:
     """How much of what the policy does the log has never seen."""
     steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
     if steps is not None and evidence.model.reward_data is None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.margins import sampling_margin
+from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp.empirical import Sampling
 
 PI = np.full((4, 2), 0.5)
@@ -84,7 +84,7 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     log = oee.sample_transitions(SIMULATOR, np.full((4, 2), 1 / 8), 800, seed=1)
     problem = oee.Problem(simulator, log, horizon=horizon, impossible="drop")
     evidence = gather(problem, PI)
-    found = sampling_margin(problem, evidence)
+    found = outside_margin(problem, evidence)
     rng = np.random.default_rng(0)
     base = simulator.with_transitions(evidence.with_rows(evidence.phat).transitions)
     pays, errors = base.transition_rewards, simulator.sampling.reward_error
@@ -103,7 +103,7 @@ def test_moves_met_once_may_lead_anywhere():
     log = oee.Transitions([0, 0, 0, 0, 0, 1], [0] * 6, [0, 0, 0, 0, 1, 0], [0.0] * 6)
     simulator = oee.FiniteMDP.from_log(log, [0.0, 10.0], discount=0.5, initial=0)
     problem = oee.Problem(simulator, oee.Transitions([1], [0], [0]))
-    found = sampling_margin(problem, gather(problem, [0, 0]))
+    found = outside_margin(problem, gather(problem, [0, 0]))
     v0, v1 = oee.state_values(simulator, [0, 0])
     time = oee.occupancy(simulator, [0, 0]).reshape(-1) / 0.5
     assert_allclose(found.up, time[0] * 0.2 * 0.5 * (v1 - 0.8 * v0 - 0.2 * v1), rtol=1e-12)
@@ -114,7 +114,7 @@ def test_moves_met_once_may_lead_anywhere():
     assert_allclose([interval.lower, interval.upper], [bare.lower - found.down, bare.upper + found.up], rtol=1e-9)
     assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
     again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
-    assert sampling_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
+    assert outside_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
 
 
 def swayed(simulator, problem, horizon, sign, share):
@@ -145,7 +145,7 @@ def test_with_a_horizon_unmet_moves_lead_to_the_extreme_of_the_steps_that_are_le
         simulator = oee.FiniteMDP.from_log(oee.Transitions(**log.columns()), discount=0.8, n_states=4)
     recorded = oee.sample_episodes(simulator, PI, 2, 5, seed=3)
     problem = oee.Problem(simulator, recorded, horizon=horizon)
-    found = sampling_margin(problem, gather(problem, PI))
+    found = outside_margin(problem, gather(problem, PI))
     assert found.up > 0.0
     for sign, size in ((1.0, found.up), (-1.0, -found.down)):
         rise = (swayed(simulator, problem, horizon, sign, 1e-6) - swayed(simulator, problem, horizon, sign, 0.0)) / 1e-6
