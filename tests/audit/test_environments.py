@@ -1,58 +1,16 @@
-"""Environments by brute force: displacements, the gridworld, toy-text tables, discretised tables, the bench's pairs."""
+"""Environments by brute force: toy-text tables, discretised tables, the bench's pairs."""
 
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 from audit.reference import Dense
 from numpy.testing import assert_allclose
 from scipy import integrate, stats
 
 import oee_tabular as oee
-from oee_tabular.bench.league import league_of
-from oee_tabular.bench.scores import summary
 from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.task import ContinuousTask, Moves
-from oee_tabular.mdp.rows import displacements
-
-
-@pytest.mark.parametrize("given", [False, True])
-def test_displacements_move_by_move(given):
-    rng = np.random.default_rng(0)
-    P = rng.dirichlet(np.ones(5), size=(5, 2)) * (rng.random((5, 2, 5)) < 0.7)
-    P = P / P.sum(axis=2, keepdims=True)
-    places = rng.integers(0, 3, size=(5, 2)).astype(float) if given else np.arange(5.0)[:, None]
-    mdp = oee.FiniteMDP(P, np.zeros(5), np.full(5, 0.2), 0.9, layout=places if given else None)
-    kinds, kind = displacements(mdp)
-    mass = {}
-    for number, (s, a, j) in enumerate(np.argwhere(P > 0)):
-        step = tuple(places[j] - places[s])
-        assert tuple(kinds[kind[number]]) == step
-        mass[step] = mass.get(step, 0.0) + P[s, a, j]
-    assert [tuple(k) for k in kinds] == sorted(mass, key=lambda step: (-mass[step], step))
-
-
-@pytest.mark.parametrize("pay", ["next", "current"])
-def test_the_gridworld_cell_by_cell(pay):
-    size, slip = 3, 0.3
-    mdp = oee.tasks.gridworld(size, slip, pay=pay)
-    base = Dense(mdp)
-    for s in range(9):
-        row, column = divmod(s, size)
-        for a in range(4):
-            want = np.zeros(9)
-            for direction, (down, right) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)]):
-                to = s
-                if 0 <= row + down < size and 0 <= column + right < size:
-                    to = (row + down) * size + column + right
-                want[8 if s == 8 else to] += 0.7 if direction == a else 0.1
-            assert_allclose(base.P[s, a], want, atol=1e-15)
-            for j in np.flatnonzero(want):
-                at = j if pay == "next" else s
-                assert_allclose(base.r[s, a, j], -0.2 * (4 - at // size - at % size), atol=1e-15)
-    assert_allclose(mdp.layout, [divmod(s, size) for s in range(9)])
-    assert mdp.initial[0] == 1.0
 
 
 def test_a_toy_text_table_with_duplicates_and_ends_by_path():
@@ -138,43 +96,3 @@ def test_the_truth_of_a_bench_pair_and_where_its_episodes_go(name):
     assert_allclose(family.moves_per_state_action, visits, atol=1e-8)
     assert_allclose(family.data_distribution.sum(), 1.0)
     assert family.open_rows == sum((row > 0).sum() > 1 for row in Dense(family.simulator).P.reshape(-1, len(base.mu)))
-
-
-@pytest.mark.parametrize("identical", [False, True])
-def test_the_ratio_of_errors_and_its_lower_bound_by_own_resamples(identical):
-    rng = np.random.default_rng(0)
-    errors = {"maximum-likelihood": rng.normal(size=12), "simulator": 0.3 + 0.8 * rng.normal(size=12)}
-    errors["mine"] = 0.7 * errors["maximum-likelihood"] + 0.4 * rng.normal(size=12)
-    rows = [
-        {
-            "family": "f", "size": 3.0, "seed": seed, "estimator": name, "value": 1 + error[seed], "error": error[seed],
-            "truth": 1.0, "lower": error[seed], "upper": 2 + error[seed], "seconds": 0.1, "covered": 0.95, "bound": 0.5,
-            "identical": identical, "status": "ok",
-        }
-        for name, error in errors.items() for seed in range(12)
-    ]  # fmt: skip
-    found = league_of(pd.DataFrame(rows)).cells.set_index("estimator").loc["mine"]
-
-    def ratio(chosen):
-        rms = {name: np.sqrt(np.mean(error[chosen] ** 2)) for name, error in errors.items()}
-        best = rms["maximum-likelihood"] if identical else min(rms["maximum-likelihood"], rms["simulator"])
-        return rms["mine"] / best
-
-    assert_allclose(found["ratio"], ratio(np.arange(12)), rtol=1e-12)
-    own = np.quantile([ratio(rng.integers(0, 12, 12)) for _ in range(20_000)], 0.05)
-    assert_allclose(found["low"], own, rtol=0.04)
-    assert_allclose(found["over_bound"], np.sqrt(np.mean(errors["mine"] ** 2) / 0.5), rtol=1e-12)
-    assert_allclose(found["bias"], errors["mine"].mean(), rtol=1e-12)
-    held = np.sum((errors["mine"] <= 1) & (errors["mine"] >= -1))
-    assert (found["logs"], found["held"]) == (12, held)
-    assert_allclose(found["width"], 1.0)
-
-
-def test_a_ratio_is_surely_above_a_limit_where_its_lower_bound_is():
-    cells = pd.DataFrame(
-        {"family": ["f", "g", "h", "i"], "size": [1.0] * 4, "ratio": [1.3, 1.3, 1.6, 2.5], "low": [1.0, 1.2, 1.49, 1.7]}
-    )
-    found = summary(cells)
-    assert (found["above 1.1"], found["above 1.5"]) == (0.75, 0.25)
-    assert_allclose(found["geo"], np.prod([1.3, 1.3, 1.6, 2.5]) ** 0.25, rtol=1e-12)
-    assert (found["worst"], found["worst cell"], found["q90"]) == (2.5, "i at 1", 2.5)

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from audit.reference import Dense, sequences, table_of
+from audit.reference import Dense, sequences
 from numpy.testing import assert_allclose
 from scipy import optimize, sparse
 
@@ -12,13 +12,10 @@ import oee_tabular as oee
 from oee_tabular.estimators import (
     DoublyRobust,
     DualDice,
-    Estimate,
     ImportanceSampling,
-    Magic,
     Marginalized,
     ModelBased,
     OffEnvironment,
-    calibrated,
 )
 
 HORIZON = 3
@@ -81,15 +78,6 @@ def test_doubly_robust_on_episodes_without_support_by_every_path(form):
     assert abs(own - truth.J(policy, HORIZON)) > 1e-5  # the model fills in, with its own error
 
 
-def test_magic_s_limit_is_the_truth_and_is_refused_without_support():
-    simulator, target, policy, behavior = world()
-    options = {"behavior_policy": behavior, "horizon": HORIZON}
-    assert_allclose(Magic().limit(simulator, target, policy, **options), Dense(target).J(policy, HORIZON), rtol=1e-10)
-    simulator, target, policy, behavior = world(lack=True)
-    with pytest.raises(ValueError, match="action"):
-        Magic().limit(simulator, target, policy, behavior_policy=behavior, horizon=HORIZON)
-
-
 @pytest.mark.parametrize("share", [[[0.5, 0.2], [0.3, 0.0]], [[0.25, 0.25], [0.25, 0.25]]])
 @pytest.mark.parametrize("horizon", [None, HORIZON])
 @pytest.mark.parametrize("form", ["sa", "sat"])
@@ -135,22 +123,6 @@ def test_limits_on_moves_by_dense_algebra(share, horizon, form):
         assert_allclose(found, own, rtol=1e-7)
 
 
-def test_dualdice_by_least_squares():
-    """nu by the normal equations of its objective on the log's frequencies."""
-    simulator, target, policy, _ = world(1, "sa")
-    log = oee.sample_transitions(target, np.full((2, 2), 0.25), 60, seed=0)
-    found = DualDice()(oee.Problem(simulator, log), policy)
-    n = table_of(log, (2, 2))
-    model = Dense(simulator).like(n / n.sum(axis=2, keepdims=True))
-    d = Dense(simulator).visits(policy).reshape(-1) * 0.1
-    B = np.eye(4) - 0.9 * np.einsum("sat,tb->satb", model.P, policy).reshape(4, 4)
-    start = 0.1 * (model.mu[:, None] * policy).reshape(-1)
-    nu = optimize.minimize(lambda x: 0.5 * d @ (B @ x) ** 2 - start @ x, np.zeros(4), method="BFGS", tol=1e-12).x
-    w = B @ nu
-    assert_allclose(found.value, (d * w * model.r[:, :, 0].reshape(-1)).sum() / 0.1, rtol=1e-5)
-    assert_allclose(found.diagnostics["largest_weight"], w.max(), rtol=1e-5)
-
-
 def ragged_world():
     """Four episodes of unequal length; the second and the fourth are cut, the others end in the absorbing state 2."""
     P = np.array([[[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]], [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]], [[0, 0, 1.0]] * 2])
@@ -168,41 +140,6 @@ def ragged_world():
     )  # fmt: skip
     policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5]])
     return simulator, log, policy, rows, episode, behavior
-
-
-@pytest.mark.parametrize("horizon", [None, 2, 3, 5])
-@pytest.mark.parametrize("normal", [False, True])
-def test_doubly_robust_on_cut_and_ended_episodes(horizon, normal):
-    """An episode that ended is worth nothing from there; one that was cut goes on as the model, to the horizon."""
-    simulator, log, policy, rows, episode, behavior = ragged_world()
-    same = oee.true_ratio(simulator, simulator)
-    found = DoublyRobust(data="episodes", ratio=same, self_normalized=normal)(
-        oee.Problem(simulator, log, horizon=horizon), policy
-    )
-    model = Dense(simulator)
-    steps = max(episode.count(e) for e in range(4)) if horizon is None else horizon
-    still = model.values(policy) if horizon is None else None
-    to_go = [still] * (steps + 1) if horizon is None else list(model.values(policy, horizon))
-    paths = [[row for row, e in zip(rows, episode, strict=True) if e == k][:steps] for k in range(4)]
-    rho = np.ones((4, steps + 1))
-    for k, path in enumerate(paths):
-        for t in range(steps):
-            factor = policy[path[t][:2]] / behavior[path[t][:2]] if t < len(path) else 1.0
-            rho[k, t + 1] = rho[k, t] * factor
-    shares = rho / rho.sum(axis=0) if normal else rho / 4
-    value = 0.0
-    for k, path in enumerate(paths):
-        value += shares[k, 0] * to_go[0][path[0][0]]
-        for t, (s, a, j) in enumerate(path):
-            Q = (model.P[s, a] * (model.r[s, a] + 0.9 * to_go[t + 1])).sum()
-            last = t + 1 == len(path)
-            following = 0.0 if (last and j == 2) else to_go[t + 1][j]
-            value += 0.9**t * (shares[k, t + 1] * (model.r[s, a, j] - Q))
-            if last:
-                value += 0.9 ** (t + 1) * shares[k, t + 1] * following
-            else:
-                value += 0.9 ** (t + 1) * shares[k, t + 1] * following
-    assert_allclose(found.value, value, rtol=1e-9)
 
 
 @pytest.mark.parametrize("horizon", [None, 2, 5])
@@ -224,17 +161,6 @@ def test_importance_sampling_of_cut_episodes_counts_what_is_missing(horizon):
     assert_allclose(found.value, np.mean(values), rtol=1e-12)
     assert_allclose(found.standard_error, np.std(values, ddof=1) / 2, rtol=1e-12)
     assert_allclose(found.diagnostics["truncation_bias_bound"], bound, rtol=1e-12, atol=1e-15)
-
-
-def test_calibrated_values_by_hand():
-    raw = Estimate(0.4, 0.05)
-    by_ratio = calibrated.calibrate(raw, discretised=0.5, continuous=0.6, continuous_error=0.02).diagnostics
-    assert_allclose(by_ratio["calibrated_value"], 0.48, rtol=1e-12)
-    # d (J c / d) = (c / d) dJ + (J / d) dc
-    assert_allclose(by_ratio["calibrated_standard_error"], np.hypot(1.2 * 0.05, 0.8 * 0.02), rtol=1e-12)
-    apart = calibrated.calibrate(raw, discretised=-0.5, continuous=0.6, continuous_error=0.02, kind="difference")
-    assert_allclose(apart.diagnostics["calibrated_value"], 1.5, rtol=1e-12)
-    assert_allclose(apart.diagnostics["calibrated_standard_error"], np.hypot(0.05, 0.02), rtol=1e-12)
 
 
 def clipped(p, q, low, high):

@@ -1,7 +1,6 @@
 """What is sure, by brute force: likelihood intervals, changes of rows, compared policies, divergences and path bounds."""
 
 import itertools
-import math
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import oee_tabular as oee
 from oee_tabular import inference
 from oee_tabular.report.quoting import quoted
 from oee_tabular.theory import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
-from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides
 
 
 def tiny(seed, n_states=3, n_actions=2, discount=0.8, moves=25, left_out=(), form="sa"):
@@ -149,33 +147,6 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_move(left_o
     assert_allclose(found.unseen_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)
 
 
-def test_divergences_by_their_sums():
-    p, q = np.array([3.0, 1.0, 0.0, 4.0]) / 8, np.array([1.0, 3.0, 2.0, 2.0]) / 8
-    for order in (0.5, 2.0, 3.5):
-        own = math.log(sum(x**order * y ** (1 - order) for x, y in zip(p, q, strict=True) if x > 0)) / (order - 1)
-        assert_allclose(renyi_divergence(p, q, order), own, rtol=1e-12)
-    kl = sum(x * math.log(x / y) for x, y in zip(p, q, strict=True) if x > 0)
-    assert_allclose(renyi_divergence(p, q, 1.0), kl, rtol=1e-12)
-    assert_allclose(renyi_divergence(p, q, np.inf), math.log(3.0), rtol=1e-12)
-    chi2 = sum((x - y) ** 2 / y for x, y in zip(p, q, strict=True))
-    assert_allclose(math.exp(renyi_divergence(p, q, 2.0)), 1 + chi2, rtol=1e-12)
-    fit = oee.density_ratio(p, q)
-    assert_allclose(fit.divergence, kl, rtol=1e-9)
-
-
-def test_the_excess_risk_is_the_mean_of_u_minus_one_minus_log_u():
-    rng = np.random.default_rng(0)
-    p, q = rng.dirichlet(np.ones(5)), rng.dirichlet(np.ones(5))
-    g, best = rng.uniform(0.5, 2.0, 5), p / q
-    sides = excess_risk(g, p, q)
-    both = (q @ g - p @ np.log(g)) - (q @ best - p @ np.log(best)), p @ (g / best - 1 - np.log(g / best))
-    assert_allclose([sides.left, sides.right], both, rtol=1e-9)
-    second = squared_error_sides(g, p, q)
-    mu = max(g.max(), best.max())
-    assert_allclose(second.left, p @ (g - best) ** 2, rtol=1e-9)
-    assert_allclose(second.right, 2 * mu**2 * both[0], rtol=1e-9)
-
-
 @pytest.mark.parametrize("form", ["sa", "sat"])
 def test_path_bounds_by_every_path(form):
     simulator, target, _, policy = tiny(8, 2, 2, form=form)
@@ -207,6 +178,6 @@ def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_go
     simulator, _, log, policy = tiny(0)
     estimate = oee.Estimate(value, model_value=value)
     sure = inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
-    found = quoted(estimate, sure, oee.Problem(simulator, log), policy, 0.95)
+    found = quoted(estimate, sure, 0.95)
     assert found.value == value
     assert found.interval == (min(0.0, value), max(1.0, value))

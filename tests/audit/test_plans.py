@@ -109,28 +109,6 @@ def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
     assert_allclose(plan.expected_standard_error[1], np.sqrt(own).sum() / np.sqrt(50), rtol=1e-9)  # Neyman's
 
 
-def test_the_error_that_a_behaviour_policy_s_plan_foretells_is_that_of_its_logs():
-    simulator, policies = three(1)
-    policy, n = policies["one"], 600
-    plan = oee.plan_data_collection(simulator, policy, n=n, sampling="behavior", model="simulator", restart=0.1)
-    base, logs, rng = Dense(simulator), 200, np.random.default_rng(0)
-    counts, each = np.zeros((logs, 3, 2, 3)), np.arange(logs)
-
-    def drawn(chances):
-        return (rng.random((logs, 1)) > np.cumsum(chances, axis=1)[:, :-1]).sum(axis=1)
-
-    s = drawn(np.tile(base.mu, (logs, 1)))
-    for _ in range(n):
-        a = drawn(plan.behavior_policy[s])
-        j = drawn(base.P[s, a])
-        counts[each, s, a, j] += 1
-        s = np.where(rng.random(logs) < 0.1, drawn(np.tile(base.mu, (logs, 1))), j)
-    total = counts.sum(axis=3, keepdims=True)
-    rows = np.where(total > 0, counts / np.maximum(total, 1), base.P)
-    errors = [base.like(P).J(policy) - base.J(policy) for P in rows]
-    assert_allclose(np.std(errors), plan.expected_standard_error[1], rtol=0.2)  # 200 logs: 5%
-
-
 def test_a_row_without_spread_costs_its_largest_plausible_variance():
     """By brute force over the corners of the box and the edges between them."""
     P = np.array([[[1.0, 0.0, 0.0], [0.2, 0.5, 0.3]], [[0.0, 1.0, 0.0], [0.3, 0.3, 0.4]], [[0.5, 0.0, 0.5]] * 2])

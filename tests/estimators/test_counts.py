@@ -77,6 +77,8 @@ def test_a_report_leaves_out_what_needs_whole_moves():
     report = oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], seed=0)
     assert report.sureness.intervals == {}
     assert "likelihood intervals, which need whole and independent moves, are left out" in str(report)
+    with pytest.raises(ValueError, match="guaranteed must be False where counts are given"):
+        oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], guaranteed=True)
 
 
 def spoiled(value):
@@ -107,12 +109,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_calls(case):
+def test_bad_counts_beside_a_log_and_without_one(case):
     make, text = BAD[case]
     with pytest.raises(ValueError, match=text):
         oee.Problem(SIMULATOR, LOG, counts=make())
-    with pytest.raises(ValueError, match="guaranteed must be False where counts are given"):
-        oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], guaranteed=True)
+    with pytest.raises(ValueError, match="log must be Transitions; got ndarray" if case == "an array" else text):
+        oee.Problem(SIMULATOR, make())
 
 
 # ---- whole counts, without a log
@@ -130,18 +132,10 @@ def test_whole_counts_give_the_log_s_intervals(method):
     assert ends[0].upper == ends[1].upper
 
 
-def test_whole_counts_keep_tests_and_intervals_on():
-    report, plain = (oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0) for problem in (WHOLE, PLAIN))
-    assert report.results[0].estimate.interval == plain.results[0].estimate.interval
-    assert report.sureness.distance == plain.sureness.distance
-    beside = oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=COUNTS), EXPERT, estimators=["oee"], seed=0)
-    assert beside.sureness.distance == plain.sureness.distance
-    assert not WHOLE.soft
-
-
-def test_soft_counts_without_a_log_turn_them_off():
+def test_soft_counts_without_a_log_turn_intervals_off():
     problem = oee.Problem(SIMULATOR, SOFT, 20)
     assert problem.soft
+    assert not WHOLE.soft
     assert oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0).sureness.intervals == {}
     with pytest.raises(ValueError, match="counts must be whole numbers to be resampled; some are not"):
         oee.interval(problem, EXPERT, method="bootstrap", seed=0)
@@ -156,14 +150,6 @@ def test_what_needs_episodes_says_so():
         oee.interval(WHOLE, EXPERT, method="bootstrap", resample="episodes", seed=0)
     with pytest.raises(ValueError, match="rewards must be 'simulator' where the log has no reward column"):
         oee.Problem(SIMULATOR, COUNTS, rewards="log")
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_counts_without_a_log(case):
-    make, text = BAD[case]
-    text = "log must be Transitions; got ndarray" if case == "an array" else text
-    with pytest.raises(ValueError, match=text):
-        oee.Problem(SIMULATOR, make())
 
 
 # ---- counts with rewards, terminations and a sample of episodes

@@ -1,14 +1,13 @@
 import numpy as np
 import pytest
-from helpers import paths, random_mdp, random_policy, rngs, survival_chain
+from helpers import paths, random_mdp, random_policy, rngs
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import Transitions, exact
 from oee_tabular.estimators import ImportanceSampling, ModelBased, OffEnvironment, Oracle, Problem, Simulator
-from oee_tabular.estimators.rollouts import rollout_horizon
 
 
 def grids(size=5, **options):
@@ -47,66 +46,6 @@ def test_off_environment_is_the_value_of_zeta_times_p():
     assert_allclose(given_ratio.value, oee.policy_value(target, policy, horizon=60), rtol=1e-12)
     by_function = OffEnvironment(ratio=lambda log, sim: oee.transition_ratio(log, sim, strength=9.0))(problem, policy)
     assert by_function.value != estimate.value
-
-
-def test_off_environment_reports_what_the_log_has_not_seen():
-    simulator, target = grids()
-    log = oee.sample_episodes(target, oee.tasks.gridworld_expert(5), 20, 50, seed=0)
-    facts = OffEnvironment()(Problem(simulator, log), oee.uniform_policy(simulator)).diagnostics
-    zeta = oee.transition_ratio(log, simulator, values_of=oee.uniform_policy(simulator))
-    time = oee.occupancy(exact.reweight(simulator, zeta), oee.uniform_policy(simulator))
-    alive = np.delete(time, 24, axis=0)
-    assert_allclose(facts["coverage"], alive[zeta.visited[:24]].sum() / alive.sum(), rtol=1e-12)
-    assert_allclose(facts["coverage"] + facts["fallback_share"], 1.0)
-    assert facts["coverage"] < 0.5
-
-
-@pytest.mark.parametrize("pay", ["next", "current"])
-@pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
-def test_products_of_ratios_are_unbiased_with_the_reward_s_own_weight(pay, weighting):
-    """The mean over rollouts of the true zeta's product is J; also for an unnormalised zeta."""
-    simulator, target = (oee.tasks.gridworld(3, slip, pay=pay, discount=0.9) for slip in (0.3, 0.15))
-    policy = oee.tasks.gridworld_policy(3, 0.5)
-    problem = Problem(simulator, covering_log(target), horizon=6)
-    oracle = Oracle(target, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=3)
-    assert abs(oracle.value - oee.policy_value(target, policy, horizon=6)) < 4 * oracle.standard_error
-    assert oracle.standard_error < 0.02
-    zeta = oee.transition_ratio(problem.log, simulator, method="ratio_of_ratios", seed=0)
-    product = OffEnvironment(zeta, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=4)
-    if weighting == "per_decision":
-        limit = oee.policy_value(exact.reweight(simulator, zeta), policy, horizon=6)
-        assert abs(product.value - limit) < 4 * product.standard_error
-    again = OffEnvironment(zeta, "monte_carlo", weighting, n_rollouts=200_000)(problem, policy, seed=4)
-    assert again.value == product.value
-
-
-def test_self_normalised_products_converge_to_the_same_value_for_normalised_ratios():
-    simulator, target = (oee.tasks.gridworld(3, slip, discount=0.9) for slip in (0.3, 0.15))
-    policy = oee.tasks.gridworld_policy(3, 0.5)
-    problem = Problem(simulator, covering_log(target), horizon=6)
-    truth = oee.policy_value(target, policy, horizon=6)
-    for weighting in ("per_decision", "trajectory"):
-        found = Oracle(target, "monte_carlo", weighting, self_normalized=True, n_rollouts=200_000)(
-            problem, policy, seed=1
-        )
-        assert abs(found.value - truth) < 4 * found.standard_error
-
-
-def test_rollouts_of_the_infinite_sum_stop_where_nothing_is_left():
-    assert rollout_horizon(0.9, None) == int(np.ceil(np.log(1e-12) / np.log(0.9))) + 1
-    assert rollout_horizon(0.0, None) == 1
-    assert rollout_horizon(1.0, 7) == 7
-    with pytest.raises(ValueError, match="horizon must be given for rollouts at discount 1"):
-        rollout_horizon(1.0, None)
-
-
-def test_a_divergent_kernel_is_a_status_not_a_number():
-    simulator, target = grids()
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 60, seed=0)
-    estimate = OffEnvironment("ratio_of_ratios")(Problem(simulator, log), oee.uniform_policy(simulator), seed=1)
-    assert np.isnan(estimate.value)
-    assert "spectral radius" in estimate.status
-    assert "normalise the rows or give a horizon" in estimate.status
 
 
 # ---- importance sampling: worked by hand -------------------------------------------------------------------------
@@ -162,19 +101,6 @@ def test_a_horizon_cuts_episodes():
     assert_allclose(ImportanceSampling("trajectory")(problem, POLICY).value, (last * returns).mean(), rtol=1e-14)
 
 
-def test_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
-    """On the survival chain the truth is 1/(1 - .7 gamma) = 2.70; "zero" gives E[r | alive] = 10."""
-    chain = survival_chain(0.9)
-    policy = np.ones((2, 1))
-    log = oee.sample_episodes(chain, policy, 20_000, 60, seed=0)
-    problem = Problem(chain, log, horizon=60)
-    truth = oee.policy_value(chain, policy, horizon=60)
-    assert_allclose(ImportanceSampling(self_normalized=True)(problem, policy).value, truth, rtol=0.02)
-    zero = ImportanceSampling(self_normalized=True, ragged="zero")(problem, policy).value
-    longest = int(np.diff(log.episode_starts).max())
-    assert_allclose(zero, (1 - 0.9**longest) / 0.1, rtol=1e-12)
-
-
 @pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
 @pytest.mark.parametrize("self_normalized", [False, True])
 def test_importance_sampling_converges_to_the_target_s_value(kind, self_normalized):
@@ -202,48 +128,6 @@ def by_hand(log, policy, kind, self_normalized):
     return paid @ 0.9 ** np.arange(3)
 
 
-def full_length():
-    """Nothing ends: every episode has the horizon's length."""
-    return random_mdp(np.random.default_rng(6), n_states=4, n_actions=2, discount=0.9, form=2)
-
-
-def mortal():
-    """Three states that pay, each left for a state that is over with probability 0.1 to 0.5: ragged episodes."""
-    transitions = np.zeros((4, 2, 4))
-    transitions[:3, 0] = [[0.3, 0.3, 0.3, 0.1], [0.5, 0.1, 0.1, 0.3], [0.1, 0.2, 0.2, 0.5]]
-    transitions[:3, 1] = [[0.1, 0.2, 0.2, 0.5], [0.2, 0.5, 0.2, 0.1], [0.3, 0.1, 0.3, 0.3]]
-    transitions[3, :, 3] = 1.0
-    rewards = np.array([[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]])
-    return oee.FiniteMDP(transitions, rewards, [1.0, 0.0, 0.0, 0.0], 0.9)
-
-
-@pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
-@pytest.mark.parametrize("target", [full_length(), mortal()], ids=["full length", "ragged"])
-def test_the_linearised_error_of_self_normalised_estimates(kind, target):
-    rng = np.random.default_rng(8)
-    behavior, policy = (random_policy(rng, target, zeros=0.0) for _ in range(2))
-    values, errors = [], []
-    for seed in range(500):
-        log = oee.sample_episodes(target, behavior, 300, 4, seed=seed)
-        found = ImportanceSampling(kind, self_normalized=True)(Problem(target, log, horizon=4), policy)
-        values.append(found.value)
-        errors.append(found.standard_error)
-    assert_allclose(np.mean(errors), np.std(values, ddof=1), rtol=0.12)
-
-
-def test_self_normalised_estimates_move_with_the_reward():
-    """Statement 31: SN(r + b) = SN(r) + b sum gamma^t exactly (episodes of full length)."""
-    simulator, target = (oee.tasks.gridworld(4, slip, pay="current") for slip in (0.3, 0.1))
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 40, 5, seed=0)
-    moved = Transitions(**(log.columns() | {"reward": log.reward + 2.0}))
-    policy = oee.tasks.gridworld_policy(4, 0.7)
-    shift = 2.0 * (0.99 ** np.arange(5)).sum()
-    for kind in ("trajectory", "per_decision"):
-        estimator = ImportanceSampling(kind, self_normalized=True)
-        values = [estimator(Problem(simulator, data, horizon=5), policy).value for data in (log, moved)]
-        assert_allclose(values[1], values[0] + shift, rtol=1e-12)
-
-
 def test_on_the_behaviour_policy_itself_all_weights_are_one():
     simulator, target = grids()
     behavior = oee.uniform_policy(target)
@@ -258,20 +142,6 @@ def test_on_the_behaviour_policy_itself_all_weights_are_one():
             found = ImportanceSampling(kind, self_normalized)(problem, behavior)
             assert_allclose(found.value, np.mean(returns), rtol=1e-12)
             assert_allclose(found.diagnostics["effective_sample_size"], 50)
-
-
-def test_truncation_is_reported_with_a_bound_that_holds():
-    simulator, target = grids()
-    behavior = oee.uniform_policy(target)
-    short = oee.sample_episodes(target, behavior, 400, 40, seed=0)
-    problem = Problem(simulator, short)
-    found = ImportanceSampling()(problem, behavior)
-    truth = oee.policy_value(target, behavior)
-    assert found.diagnostics["truncated_share"] > 0.3
-    bias = abs(oee.policy_value(target, behavior, horizon=40) - truth)
-    assert bias <= found.diagnostics["truncation_bias_bound"]
-    whole = ImportanceSampling()(Problem(simulator, short, horizon=40), behavior)
-    assert whole.diagnostics["truncation_bias_bound"] == 0.0
 
 
 def test_a_behaviour_policy_may_be_given_instead_of_recorded():
@@ -335,22 +205,6 @@ def test_terminated_moves_go_to_the_simulator_s_terminal_states():
     assert problem.reward_conflict is None
 
 
-def test_log_rewards_replace_the_simulator_s_where_seen():
-    simulator, _ = grids(3)
-    log = Transitions([0, 0, 3], [0, 0, 0], [3, 3, 6], [5.0, 7.0, -0.4])
-    problem = Problem(simulator, log, rewards="log")
-    table = problem.model.transition_rewards.toarray().reshape(9, 4, 9)
-    assert table[0, 0, 3] == 6.0
-    assert table[3, 0, 6] == -0.4
-    own = simulator.transition_rewards.toarray().reshape(9, 4, 9)
-    table[0, 0, 3], own[0, 0, 3] = 0, 0
-    assert_array_equal(table, own)
-    assert str(problem.reward_conflict).startswith(
-        "the log's rewards contradict the simulator's in 2 of 3 transitions (1 diff"
-    )
-    assert Problem(simulator, Transitions([0], [0], [3], [-0.6])).reward_conflict is None
-
-
 def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
     simulator, target = grids()
     episodes = oee.sample_episodes(target, oee.uniform_policy(target), 20, 30, seed=0)
@@ -360,33 +214,6 @@ def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
     assert ImportanceSampling()(drawn, policy).value == ImportanceSampling()(whole, policy).value
     with pytest.raises(ValueError, match="needs whole episodes"):
         ImportanceSampling()(Problem(simulator, episodes.draw(50, seed=0)), policy)
-
-
-@pytest.mark.parametrize("estimator", [Simulator(), OffEnvironment(), OffEnvironment("ratio_of_ratios"), ModelBased(),
-                                       ImportanceSampling(), OffEnvironment(evaluation="monte_carlo")])  # fmt: skip
-def test_no_estimator_changes_its_input(estimator):
-    simulator, target = grids(3)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 20, 30, seed=0)
-    policy = oee.uniform_policy(target)
-    before = policy.copy()
-    estimate = estimator(Problem(simulator, log, horizon=10), policy, seed=0)
-    assert_array_equal(policy, before)
-    assert np.isfinite(estimate.value)
-    assert repr(estimate).startswith("Estimate(")
-
-
-def test_weights_that_are_all_zero_are_a_status():
-    """No episode follows the policy: plain sampling says 0, without a standard error; self-normalised sampling nothing."""
-    simulator, target = grids(3)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 4, 60, seed=1)
-    never = np.zeros((9, 4))
-    never[:, 1] = 1.0
-    problem = Problem(simulator, log, horizon=60)
-    plain, weighted = (ImportanceSampling(self_normalized=flag)(problem, never) for flag in (False, True))
-    assert "the weight of every whole episode is 0" in plain.status
-    assert plain.standard_error is None
-    assert np.isnan(weighted.value)
-    assert "the weight of every whole episode is 0" in weighted.status
 
 
 def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean():
@@ -422,17 +249,3 @@ def test_the_product_s_weights_by_hand(form):
         assert_allclose(found.value, weight @ payments, rtol=1e-14)
     limit = oee.policy_value(exact.reweight(simulator, double), np.ones((2, 1)), horizon=3)
     assert_allclose(limit, weights["per_decision"] @ payments, rtol=1e-14)
-
-
-def test_an_ended_episode_keeps_the_product_of_all_its_ratios():
-    """One step into the end, zeta = 3 there, T = 4, r(s): the trajectory's weight is 3, that of the reward itself is 1."""
-    transitions = np.array([[[0.0, 1.0]], [[0.0, 1.0]]])
-    simulator = oee.FiniteMDP(transitions, [5.0, 0.0], [1.0, 0.0], 0.5)
-    true = oee.true_ratio(simulator, simulator)
-    values = true.values.copy()
-    values.data = np.array([3.0, 1.0])
-    triple = oee.TransitionRatio(values, "thrice", 0.0, true.visited, 2.0, true.counts)
-    problem = Problem(simulator, Transitions([0], [0], [1]), horizon=4)
-    for weighting, expected in (("per_decision", 5.0), ("trajectory", 15.0)):
-        found = OffEnvironment(triple, "monte_carlo", weighting, n_rollouts=5)(problem, np.ones((2, 1)), seed=0)
-        assert_allclose(found.value, expected)

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from estimators.four_states import BEHAVIOR, FULL, POLICY, SIMULATOR, TARGET, environments
+from estimators.four_states import BEHAVIOR, FULL, POLICY, SIMULATOR, TARGET
 from helpers import dense, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -99,6 +99,8 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
         OffEnvironment(),
         OffEnvironment(ratio=oee.true_ratio(target, simulator)),
         OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"),
+        Oracle(target),
+        Oracle(target, evaluation="monte_carlo"),
         ModelBased(),
         DoublyRobust(),
         DoublyRobust(data="rollouts"),
@@ -224,22 +226,6 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
             assert returns.min() - 1e-9 <= plain <= returns.max() + 1e-9
 
 
-@given(rngs)
-def test_the_limit_of_products_is_that_of_their_moments(rng):
-    simulator, target = pair(rng)
-    policy = random_policy(rng, simulator)
-    zeta = oee.transition_ratio(target.transitions * 3.0, simulator, prior="simulator", strength=1.0)
-    for weighting in ("per_decision", "trajectory"):
-        for self_normalized in (False, True):
-            estimator = OffEnvironment(
-                ratio=zeta, evaluation="monte_carlo", weighting=weighting, self_normalized=self_normalized
-            )
-            expected = oee.weighted_return_moments(
-                simulator, zeta, policy, kind=weighting, self_normalized=self_normalized, horizon=4
-            ).mean
-            assert_allclose(estimator.limit(simulator, target, policy, horizon=4), expected, rtol=1e-9, atol=1e-9)
-
-
 def test_the_quotients_limit_is_clipped():
     """A target far outside the box: beta is clipped, the limit is not the truth and is what the population program gives."""
     simulator, target = oee.tasks.gridworld(3, 0.9, discount=0.9), oee.tasks.gridworld(3, 0.01, discount=0.9)
@@ -272,19 +258,6 @@ def test_doubly_robust_on_episodes_with_the_truth_needs_no_luck():
     blend = Magic(ratio=oee.true_ratio(target, simulator))(problem, policy, seed=0)
     assert abs(blend.value - truth) < 4 * np.sqrt(bound / 3000)
     assert blend.diagnostics["share_of_model"] > 0.5
-
-
-def test_a_truncated_episode_goes_on_as_the_model():
-    """Episodes cut after one step, no horizon: V(s) + rho (r + gamma V(s') - Q), by hand."""
-    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
-    behavior, policy = oee.uniform_policy(simulator), oee.tasks.gridworld_expert(3)
-    log = oee.sample_episodes(target, behavior, 50, 1, seed=0)
-    zeta = oee.true_ratio(target, simulator)
-    problem = oee.Problem(simulator, log, behavior_policy=behavior)
-    v, q = oee.state_values(target, policy), oee.action_values(target, policy)
-    s, a, j = log.state, log.action, log.next_state
-    by_hand = v[s] + policy[s, a] / 0.25 * (log.reward + 0.9 * v[j] - q[s, a])
-    assert_allclose(DoublyRobust(data="episodes", ratio=zeta)(problem, policy).value, by_hand.mean(), rtol=1e-10)
 
 
 def test_a_ratio_that_diverges_is_a_status():
@@ -334,16 +307,9 @@ BAD = {
         lambda: DualDice()(oee.Problem(GRID, LOG, horizon=3), UNIFORM),
         "horizon must be None for DualDICE, .*; it is 3",
     ),
-    "weights without episodes": (
-        lambda: DoublyRobust(self_normalized=True),
-        "self_normalized must be False with data 'transitions': it is for episodes",
-    ),
-    "an unknown data": (lambda: DoublyRobust(data="log"), "data must be one of 'transitions', 'rollouts', 'episodes'"),
-    "an unknown weight": (lambda: DoublyRobust(weights="rho"), "weights must be one of 'occupancy', 'beta'; got 'rho'"),
     "an unknown ratio": (lambda: Marginalized(ratio="beta"), "ratio must be one of"),
     "an empty box": (lambda: Marginalized(lower=2.0, upper=1.0), "lower must not exceed upper; they are 2 and 1"),
     "a bound in words": (lambda: Marginalized(upper="wide"), "upper must be"),
-    "no lengths": (lambda: Magic(n_lengths=0), "n_lengths must be a positive integer; it is 0"),
     "a bag for episodes": (
         lambda: DoublyRobust(data="episodes")(oee.Problem(GRID, oee.Transitions([0], [0], [0])), UNIFORM),
         "importance sampling needs whole episodes",
@@ -396,87 +362,3 @@ def test_bad_arguments_of_limits(estimator, name):
     arguments = {"simulator": SIMULATOR, "target": TARGET, "policy": POLICY} | changed
     with pytest.raises(ValueError, match=text):
         estimator.limit(**arguments)
-
-
-@pytest.mark.parametrize("horizon", [None, 4])
-@pytest.mark.parametrize("form", [2, 3])
-def test_limits_where_the_data_miss_a_row(form, horizon):
-    """The fallbacks of the model: the row stays where it is and pays r(s, a, s), else r(s, a); or moves as the simulator."""
-    simulator, target = environments(form)
-    share = FULL.copy()
-    share[1, 0], share[1, 1] = 0.0, 0.25
-    rows, options = dense(target)[0].copy(), {"data_distribution": share, "horizon": horizon}
-    pay = target.rewards.copy()
-    own = simulator.transition_rewards
-    pay[1, 0] = simulator.rewards[1, 0] if own is None else own[[2]].toarray()[0, 1]
-    rows[1, 0] = np.eye(4)[1]
-    stay = FiniteMDP(rows, pay, simulator.initial, simulator.discount)
-    limit = ModelBased().limit(simulator, target, POLICY, **options)
-    assert_allclose(limit, oee.policy_value(stay, POLICY, horizon=horizon), rtol=1e-12)
-    rows[1, 0] = dense(simulator)[0][1, 0]
-    moves = oee.policy_value(simulator.with_transitions(rows), POLICY, horizon=horizon)
-    assert_allclose(ModelBased("simulator").limit(simulator, target, POLICY, **options), moves, rtol=1e-12)
-    if horizon is None:
-        assert_allclose(DualDice().limit(simulator, target, POLICY, data_distribution=share), moves, rtol=1e-12)
-    assert_allclose(
-        Simulator().limit(simulator, target, POLICY, **options), oee.policy_value(simulator, POLICY, horizon=horizon)
-    )
-
-
-def test_the_oracle_s_limit_is_its_own_target_s():
-    simulator, target = environments()
-    zeta = oee.true_ratio(target, simulator)
-    assert_allclose(Oracle(target).limit(simulator, simulator, POLICY), oee.policy_value(target, POLICY))
-    assert_allclose(
-        Oracle(target).limit(simulator, simulator, POLICY, horizon=3), oee.policy_value(target, POLICY, horizon=3)
-    )
-    oracle = Oracle(target, "monte_carlo", "trajectory", self_normalized=True)
-    expected = oee.weighted_return_moments(simulator, zeta, POLICY, kind="trajectory", self_normalized=True, horizon=3)
-    assert_allclose(oracle.limit(simulator, simulator, POLICY, horizon=3), expected.mean, rtol=1e-10)
-
-
-def test_limits_of_importance_sampling_without_the_finished():
-    """gamma^t E[rho r_t] / E[rho 1{going at t}], term by term."""
-    simulator, target = environments(2)
-    transitions, alive = dense(target)[0], np.array([1.0, 1, 1, 0])
-    found, reached = 0.0, target.initial
-    for t in range(5):
-        paid = reached @ (POLICY * target.rewards).sum(axis=1)
-        found += 0.9**t * paid / (reached @ alive)
-        reached = np.einsum("s,sa,sat->t", reached, POLICY, transitions)
-    estimator = ImportanceSampling(self_normalized=True, ragged="zero")
-    limit = estimator.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
-    assert_allclose(limit, found, rtol=1e-12)
-    guessed = ImportanceSampling(self_normalized=True, ragged="zero", behavior="estimated")
-    assert_allclose(guessed.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5), found, rtol=1e-12)
-    assert_allclose(estimator.limit(simulator, target, POLICY, horizon=5), found, rtol=1e-12)  # any policy with support
-    lacking = BEHAVIOR.copy()
-    lacking[1] = [1.0, 0.0]  # what it never does is lost: weights there are 0
-    kept = POLICY * (lacking > 0)
-    found, reached = 0.0, target.initial
-    for t in range(5):
-        found += 0.9**t * (reached @ (kept * target.rewards).sum(axis=1)) / (reached @ (alive * kept.sum(axis=1)))
-        reached = np.einsum("s,sa,sat->t", reached, np.where(alive[:, None] > 0, kept, POLICY), transitions)
-    assert_allclose(estimator.limit(simulator, target, POLICY, behavior_policy=lacking, horizon=5), found, rtol=1e-12)
-    for options in ({"kind": "trajectory"}, {"ragged": "pad"}):
-        other = ImportanceSampling(**({"self_normalized": True, "ragged": "zero"} | options))
-        limit = other.limit(simulator, target, POLICY, behavior_policy=BEHAVIOR, horizon=5)
-        assert_allclose(limit, oee.policy_value(target, POLICY, horizon=5), rtol=1e-12)
-
-
-def test_the_limit_on_episodes_without_support_is_what_the_model_makes_of_the_rest():
-    """D = V + sum over the actions that are taken of pi (r + gamma P' D' - Q), backwards."""
-    simulator, target = environments(2)
-    lacking = BEHAVIOR.copy()
-    lacking[1] = [1.0, 0.0]
-    kept = np.where(lacking > 0, POLICY, 0.0)
-    ahead = np.zeros(4)
-    for left in range(1, 5):
-        v, q = (f(simulator, POLICY, horizon=left) for f in (oee.state_values, oee.action_values))
-        ahead = v + (kept * (target.rewards + 0.9 * dense(target)[0] @ ahead - q)).sum(axis=1)
-    options = {"behavior_policy": lacking, "horizon": 4}
-    estimator = DoublyRobust(data="episodes", ratio=oee.true_ratio(simulator, simulator))
-    assert_allclose(estimator.limit(simulator, target, POLICY, **options), target.initial @ ahead, rtol=1e-10)
-    truth = oee.policy_value(target, POLICY, horizon=4)
-    assert abs(target.initial @ ahead - truth) > 1e-3
-    assert_allclose(estimator.limit(simulator, target, POLICY, horizon=4), truth)

@@ -21,31 +21,24 @@ from oee_tabular.estimators.names import default_names, named_estimators
 
 def test_short_names_and_what_they_stand_for():
     _, target = environments()
-    expected = {
-        "simulator": Simulator(),
-        "oee": OffEnvironment(),
-        "oee-product": OffEnvironment(evaluation="monte_carlo"),
-        "oee-product-sn": OffEnvironment(evaluation="monte_carlo", self_normalized=True),
-        "oee-trajectory": OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
-        "ratio-of-ratios": OffEnvironment(ratio="ratio_of_ratios"),
-        "model-based": ModelBased(),
-        "is": ImportanceSampling(kind="trajectory"),
-        "wis": ImportanceSampling(kind="trajectory", self_normalized=True),
-        "pdis": ImportanceSampling(),
-        "wpdis": ImportanceSampling(self_normalized=True),
-        "dr": DoublyRobust(),
-        "dr-beta": DoublyRobust(weights="beta"),
-        "dr-rollouts": DoublyRobust(data="rollouts"),
-        "dr-episodes": DoublyRobust(data="episodes"),
-        "wdr": DoublyRobust(data="episodes", self_normalized=True),
-        "magic": Magic(),
-        "marginalized": Marginalized(),
-        "dualdice": DualDice(),
-        "oracle": Oracle(target),
-        "oracle-product": Oracle(target, evaluation="monte_carlo"),
-    }
-    named = named_estimators(list(expected), target)
-    assert {name: repr(estimator) for name, estimator in named.items()} == {k: repr(v) for k, v in expected.items()}
+    expected = [
+        Simulator(), OffEnvironment(), OffEnvironment(evaluation="monte_carlo"),
+        OffEnvironment(evaluation="monte_carlo", self_normalized=True),
+        OffEnvironment(evaluation="monte_carlo", weighting="trajectory"), OffEnvironment(ratio="ratio_of_ratios"),
+        ModelBased(), ImportanceSampling(kind="trajectory"), ImportanceSampling(kind="trajectory", self_normalized=True),
+        ImportanceSampling(), ImportanceSampling(self_normalized=True), DoublyRobust(), DoublyRobust(weights="beta"),
+        DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"), DoublyRobust(data="episodes", self_normalized=True),
+        Magic(), Marginalized(), DualDice(), Oracle(target), Oracle(target, evaluation="monte_carlo"),
+    ]  # fmt: skip
+    names = [
+        "simulator", "oee", "oee-product", "oee-product-sn", "oee-trajectory", "ratio-of-ratios", "model-based", "is", "wis",
+        "pdis", "wpdis", "dr", "dr-beta", "dr-rollouts", "dr-episodes", "wdr", "magic", "marginalized", "dualdice", "oracle",
+        "oracle-product",
+    ]  # fmt: skip
+    named = named_estimators(names, target)
+    assert {name: repr(estimator) for name, estimator in named.items()} == dict(
+        zip(names, map(repr, expected), strict=True)
+    )
     with pytest.raises(ValueError, match=r"^estimators must be among simulator, oee, .*, dualdice, oracle, oracle-product; "
                                          r"got 'q'$"):  # fmt: skip
         named_estimators(["q"])
