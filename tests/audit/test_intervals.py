@@ -175,7 +175,6 @@ def test_path_bounds_by_every_path(form):
 
 @pytest.mark.parametrize("value", [1.0 + 5e-10, -5e-10, 0.4])
 def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_goes_with_it(value):
-    simulator, _, log, policy = tiny(0)
     estimate = oee.Estimate(value, model_value=value)
     sure = inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
     found = quoted(estimate, sure, 0.95)
