@@ -68,7 +68,11 @@ class Rows:
 
     def blocks(self) -> Iterator[Rows]:
         """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a block stays small."""
-        ends = np.arange(1, max(1, round(int(self.indptr[-1]) / BLOCK))) * BLOCK
+        n_blocks = max(1, round(int(self.indptr[-1]) / BLOCK))
+        if n_blocks == 1:
+            yield self
+            return
+        ends = np.arange(1, n_blocks) * BLOCK
         for first, last in itertools.pairwise(np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])):
             low, high = (int(x) for x in self.indptr[[first, last]])
             yield self._part(slice(first, last), slice(low, high), self.indptr[first : last + 1] - low)

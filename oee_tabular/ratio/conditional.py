@@ -24,7 +24,7 @@ from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.features import feature_array, warn_of_rank
 from oee_tabular.ratio.method import Given, Method, Population
 from oee_tabular.ratio.network import Network, check_network
-from oee_tabular.ratio.prior.directions import feature_directions, make_directions, values_in
+from oee_tabular.ratio.prior.directions import add_values, feature_directions, make_directions, values_in
 from oee_tabular.ratio.prior.ridge import Ridge as Tilt
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
@@ -230,21 +230,33 @@ def _along_features(given: Given, method: Conditional) -> _Prior:
 
 def _along_all(given: Given, method: Conditional) -> _Prior:
     """The tilt along all directions, shrunk by evidence."""
-    features, details = _features(given, method)
     rows = given.visited
     if not (np.diff(rows.indptr) > 1).any():
         return _simulator(given, method)
-    counts, kind = given.observed[rows.entries], given.once(_kinds)[rows.number]
+    features, details = _features(given, method)
+    tilt = _without_values(given, features) if features is not None else given.once(_without_values)
     values = values_in(given.simulator, given.policies, given.horizon)
-    none = np.zeros((len(given.observed), 0))
-    directions = make_directions(given.simulator, rows, values, none if features is None else features)
-
-    def kappa(model: Array) -> Array:
-        return choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row  # which weights do not notice
-
-    tilt = fit_ridge(directions, rows, counts, kappa, solver=method.solver)
+    if values or method.solver != "dual":
+        directions = add_values(tilt.directions, values) if values else tilt.directions
+        kappa = _choice_of_kappa(given)
+        tilt = fit_ridge(directions, rows, given.observed[rows.entries], kappa, start=tilt, solver=method.solver)
     details |= {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
     return _of_strength(given, method, tilt.at, tilt, details, "tilt")
+
+
+def _without_values(given: Given, features: Array | None = None) -> Tilt:
+    """What no policy changes: the tilt along all directions but V."""
+    rows = given.visited
+    none = np.zeros((len(given.observed), 0))
+    directions = make_directions(given.simulator, rows, none if features is None else features)
+    return fit_ridge(directions, rows, given.observed[rows.entries], _choice_of_kappa(given))
+
+
+def _choice_of_kappa(given: Given) -> Callable[[Array], Array]:
+    """kappa of the visited rows around given ones, as far as weights notice."""
+    rows = given.visited
+    counts, kind = given.observed[rows.entries], given.once(_kinds)[rows.number]
+    return lambda model: choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
 
 
 def _features(given: Given, method: Conditional) -> tuple[Array | None, dict[str, Any]]:

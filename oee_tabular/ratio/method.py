@@ -47,8 +47,9 @@ class Given:
 
     @cached_property
     def visited(self) -> Rows:
-        """The rows that the log has."""
-        return self.rows.select(self.rows.sums(self.observed) > 0)
+        """The rows that the log has, the same object for all fits that share ``made``."""
+        rows: Rows = self.once(_visited)
+        return rows
 
     def once(self, make: Callable[..., Any], *arguments: Any) -> Any:
         """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""
@@ -74,6 +75,10 @@ class Given:
             details=details,
             _influence=influence,
         )
+
+
+def _visited(given: Given) -> Rows:
+    return given.rows.select(given.rows.sums(given.observed) > 0)
 
 
 @dataclass(frozen=True, eq=False)

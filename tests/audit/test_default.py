@@ -124,19 +124,22 @@ class Own:
 
     def prior(self):
         """The tilted rows, theta and the strengths by group."""
-        features, groups = self.features()
+        every, groups = self.features()
         names = sorted(set(groups))
-        member = np.array([names.index(group) for group in groups])
+        group_of = np.array([names.index(group) for group in groups])
+        plain = np.array([group[0] != "V" for group in groups])
         theta, level, model = np.zeros(len(groups)), np.ones(len(names)), self.rows
-        for rounds in (6, 3):
+        for rounds, used in ((6, plain), (3, plain), (6, plain | True)):  # first what no policy changes
             kappa, n = self.coarse_kappa(model), self.n.sum(axis=1)
             weight = np.minimum((1 + kappa) / (n + kappa), 1.0)
+            features, member = every[used], group_of[used]
             for _ in range(rounds):
-                theta, bend, _ = self.fit(features, weight, level[member], theta)
+                theta[used], bend, _ = self.fit(features, weight, level[member], theta[used])
                 told = 1 - level[member] * np.diag(np.linalg.inv(bend))
-                level = (0.25 + np.bincount(member, told)) / np.maximum(np.bincount(member, theta**2), 1e-300)
-                level = np.clip(level, 1.0, 1e6)
-            theta, _, model = self.fit(features, weight, level[member], theta)
+                size = np.bincount(member, theta[used] ** 2, len(names))
+                new = np.clip((0.25 + np.bincount(member, told, len(names))) / np.maximum(size, 1e-300), 1.0, 1e6)
+                level[np.unique(member)] = new[np.unique(member)]
+            theta[used], _, model = self.fit(features, weight, level[member], theta[used])
         return model, dict(zip(names, level, strict=True))
 
     def coarse_kappa(self, model):

@@ -341,7 +341,7 @@ BAD = {
     "values for the tilt": ({"values_of": POLICY, "prior": "tilt"}, r"^values_of must .* 'tilt'"),
     "values for nothing": ({"values_of": POLICY, "prior": "none"}, r"^values_of must .* 'none'"),
     "values for another method": ({"values_of": POLICY, "method": "joint"}, r"^values_of must .* 'joint'"),
-    "a horizon for another method": ({"horizon": 5, "method": "linear"}, r"^horizon must .* 'linear'"),
+    "a horizon for another method": ({"horizon": 5, "method": "joint"}, r"^horizon must .* 'joint'"),
     "features of nothing": (
         {"features": np.ones(16), "prior": "none"},
         r"^features must be left out with prior 'none'",

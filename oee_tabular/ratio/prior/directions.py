@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,14 +27,14 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import state_values
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import DIGITS, Rows, distinct_rows, round_displacements
+from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
 
 N_STEPS = 24  # displacements that are directions of their own
 ALL_PAIRS = 4  # coordinates up to which each displacement is multiplied by each coordinate of s; beyond, by its own
 
 
-GROUPS = ("log P", "V", "drift", "drift at s", "features", "steps")
+GROUPS = ("log P", "drift", "drift at s", "features", "V", "steps")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,29 +46,49 @@ class Directions:
     names : (d,) of the columns; ``group`` : (d,) their places in ``GROUPS``
     simulator : FiniteMDP
     powers : how many powers of log P
-    ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
-    rewards : (entries,) r(s, a, s') in the same scale, or None
     places : (S, c) the coordinates of the states, standardised; ``steps`` : (k, c) the displacements with a column of their own
     features : (entries, f) the user's
+    ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
+    rewards : (entries,) r(s, a, s') in the same scale, or None
+    without : the directions that no policy changes; None of themselves
     """
 
     names: tuple[str, ...]
     group: IntArray
     simulator: FiniteMDP
     powers: int
-    ahead: Array
-    rewards: Array | None
     places: Array
     steps: Array
     features: Array
+    ahead: Array
+    rewards: Array | None = None
+    without: Directions | None = None
+    _kept: dict[int, tuple[Rows, Columns]] = field(default_factory=dict, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_kept": {}}
 
     def columns(self, rows: Rows) -> Columns:
-        """The columns at the entries of ``rows``, each but the indicators less its mean in its row under the simulator."""
+        """The columns at the entries of ``rows``, each but the indicators less its mean in its row under the simulator.
+
+        Those of a small simulator are kept for the fits of other policies.
+        """
+        if self.without is not None:
+            base, *rest = self.without.columns(rows)
+            ahead = self.simulator.discount * self.ahead[rows.arrival]
+            ahead = ahead if self.rewards is None else ahead + self.rewards[rows.entries][:, None]
+            return Columns(np.concatenate([base, rows.center(ahead)], axis=1), *rest)
+        kept = self._kept.get(id(rows))
+        if kept is None:
+            kept = rows, self._columns(rows)
+            if len(self.features) <= BLOCK:
+                self._kept[id(rows)] = kept
+        return kept[1]
+
+    def _columns(self, rows: Rows) -> Columns:
+        """All but V."""
         logs = np.log(rows.weights)
         parts = [logs[:, None], (logs * logs)[:, None]][: self.powers]
-        if self.ahead.shape[1]:
-            ahead = self.simulator.discount * self.ahead[rows.arrival]
-            parts.append(ahead if self.rewards is None else ahead + self.rewards[rows.entries][:, None])
         code = np.full(len(rows.arrival), -1)
         if self.places.shape[1]:
             start = rows.spread(self.places[rows.state])
@@ -88,14 +108,13 @@ def _products(drift: Array, start: Array) -> Array:
     return np.asarray((drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1))
 
 
-def make_directions(simulator: FiniteMDP, visited: Rows, values: Sequence[Array], features: Array) -> Directions:
-    """Directions of all groups.
+def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Directions:
+    """Directions of all groups but V.
 
     Parameters
     ----------
     simulator : FiniteMDP
     visited : the rows with data, in which displacements are counted
-    values : V_pi in the simulator, (S,) of each policy whose value matters
     features : (entries, f), f = 0 without any
 
     Notes
@@ -108,20 +127,15 @@ def make_directions(simulator: FiniteMDP, visited: Rows, values: Sequence[Array]
     mass = np.bincount(kind, weights=visited.weights) / len(visited)
     steps = np.ascontiguousarray(kinds[np.argsort(-np.round(mass, 12), kind="stable")[:N_STEPS]])
     n_products = _products(drift[:1], places[:1]).shape[1]
-    names = (
+    names: tuple[list[str], ...] = (
         ["log P", "(log P)^2"],
-        ["V"] if len(values) == 1 else [f"V of policy {k + 1}" for k in range(len(values))],
         [f"drift {k}" for k in range(places.shape[1])],
         [f"drift at s {k}" for k in range(n_products)],
         [f"feature {k}" for k in range(features.shape[1])],
+        [],
         [f"step {_in_words(step * size)}" for step in steps],
     )
-    pay = simulator.reward_data
-    ahead = np.array(values).reshape(len(values), simulator.n_states).T
-    largest = max(float(np.abs(x).max(initial=0.0)) for x in (ahead, ahead if pay is None else pay))
-    unit = max(largest, 1e-300)
-    rewards = None if pay is None else pay / unit
-    return _directions(names, simulator, ahead / unit, rewards, places, steps, features)
+    return _directions(names, simulator, places, steps, features)
 
 
 def feature_directions(simulator: FiniteMDP, features: Array | None) -> Directions:
@@ -129,15 +143,30 @@ def feature_directions(simulator: FiniteMDP, features: Array | None) -> Directio
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
     none: list[str] = []
     own = [f"feature {k}" for k in range(given.shape[1])]
-    names = (["log P"] if features is None else none, none, none, none, own, none)
-    nowhere = np.zeros((simulator.n_states, 0))
-    return _directions(names, simulator, nowhere, None, nowhere, np.zeros((0, 0)), given)
+    names = (["log P"] if features is None else none, none, none, own, none, none)
+    return _directions(names, simulator, np.zeros((simulator.n_states, 0)), np.zeros((0, 0)), given)
 
 
-def _directions(names: tuple[list[str], ...], simulator: FiniteMDP, *parts: Any) -> Directions:
+def _directions(
+    names: tuple[list[str], ...], simulator: FiniteMDP, places: Array, steps: Array, features: Array
+) -> Directions:
     """Directions with the columns ``names`` of each group."""
     group = np.repeat(np.arange(len(GROUPS)), [len(own) for own in names])
-    return Directions(tuple(itertools.chain(*names)), group, simulator, len(names[0]), *parts)
+    columns, nothing_ahead = tuple(itertools.chain(*names)), np.zeros((simulator.n_states, 0))
+    return Directions(columns, group, simulator, len(names[0]), places, steps, features, nothing_ahead)
+
+
+def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
+    """The directions, and V of each policy whose value matters, ``values`` (S,) in the simulator."""
+    simulator = directions.simulator
+    ahead, pay = np.stack(values, axis=1), simulator.reward_data
+    unit = max(*(float(np.abs(x).max()) for x in (ahead, ahead if pay is None else pay)), 1e-300)
+    rewards = None if pay is None else pay / unit
+    own = ["V"] if len(values) == 1 else [f"V of policy {k + 1}" for k in range(len(values))]
+    at = len(directions.names) - len(directions.steps)
+    names = (*directions.names[:at], *own, *directions.names[at:])
+    group = np.insert(directions.group, at, np.full(len(own), GROUPS.index("V")))
+    return replace(directions, names=names, group=group, ahead=ahead / unit, rewards=rewards, without=directions)
 
 
 def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:

@@ -19,6 +19,8 @@ strengths maximise the evidence by MacKay's rule [2],
 within [1, 1e6], where c = 1/4 is the hyperprior lambda^(c/2 - 1). With c = 0, which is MacKay's rule, 1/4 and 1 the error
 where the simulator is right is about .5, .4 and .2 of maximum likelihood's; where it is not, harm grows with c.
 
+The directions that no policy changes are fitted first, once for a log; with V of a policy the fit goes on from there.
+
 f'' has the shape of an arrow: with G_a the weighted covariances of phi over the rows of action a and L_a the penalty's
 diagonal, its blocks are L_0 + sum_a G_a, beside it G_a, and G_a + L_a.
 
@@ -50,7 +52,7 @@ from oee_tabular.ratio.prior._ridge import (
 from oee_tabular.ratio.prior.directions import GROUPS, Directions
 from oee_tabular.ratio.statements import TiltProgram
 
-ROUNDS = 6, 3  # of MacKay's rule, for kappa around the simulator, then for kappa around the tilt; more change nothing
+ROUNDS = 6, 3  # of MacKay's rule, for kappa around the first rows, then for kappa around the tilt; more change nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,7 @@ def fit_ridge(
     choose_kappa: Callable[[Array], Array] | None,
     *,
     by_evidence: bool = True,
+    start: Ridge | None = None,
     solver: str = "dual",
 ) -> Ridge:
     """Fit theta and the strengths to counts.
@@ -121,6 +124,7 @@ def fit_ridge(
     rows : those that the log has visited; counts : (entries,) theirs
     choose_kappa : (rows,) kappa around given rows (entries,); None: every transition counts once, rows have no misfits
     by_evidence : whether each group has its strength by evidence, and directions for each action alone; else all are 1
+    start : a fit to the same counts along these directions without V, to go on from
     solver : "dual", or a cvxpy solver for theta at the strengths that were found
 
     Notes
@@ -132,8 +136,12 @@ def fit_ridge(
     scale = _root_mean_squares(columns, rows)[:n_blocks]
     theta = np.zeros((1 + n_actions, scale.shape[1]))
     strengths = np.ones((2, len(GROUPS)))
-    model, n = rows.weights, rows.sums(counts)
-    for n_rounds in ROUNDS if by_evidence else (0,):
+    model, n, rounds = rows.weights, rows.sums(counts), ROUNDS if by_evidence else (0,)
+    if start is not None:
+        theta[:, directions.group != GROUPS.index("V")] = start.theta
+        strengths, model, rounds = start.strengths.copy(), start.at(rows), ROUNDS[:1]
+        strengths[:, GROUPS.index("V")] = 1.0
+    for n_rounds in rounds:
         weight = np.ones(len(rows))
         if choose_kappa is not None:
             kappa = choose_kappa(model)
