@@ -17,14 +17,11 @@ from oee_tabular.design.plan import Outlook, Plan
 from oee_tabular.design.programs import (
     LARGEST_GAP,
     Design,
-    FlowProgram,
-    FreeProgram,
     Solver,
     behavior_of,
     collection_mdp,
     evaluate,
-    fill,
-    solve,
+    solve_for_all,
 )
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
@@ -128,14 +125,16 @@ def plan_data_collection(
     found = row_costs(mdp, truth, pis, counts, horizon=steps, box=box, confidence=level, optimistic=optimistic)
     collection = None
     if sampling == "behavior":
-        chance = _restart_probability(restart, mdp.discount, steps)
+        chance = 1.0 / steps if steps is not None and mdp.discount == 1.0 else 1.0 - mdp.discount
+        if restart is not None:
+            chance = _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
         collection = collection_mdp(truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
     base, costs = counts / number, found.table / number
     matters = costs.max(axis=1) > 0.0
     least, free = np.zeros(len(pis)), np.zeros(len(pis))
     if matters.any():
-        policies_that_matter = [pi for pi, does in zip(pis, matters, strict=True) if does]
-        design, least[matters], free[matters] = _solve(costs[matters], base, collection, policies_that_matter, solver)
+        uncertain = [pis[k] for k in np.flatnonzero(matters)]
+        design, least[matters], free[matters] = solve_for_all(costs[matters], base, collection, uncertain, solver)
         status = "ok"
         if design.gap > LARGEST_GAP:
             status = f"not finished: another plan may be better by up to {design.gap:.1%} of the variance"
@@ -169,24 +168,6 @@ def plan_data_collection(
         status=status,
         names=mdp.names,
     )
-
-
-def _solve(
-    costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
-) -> tuple[Design, Array, Array]:
-    """The design, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
-    free = np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
-    if collection is None:
-        return solve(FreeProgram(costs / free[:, None], base), policies, solver), free, free
-    alone = [
-        solve(FlowProgram(c[None] / f, base, collection), [pi], solver)
-        for c, f, pi in zip(costs, free, policies, strict=True)
-    ]
-    least = free * np.array([design.value for design in alone])
-    if len(policies) == 1:
-        return alone[0], least, free
-    starts = [*policies, *(behavior_of(design.q, policies[0].shape) for design in alone)]
-    return solve(FlowProgram(costs / least[:, None], base, collection), starts, solver), least, free
 
 
 def _counts_and_simulator(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
@@ -225,9 +206,3 @@ def _check_model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) ->
     if model == "simulator" or isinstance(problem, FiniteMDP):
         return mdp, "the simulator"
     return transition_ratio(problem.observed, problem.simulator).target_model(mdp), "the estimate from the log"
-
-
-def _restart_probability(restart: float | None, discount: float, horizon: int | None) -> float:
-    if restart is not None:
-        return _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
-    return 1.0 / horizon if horizon is not None and discount == 1.0 else 1.0 - discount

@@ -60,13 +60,8 @@ def row_costs(
         for start in range(0, len(rows), N_ROWS_AT_A_TIME):
             part = rows[start : start + N_ROWS_AT_A_TIME]
             entries, inside = _entries_of(model.transitions, part)
-            low, high = _bounds(
-                np.where(inside, reference[entries], 0.0),
-                np.where(inside, probability[entries], 0.0),
-                box,
-                counts[part],
-                confidence,
-            )
+            weights, sure = (np.where(inside, x[entries], 0.0) for x in (reference, probability))
+            low, high = _bounds(weights, sure, box, counts[part], confidence)
             values = np.where(inside, gradient[entries], gradient[entries[:, :1]])
             table[k, part] = largest_variance(values, low, high)
         rounding = max(ROUNDING[0] * table[k].max(initial=0.0), ROUNDING[1] * np.abs(gradient).max(initial=0.0) ** 2)

@@ -161,13 +161,10 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """What ``str`` says, as plain values; states and actions by name where there are names."""
-        names = {"state": self.names.states, "action": self.names.actions}
 
-        def pair(*numbers: int) -> dict[str, Any]:
-            return {
-                key: int(k) if names[key] is None else name_text(names[key], k)
-                for key, k in zip(names, numbers, strict=True)
-            }
+        def pair(s: int, a: int) -> dict[str, Any]:
+            numbers = {"state": (self.names.states, s), "action": (self.names.actions, a)}
+            return {key: int(k) if names is None else name_text(names, k) for key, (names, k) in numbers.items()}
 
         return {
             "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,

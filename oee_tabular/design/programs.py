@@ -213,13 +213,28 @@ class FlowProgram:
 Program = FreeProgram | FlowProgram
 
 
+def solve_for_all(
+    costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
+) -> tuple[Design, Array, Array]:
+    """The design, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
+    free = np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
+    scaled = costs / free[:, None]
+    if collection is None:
+        return solve(FreeProgram(scaled, base), policies, solver), free, free
+    alone = [solve(FlowProgram(scaled[[k]], base, collection), [pi], solver) for k, pi in enumerate(policies)]
+    least = free * np.array([design.value for design in alone])
+    if len(policies) == 1:
+        return alone[0], least, free
+    starts = [*policies, *(behavior_of(design.q, policies[0].shape) for design in alone)]
+    return solve(FlowProgram(costs / least[:, None], base, collection), starts, solver), least, free
+
+
 def solve(program: Program, policies: list[Array], solver: Solver) -> Design:
     """Solve by the solver asked for; "auto": by Clarabel up to 2000 rows, by columns above, and where it was not close."""
     columns, designs = program.start(policies), []
-    is_small = len(program.base) <= N_CONIC_ROWS and not program.is_closed_form
     if solver == "CLARABEL":
         return solve_by_clarabel(program)
-    if solver == "auto" and is_small:
+    if solver == "auto" and len(program.base) <= N_CONIC_ROWS and not program.is_closed_form:
         with contextlib.suppress(SolverStatusError):
             designs.append(solve_by_clarabel(program))
     if not designs or designs[0].gap > TOLERANCE:
