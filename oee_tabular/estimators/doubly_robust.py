@@ -22,7 +22,7 @@ from oee_tabular.estimators.base import (
 )
 from oee_tabular.estimators.episodes import EpisodeTerms, episode_limit, model_values
 from oee_tabular.estimators.model_based import delta_error
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, ratio_claims
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import Model, policy_value, reweight, transition_gradient
@@ -97,13 +97,15 @@ class DoublyRobust(ExactLimit):
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
         if self.data == "rollouts":
             return self._average_rollouts(problem, pi, zeta, generator)
-        terms = EpisodeTerms.of(problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized)
+        terms = EpisodeTerms.from_problem(
+            problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized
+        )
         return terms.estimate(zeta, terms.total, terms.error)
 
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
-        known = of_ratio(self.ratio)
+        known = ratio_claims(self.ratio)
         if self.data == "transitions":  # with "beta" no zeta is fitted
             return known | {"shift"} if self.weights == "occupancy" else OF_COUNTS | {"identical", "shift"}
         if self.data == "rollouts":

@@ -31,7 +31,7 @@ class Episodes(NamedTuple):
     is_over: BoolArray
 
     @classmethod
-    def of(cls, problem: Problem) -> Episodes:
+    def from_problem(cls, problem: Problem) -> Episodes:
         """Those of ``problem.recorded``."""
         log = problem.recorded
         if log.episode_starts is None:
@@ -103,9 +103,9 @@ class EpisodeTerms:
     partial: Array
 
     @classmethod
-    def of(cls, problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
+    def from_problem(cls, problem: Problem, policy: Array, model: Model, *, self_normalized: bool) -> EpisodeTerms:
         """The terms, nan where the weights to divide by are all 0."""
-        log, starts, lengths, is_over = Episodes.of(problem)
+        log, starts, lengths, is_over = Episodes.from_problem(problem)
         n, steps, gamma = len(lengths), int(lengths.max()), model.discount
         v, q = model_values(model, policy, problem.horizon, steps)
         t, used = np.arange(steps)[:, None], np.minimum(np.arange(steps + 1)[:, None], lengths)

@@ -75,7 +75,7 @@ class ImportanceSampling(ExactLimit):
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Exact given the log; ``seed`` is not used."""
         pi = require_policy(problem, policy)
-        episodes = Episodes.of(problem)
+        episodes = Episodes.from_problem(problem)
         log, n = episodes.log, len(episodes.lengths)
         starts = np.concatenate([[0], np.cumsum(episodes.lengths)])
         step = step_numbers(starts)

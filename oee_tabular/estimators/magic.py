@@ -12,7 +12,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.base import ROUNDING, Estimate, ExactLimit, catch_divergence
 from oee_tabular.estimators.doubly_robust import DoublyRobust
 from oee_tabular.estimators.episodes import EpisodeTerms
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, of_ratio
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, ratio_claims
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rollouts import weight_status
 from oee_tabular.exact import reweight
@@ -65,7 +65,7 @@ class Magic(ExactLimit):
         pi = require_policy(problem, policy)
         generator = _checks.generator(seed)
         zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
-        terms = EpisodeTerms.of(problem, pi, reweight(problem.model, zeta), self_normalized=True)
+        terms = EpisodeTerms.from_problem(problem, pi, reweight(problem.model, zeta), self_normalized=True)
         n, columns = terms.partial.shape
         if n < 2:
             return Estimate(float("nan"), status="the blend needs at least 2 episodes")
@@ -91,7 +91,7 @@ class Magic(ExactLimit):
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
-        return of_ratio(self.ratio) - {"after_end"} | {"consistent", "random"}
+        return ratio_claims(self.ratio) - {"after_end"} | {"consistent", "random"}
 
     def limit_of(self, population: Population) -> float:
         """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""

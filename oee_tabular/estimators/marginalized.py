@@ -15,7 +15,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, catch_divergence, expected_rewards
 from oee_tabular.estimators.model_based import ModelBased
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, of_ratio
+from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, ratio_claims
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import Model, occupancy, reweight
@@ -98,7 +98,7 @@ class Marginalized(ExactLimit):
             model, gap = reweight(problem.model, zeta), max(gap, zeta.gap)
             shift = _occupancy_ratio(model, problem.simulator, pi, problem.horizon)
         else:
-            shift = self._solve_class(problem.simulator, pi, problem.horizon, problem.counts / total, beta)
+            shift = self._solve_class(problem.simulator, pi, problem.counts / total, beta)
         weights = beta * shift
         time = coverage(problem, model, pi, row_sums(problem.counts).reshape(pi.shape))
         return Estimate(
@@ -117,7 +117,7 @@ class Marginalized(ExactLimit):
         """Words of ``testing.CLAIMS``: pairs that the log never visited pay nothing, so that rewards cannot be shifted."""
         if self.features is not None:
             return frozenset({"scale", "infinite"})
-        known = of_ratio(self.ratio) - {"shift"}
+        known = ratio_claims(self.ratio) - {"shift"}
         boxed = self.lower is not None or self.upper is not None
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
@@ -131,7 +131,7 @@ class Marginalized(ExactLimit):
             shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
             transitions = sparse.csr_array(sparse.diags_array(share) @ population.target.transitions)
-            shift = self._solve_class(simulator, policy, horizon, transitions, beta)
+            shift = self._solve_class(simulator, policy, transitions, beta)
         pay = expected_rewards(simulator, population.target.transitions)
         return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * pay))
 
@@ -153,16 +153,17 @@ class Marginalized(ExactLimit):
             beta[recorded], gap = fit.ratio * inside, fit.gap
         return beta, gap
 
-    def _solve_class(
-        self, simulator: FiniteMDP, policy: Array, horizon: int | None, transitions: sparse.csr_array, beta: Array
-    ) -> Array:
+    def _solve_class(self, simulator: FiniteMDP, policy: Array, transitions: sparse.csr_array, beta: Array) -> Array:
         """w = phi theta on (S*A,) by the saddle point; ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
         gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
         phi, names = _pair_features(self.features, simulator)
         share = row_sums(transitions)
-        used = np.flatnonzero((phi[share * beta > 0] != 0.0).any(axis=0))
-        phi, names = phi[:, used], names[used]
-        _refuse_dependent(phi[share * beta > 0], names, " in the pairs that the log and the policy share")
+        shared = share * beta > 0
+        used = np.flatnonzero((phi[shared] != 0.0).any(axis=0))
+        if used.size == 0:
+            return np.zeros(len(phi))
+        phi = phi[:, used]
+        _refuse_dependent(phi[shared], names[used], " in the pairs that the log and the policy share")
         by_state = np.einsum("sa,sad->sd", policy, phi.reshape(*shape, -1))
         ahead = gamma * (transitions @ by_state) - share[:, None] * phi
         matrix = phi.T @ (beta[:, None] * ahead)
@@ -188,7 +189,8 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
     size = shape[0] * shape[1]
     array = features(*np.divmod(np.arange(size), shape[1])) if callable(features) else features
     array = _checks.float_array(array, "features")
-    if array.size == 0 or (array.shape[:2] != shape and len(array) != size) or array.ndim > 3:
+    is_table = array.shape[:2] == shape and array.ndim in (2, 3)
+    if array.size == 0 or not (is_table or (array.ndim in (1, 2) and len(array) == size)):
         raise ValueError(
             f"features must have shape {shape} (+ d), or {size} rows, one for each state-action pair; "
             f"they have shape {array.shape}"

@@ -158,7 +158,7 @@ class OffEnvironment(ExactLimit):
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
-        known = of_ratio(self.ratio)
+        known = ratio_claims(self.ratio)
         return known if self.evaluation == "exact" else product_claims(known, self_normalized=self.self_normalized)
 
     @property
@@ -195,7 +195,7 @@ class OffEnvironment(ExactLimit):
         ).mean  # fmt: skip
 
 
-def of_ratio(ratio: RatioOption) -> frozenset[str]:
+def ratio_claims(ratio: RatioOption) -> frozenset[str]:
     """What the exact value of zeta * P claims by the way zeta is found.
 
     A zeta that is given is right for one pair only; a function promises nothing but that it does not look at rewards.

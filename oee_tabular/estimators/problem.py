@@ -148,15 +148,15 @@ class Problem:
     @property
     def counts(self) -> sparse.csr_array:
         """(S*A, S) counts of the log's moves, or those that were given, without those that were dropped."""
-        return self._kept_and_dropped[0]
+        return self._split_counts[0]
 
     @property
     def dropped(self) -> Array:
         """(S*A,) how many moves of each (s, a) were left out as impossible in the simulator."""
-        return self._kept_and_dropped[1]
+        return self._split_counts[1]
 
     @cached_property
-    def _kept_and_dropped(self) -> tuple[sparse.csr_array, Array]:
+    def _split_counts(self) -> tuple[sparse.csr_array, Array]:
         counts = self._counts
         if counts is None:
             counts = self.log.counts(self.simulator.n_states, self.simulator.n_actions)

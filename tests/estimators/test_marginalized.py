@@ -102,6 +102,8 @@ BAD_FEATURES = {
     "zero": (np.eye(8)[:, [0, 1, 1]] * [1, 1, 0], "column 2 is$"),
     "collinear": (TWINS, r"linearly independent; columns 0, 1, 2 are not \(column 1 is constant\)$"),
     "rows": (np.ones(7), r"features must have shape \(4, 2\) \(\+ d\), or 8 rows, .*; they have shape \(7,\)"),
+    "a number": (3.0, r"features must have shape .* they have shape \(\)"),
+    "axes": (np.ones((8, 2, 2)), r"features must have shape .* they have shape \(8, 2, 2\)"),
     "nan": (np.full((4, 2), np.nan), r"features\[0, 0\] must be finite; it is nan"),
 }
 
@@ -119,6 +121,8 @@ def test_features_that_the_log_does_not_tell_apart_and_problems_without_a_saddle
     apart = np.stack([np.arange(8) % 3 == 0, np.ones(8), np.arange(8) == 5], axis=1)
     with pytest.raises(ValueError, match="in the pairs that the log and the policy share; columns 0, 1 are not"):
         Marginalized(features=apart)(problem, POLICY)
+    elsewhere = Marginalized(features=np.arange(8) == 5)(problem, POLICY)  # 0 in every recorded pair
+    assert (elsewhere.value, elsewhere.diagnostics["mean_weight"]) == (0.0, 0.0)
     with pytest.raises(ValueError, match="horizon must be None with features, for the infinite sum; it is 4"):
         Marginalized(features=ONE_HOT)(recorded_problem(horizon=4)[0], POLICY)
     with pytest.raises(ValueError, match="discount must be below 1 with features; it is 1"):
