@@ -22,7 +22,7 @@ from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.features import feature_array, warn_of_rank
-from oee_tabular.ratio.method import Given, Method, Population
+from oee_tabular.ratio.method import RatioInput, Method, Population
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.directions import add_values, feature_directions, make_directions, values_in
 from oee_tabular.ratio.prior.ridge import Ridge as Tilt
@@ -91,7 +91,7 @@ class Conditional(Method):
     solver: str = "dual"
     functions: Network | None = None
 
-    HEEDS: ClassVar = frozenset({"values_of", "horizon"})
+    USES: ClassVar = frozenset({"values_of", "horizon"})
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
@@ -123,7 +123,7 @@ class Conditional(Method):
     @property
     def uses(self) -> frozenset[str]:
         """The policies' values are directions of the default."""
-        return self.HEEDS if PRIORS[str(self.prior)] is _along_all else frozenset()
+        return self.USES if PRIORS[str(self.prior)] is _along_all else frozenset()
 
     @property
     def refuses(self) -> str:
@@ -136,7 +136,7 @@ class Conditional(Method):
         plain = self.lower is None and self.upper is None and self.ridge == 0.0
         return _with_exact_rows(population, fitted) if plain else fitted
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, rows = given.observed, given.rows
         box = check_box(self.lower, self.upper, normalized=True)
         n_row = rows.sums(observed)
@@ -179,7 +179,7 @@ class Conditional(Method):
         influence = Influence(rows, observed, zeta, bent, share, tilt=prior.tilt)
         return given.ratio(zeta, "conditional", max(gaps), details, influence)
 
-    def _chosen_ridge(self, given: Given, n_row: Array, details: dict[str, Any]) -> Array:
+    def _chosen_ridge(self, given: RatioInput, n_row: Array, details: dict[str, Any]) -> Array:
         """kappa / n_sa of each row, kappa chosen on the data: the quadratic form, to second order, of a Dirichlet prior."""
         assert isinstance(self.ridge, str)
         _checks.one_of(self.ridge, "ridge", CRITERIA)
@@ -209,16 +209,16 @@ class _Prior(NamedTuple):
 _simulated = attrgetter("weights")
 
 
-def _none(given: Given, method: Conditional) -> _Prior:
+def _none(given: RatioInput, method: Conditional) -> _Prior:
     """Nothing: maximum likelihood, the simulator where there are no data."""
     return _Prior(_simulated, np.zeros(given.rows.number.shape), None, {"strength": 0.0})
 
 
-def _simulator(given: Given, method: Conditional) -> _Prior:
+def _simulator(given: RatioInput, method: Conditional) -> _Prior:
     return _of_strength(given, method, _simulated, None, {}, "simulator")
 
 
-def _along_features(given: Given, method: Conditional) -> _Prior:
+def _along_features(given: RatioInput, method: Conditional) -> _Prior:
     """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
     features, details = _features(given, method)
     directions = feature_directions(given.simulator, features)
@@ -228,13 +228,13 @@ def _along_features(given: Given, method: Conditional) -> _Prior:
     return _of_strength(given, method, tilt.at, tilt, details, "tilt")
 
 
-def _along_all(given: Given, method: Conditional) -> _Prior:
+def _along_all(given: RatioInput, method: Conditional) -> _Prior:
     """The tilt along all directions, shrunk by evidence."""
     rows = given.visited
     if not (np.diff(rows.indptr) > 1).any():
         return _simulator(given, method)
     features, details = _features(given, method)
-    tilt = _without_values(given, features) if features is not None else given.once(_without_values)
+    tilt = _without_values(given, features) if features is not None else given.get_or_compute(_without_values)
     values = values_in(given.simulator, given.policies, given.horizon)
     if values or method.solver != "dual":
         directions = add_values(tilt.directions, values) if values else tilt.directions
@@ -244,7 +244,7 @@ def _along_all(given: Given, method: Conditional) -> _Prior:
     return _of_strength(given, method, tilt.at, tilt, details, "tilt")
 
 
-def _without_values(given: Given, features: Array | None = None) -> Tilt:
+def _without_values(given: RatioInput, features: Array | None = None) -> Tilt:
     """What no policy changes: the tilt along all directions but V."""
     rows = given.visited
     none = np.zeros((len(given.observed), 0))
@@ -252,14 +252,14 @@ def _without_values(given: Given, features: Array | None = None) -> Tilt:
     return fit_ridge(directions, rows, given.observed[rows.entries], _choice_of_kappa(given))
 
 
-def _choice_of_kappa(given: Given) -> Callable[[Array], Array]:
+def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
     """kappa of the visited rows around given ones, as far as weights notice."""
     rows = given.visited
-    counts, kind = given.observed[rows.entries], given.once(_kinds)[rows.number]
+    counts, kind = given.observed[rows.entries], given.get_or_compute(_kinds)[rows.number]
     return lambda model: choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
 
 
-def _features(given: Given, method: Conditional) -> tuple[Array | None, dict[str, Any]]:
+def _features(given: RatioInput, method: Conditional) -> tuple[Array | None, dict[str, Any]]:
     """The user's features on the simulator's entries, and their rank; a warning where they are collinear within rows."""
     if method.features is None:
         return None, {}
@@ -279,7 +279,7 @@ PRIORS = {
 
 
 def _of_strength(
-    given: Given,
+    given: RatioInput,
     method: Conditional,
     at: Callable[[Rows], Array],
     tilt: Tilt | None,
@@ -291,7 +291,7 @@ def _of_strength(
         kappa = _checks.number_in(method.strength, "strength", 0.0, np.inf)
         return _Prior(at, np.full(len(given.rows), kappa), tilt, details | {"strength": kappa})
     _checks.one_of(method.strength, "strength", CRITERIA)
-    rows, kind = given.visited, given.once(_kinds)
+    rows, kind = given.visited, given.get_or_compute(_kinds)
     counts = given.observed[rows.entries]
     choice = choose_strength(counts, at(rows), rows, method.strength, kind=kind[rows.number])
     chosen = {
@@ -305,6 +305,6 @@ def _of_strength(
     return _Prior(at, choice.by_kind[kind], tilt, chosen | details)
 
 
-def _kinds(given: Given) -> IntArray:
+def _kinds(given: RatioInput) -> IntArray:
     """The kind of each row; those that none of the log's are of have the first's."""
     return kinds_of_rows(given.observed, given.rows)

@@ -1,7 +1,6 @@
 """The ratio of two distributions by minimising the dual of the KL divergence: eq. 3.6 and 3.7.
 
-References: [1] Nguyen, Wainwright and Jordan, Estimating divergence functionals and the likelihood ratio by convex risk
-minimization, IEEE Trans. Information Theory 56(11), 2010. [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares approach
+Reference ([1] is the room's): [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares approach
 to direct importance estimation, JMLR 10, 2009.
 """
 

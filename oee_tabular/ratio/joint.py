@@ -23,7 +23,7 @@ from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, _joint, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
-from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
+from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
@@ -82,7 +82,7 @@ class Joint(Method):
     data: SimulatorData = field(default=None, repr=False)
     behavior_policy: PolicyLike | None = field(default=None, repr=False)
 
-    HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
+    USES: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
@@ -98,7 +98,7 @@ class Joint(Method):
         """The program's ratio with exact rates on both sides."""
         return super(Joint, replace(self, data=None)).limit(population)
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         counts, rows = given.observed, given.rows
         box, ratio_box = check_box(self.lower, self.upper, normalized=True), self._ratio_box()
         share = rows.sums(simulator_weights(given, self.data, self.behavior_policy))

@@ -33,7 +33,7 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
-from oee_tabular.ratio.method import Given, Method
+from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 
@@ -310,7 +310,7 @@ class InClass(Method):
     def _name(self) -> str:
         return "linear" if self.kernel is None else "kernel"
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, simulator, rows = given.observed, given.simulator, given.rows
         box, q = check_box(self.lower, self.upper, normalized=True), rows.weights
         details: dict[str, object] = {}

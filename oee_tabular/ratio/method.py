@@ -30,7 +30,7 @@ _MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is as
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class RatioInput:
     """What there is to go by, checked: ``observed`` are the counts on the simulator's entries."""
 
     observed: Array
@@ -48,10 +48,10 @@ class Given:
     @cached_property
     def visited(self) -> Rows:
         """The rows that the log has, the same object for all fits that share ``made``."""
-        rows: Rows = self.once(_visited)
+        rows: Rows = self.get_or_compute(_visited)
         return rows
 
-    def once(self, make: Callable[..., Any], *arguments: Any) -> Any:
+    def get_or_compute(self, make: Callable[..., Any], *arguments: Any) -> Any:
         """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""
         key = (make, *arguments)
         if key not in self.made:
@@ -77,7 +77,7 @@ class Given:
         )
 
 
-def _visited(given: Given) -> Rows:
+def _visited(given: RatioInput) -> Rows:
     return given.rows.select(given.rows.sums(given.observed) > 0)
 
 
@@ -134,16 +134,16 @@ class Method:
     ['conditional', 'ratio_of_ratios', 'joint']
     """
 
-    HEEDS: ClassVar[frozenset[str]] = frozenset()  # of values_of, horizon, simulator_data and behavior_policy
+    USES: ClassVar[frozenset[str]] = frozenset()  # of values_of, horizon, simulator_data and behavior_policy
 
     @property
     def uses(self) -> frozenset[str]:
-        """Which of ``HEEDS`` matter with these options."""
-        return self.HEEDS
+        """Which of ``USES`` matter with these options."""
+        return self.USES
 
     @property
     def refuses(self) -> str:
-        """What is said of the others of ``HEEDS``."""
+        """What is said of the others of ``USES``."""
         return "must be left out with these options, which do not use it"
 
     @property
@@ -155,7 +155,7 @@ class Method:
         """ValueError that names an input that is given and that ``fit`` would not look at."""
         for name, value in inputs.items():
             if value is not None and name not in self.uses:
-                reason = self.refuses if name in self.HEEDS else not_used(self._name)
+                reason = self.refuses if name in self.USES else not_used(self._name)
                 raise ValueError(f"{name} {reason}; got {_checks.show(value)}")
 
     @one_thread
@@ -189,7 +189,7 @@ class Method:
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
             raise ValueError("log_or_counts must have at least one move; it has none")
-        given = Given(
+        given = RatioInput(
             observed,
             simulator,
             made[Rows],
@@ -227,7 +227,7 @@ class Method:
             behavior_policy=population.behavior,
         )
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         raise NotImplementedError
 
 

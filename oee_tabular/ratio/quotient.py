@@ -16,7 +16,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.method import Given, Method, Population, SimulatorData
+from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
 from oee_tabular.ratio.network import Network, check_boxed_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
@@ -74,7 +74,7 @@ class Quotient(Method):
     behavior_policy: PolicyLike | None = field(default=None, repr=False)
     functions: Network | None = None
 
-    HEEDS: ClassVar = frozenset({"simulator_data", "behavior_policy"})
+    USES: ClassVar = frozenset({"simulator_data", "behavior_policy"})
 
     @property
     def _name(self) -> str:
@@ -99,7 +99,7 @@ class Quotient(Method):
         exact = replace(self, solver="dual" if trained else self.solver, data=None, functions=None)
         return super(Quotient, exact).limit(population)
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         given = replace(
             given, seed=_checks.generator(given.seed)
         )  # one stream: the simulator's data, then the training
@@ -126,7 +126,7 @@ class Quotient(Method):
         gap = max(moves.gap, pairs.gap)
         return given.ratio(zeta, self._name, gap, details)
 
-    def _beta(self, p: Array, q: Array, cells: tuple[IntArray, ...], given: Given) -> RatioFit:
+    def _beta(self, p: Array, q: Array, cells: tuple[IntArray, ...], given: RatioInput) -> RatioFit:
         """Eq. 3.7 on the cells, whose columns are the row and, for moves, s'."""
         options: dict[str, Any] = {
             "lower": self.lower, "upper": self.upper, "ridge": self.ridge, "toward": self.toward, "seed": given.seed
@@ -144,7 +144,7 @@ def refuse_words(ridge: object, method: str) -> None:
         raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {_checks.show(ridge)}")
 
 
-def estimated_behavior(given: Given) -> Array:
+def estimated_behavior(given: RatioInput) -> Array:
     """(S, A): the share of each action in the counts of its state; uniform in states without counts."""
     pairs = given.rows.sums(given.observed).reshape(given.simulator.n_states, given.simulator.n_actions)
     total = pairs.sum(axis=1, keepdims=True)
@@ -157,7 +157,7 @@ def check_simulator_data(value: object) -> None:
         raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {_checks.show(value)}")
 
 
-def simulator_weights(given: Given, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:
+def simulator_weights(given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:
     """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given.
 
     ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.

@@ -9,7 +9,6 @@ one parameter an entry. Its trace is measured against the exact optimum of the s
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,51 +69,27 @@ class SgdTrace:
 
 
 def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed) -> tuple[Array, SgdTrace]:
-    """g after all iterations, from g = 1, and about fifty points of its trace.
+    """g after all iterations, from g = 1, and its trace at about fifty of them, even in the logarithm of the iteration.
 
-    ``program`` is that of ``dual.kl_coordinates``; 0 < lower, upper finite.
+    ``program`` is that of the KL risk; 0 < lower, upper finite.
     """
     best = dual.solve_free(program, lower, upper)
-    optimum = dual.objective(best, program)
-
-    def step(g: Array, from_p: Array, from_q: Array) -> Array:
+    optimum, generator = dual.objective(best, program), _checks.generator(seed)
+    sums = np.cumsum(program.p), np.cumsum(program.q)
+    checks = np.unique(np.round(np.geomspace(1, options.n_iterations, 50)).astype(np.int64))
+    trace: list[tuple[float, float]] = []
+    g = np.full(len(program.p), min(max(1.0, lower), upper))
+    for iteration in range(1, options.n_iterations + 1):
+        from_p, from_q = (_draw_shares(each, options.batch_size, generator) for each in sums)
         slope = from_q - from_p / g + program.curvature * (g - program.center)
-        return np.clip(g - options.step_size * slope, lower, upper)
-
-    def measure(g: Array) -> tuple[float, float]:
-        return dual.objective(g, program) - optimum, float(np.abs(g - best).mean())
-
-    start = np.full(len(program.p), min(max(1.0, lower), upper))
-    return _trained(start, step, measure, _Draws(program.p, program.q, options.batch_size, seed), options.n_iterations)
+        g = np.clip(g - options.step_size * slope, lower, upper)
+        if iteration == checks[len(trace)]:
+            trace.append((dual.objective(g, program) - optimum, float(np.abs(g - best).mean())))
+    excess, error = np.array(trace).T
+    return g, SgdTrace(checks, excess, error)
 
 
-def _trained(
-    parameters: Array,
-    step: Callable[..., Array],
-    measure: Callable[[Array], tuple[float, float]],
-    draws: _Draws,
-    n: int,
-) -> tuple[Array, SgdTrace]:
-    """The parameters after n steps, and (excess, error) at about fifty of them, even in the logarithm of the iteration."""
-    points = np.unique(np.round(np.geomspace(1, n, 50)).astype(np.int64))
-    seen: list[tuple[float, float]] = []
-    for iteration in range(1, n + 1):
-        parameters = step(parameters, *draws.next())
-        if iteration == points[len(seen)]:
-            seen.append(measure(parameters))
-    excess, error = np.array(seen).T
-    return parameters, SgdTrace(points, excess, error)
-
-
-class _Draws:
-    """Shares of the entries in batches drawn from p and from q."""
-
-    def __init__(self, p: Array, q: Array, batch_size: int, seed: Seed) -> None:
-        self._generator = _checks.generator(seed)
-        self._sums = [np.cumsum(weights) for weights in (p, q)]
-        self._size, self._n = batch_size, len(p)
-
-    def next(self) -> tuple[Array, Array]:
-        drawn = [np.searchsorted(s, self._generator.random(self._size) * s[-1], side="right") for s in self._sums]
-        shares = [np.bincount(np.minimum(d, self._n - 1), minlength=self._n) / self._size for d in drawn]
-        return shares[0], shares[1]
+def _draw_shares(sums: Array, size: int, generator: np.random.Generator) -> Array:
+    """The share of each entry in a batch, from the cumulated weights."""
+    drawn = np.searchsorted(sums, generator.random(size) * sums[-1], side="right")
+    return np.bincount(np.minimum(drawn, len(sums) - 1), minlength=len(sums)) / size

@@ -27,7 +27,7 @@ from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.density import density_ratio
-from oee_tabular.ratio.method import Given, Method
+from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import TransitionRatio
 
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
@@ -83,7 +83,7 @@ class Tied(Method):
             raise ValueError(f"strength must be a number with method 'tied'; got {_checks.show(self.strength)}")
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
-    def _fit(self, given: Given) -> TransitionRatio:
+    def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
         matrix, rows = simulator.transitions, given.rows
         keys = _keys(self.tie, rows, simulator)

@@ -1,19 +1,4 @@
-"""The ratio of transition probabilities zeta = P_target / P_simulator (eq. 4.3) from a log: the front door.
-
-A way from counts to zeta is an object with its options, its formula and its limit:
-
-``Conditional`` ("conditional", the default)
-    The simulator P is known: the program of eq. 3.7 for each row (s, a), shrunk to a prior row; or over ``Network``.
-``InClass`` ("linear", "kernel")
-    The same risk over zeta = 1 + Phi w: all rows share w.
-``Tied`` ("tied")
-    Entries with one key share one ratio, so that rows which are alike pool their counts.
-``Quotient`` ("ratio_of_ratios")
-    The paper's: beta_sas' and beta_sa fitted apart against data of the simulator, zeta their quotient (eq. 4.4); tables, or
-    over ``Network``.
-``Joint`` ("joint")
-    Both betas in one program, which makes the rows of zeta * P sum to 1.
-"""
+"""The ratio of transition probabilities zeta = P_target / P_simulator (eq. 4.3) from a log: the front door."""
 
 from __future__ import annotations
 
@@ -33,7 +18,7 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
-from oee_tabular.ratio.method import Given, Method, SimulatorData, not_used
+from oee_tabular.ratio.method import Method, RatioInput, SimulatorData, not_used
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
@@ -177,4 +162,4 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")
     data, _ = align(target.transitions, simulator.transitions)
-    return Given(data, simulator, Rows.of(simulator)).ratio(data / simulator.transitions.data, "true", 0.0, {})
+    return RatioInput(data, simulator, Rows.of(simulator)).ratio(data / simulator.transitions.data, "true", 0.0, {})
