@@ -22,7 +22,7 @@ from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.features import feature_array, warn_of_rank
-from oee_tabular.ratio.method import RatioInput, Method, Population
+from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.directions import add_values, feature_directions, make_directions, values_in
 from oee_tabular.ratio.prior.ridge import Ridge as Tilt
