@@ -46,7 +46,7 @@ def excess(b, a, p, g, lower, upper):
 
 
 @njit(cache=True, error_model="numpy")
-def missed(miss, multiplier, n):
+def equality_gap(miss, multiplier, n):
     """What an equality of ``n`` terms adds to the gap."""
     size = abs(miss)
     return abs(multiplier) * size + (size if size > 2.3e-16 * (n + 16) else 0.0)
@@ -71,7 +71,7 @@ def row_gaps(program, box, indptr, g, m, tied):
             else:
                 gaps[k] += excess(m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], box.lower, box.upper)
         if tied:
-            gaps[k] += missed(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
+            gaps[k] += equality_gap(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
     return gaps
 
 
@@ -100,7 +100,7 @@ def joint_gap(f, k, moves, b, theta, eta, xi):
             gap += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
             slope -= f.ratio_upper * xi[x]
     gap += excess(slope - theta * mass, f.lam, f.s[k], b, f.nu, f.mu)
-    return gap + missed(miss, theta, f.indptr[k + 1] - f.indptr[k])
+    return gap + equality_gap(miss, theta, f.indptr[k + 1] - f.indptr[k])
 
 
 @njit(cache=True, error_model="numpy")

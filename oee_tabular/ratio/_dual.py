@@ -51,7 +51,7 @@ def coordinate(b, a, p, lower, upper):
 
 
 @njit(cache=True, error_model="numpy")
-def at(m, form, x):
+def minimiser(m, form, x):
     """g_x(m)."""
     return coordinate(form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper)
 
@@ -61,7 +61,7 @@ def fill_row(m, form, low, high, g):
     """g_x(m) for the entries low..high; returns sum q g and minus its derivative in m."""
     total, slope = 0.0, 0.0
     for x in range(low, high):
-        q, value = form.q[x], at(m, form, x)
+        q, value = form.q[x], minimiser(m, form, x)
         g[x] = value
         if q > 0.0:
             total += q * value
@@ -86,7 +86,7 @@ def block_sum(q, low, high):
 
 
 @njit(cache=True, error_model="numpy")
-def known_multiplier(form, low, high, mass, curved):
+def multiplier_by_inspection(form, low, high, mass, curved):
     """m where g = 1 solves the row (wherever q > 0), or where every feasible g does; nan elsewhere."""
     same = form.lower <= 1.0 <= form.upper
     for x in range(low, high):
@@ -172,7 +172,7 @@ def blend(left, right, at_left, at_right, target, form, low, high, g):
     if at_left > at_right:
         share = min(max((target - at_right) / (at_left - at_right), 0.0), 1.0)
     for x in range(low, high):
-        above, below = at(left, form, x), at(right, form, x)
+        above, below = minimiser(left, form, x), minimiser(right, form, x)
         g[x] = below + share * (above - below) if above > below else above
     return left if share >= 0.5 else right
 
@@ -183,8 +183,8 @@ def finish_row(left, right, target, form, low, high, g):
     at_left, at_right, free_mass = 0.0, 0.0, 0.0
     for x in range(low, high):
         if form.q[x] > 0.0:
-            above = at(left, form, x)
-            at_right += form.q[x] * at(right, form, x)
+            above = minimiser(left, form, x)
+            at_right += form.q[x] * minimiser(right, form, x)
             if above == np.inf:
                 free_mass += form.q[x]
             else:
@@ -192,8 +192,8 @@ def finish_row(left, right, target, form, low, high, g):
     if free_mass == 0.0:
         return blend(left, right, at_left, at_right, target, form, low, high, g)
     for x in range(low, high):
-        g[x] = at(right, form, x)
-        if at(left, form, x) == np.inf:
+        g[x] = minimiser(right, form, x)
+        if minimiser(left, form, x) == np.inf:
             g[x] += (target - at_right) / free_mass
     return right
 
@@ -212,10 +212,10 @@ def solve_row(form, low, high, flat, g):
         if form.q[x] > 0.0:
             mass += form.p[x]
             curved = curved or form.a[x] > 0.0
-    m = known_multiplier(form, low, high, mass, curved)
+    m = multiplier_by_inspection(form, low, high, mass, curved)
     if not np.isnan(m):
         for x in range(low, high):
-            g[x] = 1.0 if form.q[x] > 0.0 else at(0.0, form, x)
+            g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
         return m, m, m
     if flat:
         left, right, at_left, at_right, found = guess_bracket(target, form, low, high)
@@ -281,5 +281,5 @@ def solve_free(form):
     """Without the equality: m = 1."""
     g = np.empty(len(form.p))
     for x in range(len(g)):
-        g[x] = at(1.0, form, x)
+        g[x] = minimiser(1.0, form, x)
     return g

@@ -205,7 +205,7 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     iterations, ratios = [0], [_ratio_everywhere(model, places, cells, program, training)]
     held = [training.held_out_risk(ratios[0])]
     bar = progress_bar("training", total=network.n_iterations)
-    while iterations[-1] < network.n_iterations and len(held) - 1 - _least(held) < network.patience:
+    while iterations[-1] < network.n_iterations and len(held) - 1 - _best_check(held) < network.patience:
         count = min(EVERY, network.n_iterations - iterations[-1])
         drawn = _draw(network.batch_size, program, generator, count)
         model, state, values = _iterate(
@@ -217,11 +217,11 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
         held.append(training.held_out_risk(ratios[-1]))
         bar.update(count)
     bar.close()
-    kept = _least(held)
+    kept = _best_check(held)
     return Trained(ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held))
 
 
-def _least(held: list[float]) -> int:
+def _best_check(held: list[float]) -> int:
     """The check of least held-out risk; the last where nothing is held out (nan)."""
     return len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))
 

@@ -212,11 +212,11 @@ def _standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
 def fit_cells(p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str) -> ClassFit:
     """g = Phi w for distributions p and q on the same cells."""
     _refuse_thin_box(box, normalized)
-    ceiling = implied_bound(q, box.lower) if normalized else np.full(len(p), np.inf)
+    ceiling = bound_from_sum(q, box.lower) if normalized else np.full(len(p), np.inf)
     return solve_class(LinearProgram(p, q, features, 0.0, ridge, *box, normalized, ceiling), solver)
 
 
-def implied_bound(weights: Array, lower: float) -> Array:
+def bound_from_sum(weights: Array, lower: float) -> Array:
     """The largest g_x that sum weights g = 1 leaves, weights summing to 1 and g >= lower."""
     room = 1.0 - lower * (1.0 - weights)
     return np.divide(room, weights, out=np.full_like(weights, np.inf), where=weights > 0)
@@ -326,7 +326,7 @@ class InClass(Method):
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q
-        ceiling = implied_bound(q, box.lower)
+        ceiling = bound_from_sum(q, box.lower)
         program = LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False, ceiling)
         found = solve_class(program, self.solver)
         zeta = found.ratio

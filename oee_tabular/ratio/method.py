@@ -183,7 +183,7 @@ class Method:
             log = log_or_counts.numbered(simulator)
             counts = log.counts(simulator.n_states, simulator.n_actions, discount=discount)
         else:
-            counts = _given_counts(log_or_counts, simulator, discount)
+            counts = _check_counts(log_or_counts, simulator, discount)
         if Rows not in made:
             made[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
@@ -239,7 +239,7 @@ def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))
 
 
-def _given_counts(counts: object, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
+def _check_counts(counts: object, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
     """A user's own counts, checked."""
     if not sparse.issparse(counts):
         raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(counts).__name__}")

@@ -135,21 +135,6 @@ def test_a_box_that_does_not_bind_changes_nothing():
     assert wide.details["ratio_upper"] == 1e4
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"ratio_lower": 1.2}, r"the box \[ratio_lower, ratio_upper\] must contain 1"),
-        ({"ratio_lower": 2, "ratio_upper": 1}, "ratio_lower must not exceed ratio_upper; they are 2 and 1"),
-        ({"ratio_upper": -1}, r"ratio_upper must be in \[0, inf\]; it is -1"),
-    ],
-)
-def test_bad_boxes(options, text):
-    with pytest.raises(ValueError, match=text):
-        oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **options)
-    with pytest.raises(ValueError, match="must not be given with method 'conditional'"):
-        oee.transition_ratio(LOG, SIMULATOR, **options)
-
-
 def test_moves_weighted_by_discount():
     """The paper's discounted d on both sides: each move counts discount^t."""
     log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 200, 30, seed=0)

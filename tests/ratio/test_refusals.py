@@ -9,7 +9,6 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
-from oee_tabular.ratio import Sgd
 from oee_tabular.ratio.features import action_displacement
 from oee_tabular.ratio.support import check_assumptions
 
@@ -57,11 +56,9 @@ WRONG = {
     "prior": (zeta(prior="q"), r"^prior must be one of 'ridge', 'tilt', 'simulator', 'none'; got 'q'$"),
     "strength": (zeta(strength="q"), r"^strength must be one of 'evidence', 'loo'; got 'q'$"),
     "a negative strength": (zeta(strength=-1), r"^strength must be in \[0, inf\); it is -1$"),
-    "ridge": (zeta(ridge="q"), r"^ridge must be one of 'evidence', 'loo'; got 'q'$"),
     "a negative ridge": (zeta(ridge=-1), r"^ridge must be in \[0, inf\); it is -1$"),
     "a ridge of n": (density(ridge=lambda n: -n), r"^ridge\(3\) must be in \[0, inf\); it is -3$"),
     "toward": (zeta(toward=-1), r"^toward must be in \[0, inf\); it is -1$"),
-    "toward of a density": (density(toward=-1), r"^toward must be in \[0, inf\); it is -1$"),
     "lower": (zeta(lower=-1), r"^lower must be in \[0, inf\); it is -1$"),
     "upper": (zeta(upper=-1), r"^upper must be in \[0, inf\]; it is -1$"),
     "upper below 1": (
@@ -84,16 +81,8 @@ WRONG = {
         zeta(method="joint", behavior_policy=POLICY * 2),
         r"^behavior_policy\[0\] must sum to 1",
     ),
-    "behaviour of the quotient": (
-        zeta(method="ratio_of_ratios", behavior_policy=POLICY * 2),
-        r"^behavior_policy\[0\] must sum to 1",
-    ),
     "centres": (
         zeta(method="kernel", coordinates=PLACES, n_centers=0),
-        r"^n_centers must be a positive integer; it is 0$",
-    ),
-    "centres of a density": (
-        density(kernel="gaussian", coordinates=[0, 1], n_centers=0),
         r"^n_centers must be a positive integer; it is 0$",
     ),
     "a discount for counts": (
@@ -104,21 +93,12 @@ WRONG = {
         lambda: oee.transition_ratio(COUNTS, SIMULATOR),
         r"^log_or_counts must be Transitions or sparse counts; got ndarray$",
     ),
-    "no moves": (
-        lambda: oee.transition_ratio(sparse.csr_array((6, 3)), SIMULATOR),
-        r"^log_or_counts must have at least one move; it has none$",
-    ),
     "the true ratio's target": (lambda: oee.true_ratio(3, SIMULATOR), r"^target must be a FiniteMDP; got int$"),
     "the true ratio's simulator": (lambda: oee.true_ratio(TARGET, 3), r"^simulator must be a FiniteMDP; got int$"),
     "a seed": (
         zeta(method="ratio_of_ratios", seed="q"),
         r"^seed must be what numpy.random.default_rng takes",
     ),
-    "a bandwidth": (
-        zeta(method="kernel", coordinates=PLACES, bandwidth=-1),
-        r"^bandwidth must be in \(0, inf\); it is -1$",
-    ),
-    "a kernel": (zeta(method="kernel", kernel="q", coordinates=PLACES), r"^kernel must be one of 'gaussian'; got 'q'$"),
     "places that are not finite": (
         zeta(method="kernel", coordinates=[0, 1, np.nan]),
         r"^coordinates\[2\] must be finite; it is nan$",
@@ -131,23 +111,12 @@ WRONG = {
         zeta(features=np.where(FEATURES == 2, np.inf, FEATURES)),
         r"^features\[2, 0\] must be finite; it is inf$",
     ),
-    "features that are words": (zeta(features="q"), r"^features must be an array of numbers; got str"),
     "a loss": (density(loss="q"), r"^loss must be one of 'kl', 'chi2'; got 'q'$"),
     "p": (lambda: oee.density_ratio([-1], [1]), r"^p\[0\] must be nonnegative; it is -1\.0$"),
     "q": (lambda: oee.density_ratio([1], [-1]), r"^q\[0\] must be nonnegative; it is -1\.0$"),
-    "coordinates without a kernel": (
-        density(coordinates=[0, 1]),
-        r"^coordinates must be given with a kernel; none is given$",
-    ),
-    "coordinates with features": (
-        density(features=[1, 1], coordinates=[0, 1]),
-        r"^coordinates must not be given with features; the two are different classes$",
-    ),
     "a step": (density(step_size=0, **SGD), r"^step_size must be in \(0, inf\); it is 0$"),
     "a batch": (density(batch_size=0, **SGD), r"^batch_size must be a positive integer; it is 0$"),
     "iterations": (density(n_iterations=0, **SGD), r"^n_iterations must be a positive integer; it is 0$"),
-    "a seed of Algorithm 1": (density(seed="q", **SGD), r"^seed must be what numpy.random.default_rng takes"),
-    "options of Algorithm 1": (lambda: Sgd(step_size=-1), r"^step_size must be in \(0, inf\); it is -1$"),
     "Algorithm 1 without an upper bound": (
         density(**(SGD | {"upper": None})),
         r'^solver "sgd" must have 0 < lower and a finite upper; the box is \[0\.1, inf\]$',
@@ -164,46 +133,22 @@ WRONG = {
         density(loss="chi2", **SGD),
         r'^solver "sgd" must have normalized=False and loss="kl"',
     ),
-    "a kernel that is not finite": (
-        density(kernel=lambda x, c: np.full((len(x), len(c)), np.nan), coordinates=[0, 1]),
-        r"^kernel\[0, 0\] must be finite; it is nan$",
-    ),
     "assumptions: p": (lambda: check_assumptions([-1], [1], lower=0, upper=1), r"^p\[0\] must be nonnegative"),
     "assumptions: q": (
         lambda: check_assumptions([1], [0], lower=0, upper=1),
         r"^q must have a positive, finite sum; it is 0$",
     ),
-    "features of a class of three dimensions": (
-        density(features=np.ones((2, 1, 1))),
-        r"^features must have 1 or 2 dimension\(s\); it has shape \(2, 1, 1\)$",
-    ),
-    "coordinates of three dimensions": (
-        density(kernel="gaussian", coordinates=np.ones((2, 1, 1))),
-        r"^coordinates must have 1 or 2 dimension\(s\); it has shape \(2, 1, 1\)$",
-    ),
     "coordinates that are not finite": (
         density(kernel="gaussian", coordinates=[0, np.inf]),
         r"^coordinates\[1\] must be finite; it is inf$",
-    ),
-    "assumptions: a matrix": (
-        lambda: check_assumptions([[1]], [1], lower=0, upper=1),
-        r"^p must have 1 dimension\(s\); it has shape \(1, 1\)$",
     ),
     "a class far from its box": (
         density(features=[1, -1], lower=0.5, upper=4.0, normalized=False),
         r"^features must span a function that is at least 0\.5 and at most 4; the nearest misses by 0\.5 \(a constant",
     ),
-    "a class far from its sum": (
-        density(features=[1, -1], lower=0.25),
-        r"^features must span a function that is at least 0\.25, with sum q g = 1; the nearest misses by 3\.25 \(a constant",
-    ),
     "assumptions: lower": (
         lambda: check_assumptions([1], [1], lower=-1, upper=1),
         r"^lower must be in \[0, inf\); it is -1$",
-    ),
-    "assumptions: upper": (
-        lambda: check_assumptions([1], [1], lower=0, upper=-1),
-        r"^upper must be in \[0, inf\]; it is -1$",
     ),
     "assumptions: lengths": (
         lambda: check_assumptions([1], [1, 1], lower=0, upper=1),
