@@ -180,6 +180,15 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     return array.reshape(matrix.nnz, -1)
 
 
+def check_places(coordinates: object, simulator: FiniteMDP) -> Array:
+    """(S, c): where each state is, from (S,) or (S, c) finite numbers."""
+    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(places, "coordinates")
+    if len(places) != simulator.n_states:
+        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
+    return places.reshape(simulator.n_states, -1)
+
+
 def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     """Indicator features of (action, displacement), which share what is learned between all states.
 
@@ -199,11 +208,7 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     [0.0, 1.0, 0.0, 1.0, 0.0]
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
-    given = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
-    _checks.require_finite(given, "coordinates")
-    places = given[:, None] if given.ndim == 1 else given
-    if places.shape[0] != simulator.n_states:
-        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {places.shape[0]}")
+    places = check_places(coordinates, simulator)
     rows = Rows.of(simulator)
     steps = places[rows.arrival] - rows.spread(places[rows.state])
     keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])

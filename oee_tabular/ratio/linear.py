@@ -12,8 +12,8 @@ with multiplier v, and eta that of sum q g = 1, the dual function at any v and e
 
     D(v, eta) = sum_x min {(q + v + eta q) g - p log g} - v . offset - |Phi^T v|^2 / (2 ridge) - eta,
 
-the minima over [lower, upper] in closed form: a lower bound on the optimum whatever solver v and eta are from (without a
-ridge v is first projected onto Phi^T v = 0). ``gap`` is the value at the w that is handed over less D, a sum of terms that
+the minima over [lower, upper] in closed form: a lower bound on the optimum whatever solver v and eta are from (v is first
+moved so that Phi^T v = ridge w). ``gap`` is the value at the w that is handed over less D, a sum of terms that
 are none of them negative.
 """
 
@@ -32,7 +32,15 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
-from oee_tabular.ratio.features import Kernel, cell_features, feature_array, gaussian, kernel_features, warn_of_rank
+from oee_tabular.ratio.features import (
+    Kernel,
+    cell_features,
+    check_places,
+    feature_array,
+    gaussian,
+    kernel_features,
+    warn_of_rank,
+)
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import Influence, Part, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
@@ -103,9 +111,11 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> t
     tie = _repair(program, weights, ratio, tie, eta, np.isfinite(top))
     top = np.maximum(np.where((p == 0) & (top == np.inf), LARGEST_RATIO, top), ratio)
     gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
+    rest = program.penalty * weights - phi.T @ tie
     if program.penalty > 0.0:
-        rest = weights - phi.T @ tie / program.penalty
-        gap += 0.5 * program.penalty * float(rest @ rest)
+        gap += 0.5 / program.penalty * float(rest @ rest)
+    else:  # what Phi^T v = 0 is missed by counts as it is
+        gap += float(np.abs(rest).sum()) * max(1.0, float(np.abs(weights).max(initial=0.0)))
     return ClassFit(weights, ratio, eta, gap), violation
 
 
@@ -155,18 +165,16 @@ def nearest_miss(program: LinearProgram) -> float:
     """
     from scipy.optimize import linprog  # a tenth of a second
 
-    n, d = program.features.shape
-    ones = np.ones((n, 1))
-    rows, limits = [np.hstack([-program.features, -ones])], [np.full(n, program.offset - program.lower)]
+    d, phi = program.features.shape[1], program.features
+    sides = [(-phi, program.offset - program.lower)]
     if np.isfinite(program.upper):
-        rows.append(np.hstack([program.features, -ones]))
-        limits.append(np.full(n, program.upper - program.offset))
+        sides.append((phi, program.upper - program.offset))
     total = 1.0 - program.offset * float(program.q.sum())
     found = linprog(
         np.append(np.zeros(d), 1.0),
-        A_ub=np.vstack(rows),
-        b_ub=np.concatenate(limits),
-        A_eq=np.append(program.features.T @ program.q, 0.0)[None, :] if program.normalized else None,
+        A_ub=np.vstack([np.column_stack([side, -np.ones(len(phi))]) for side, _ in sides]),
+        b_ub=np.repeat([room for _, room in sides], len(phi)),
+        A_eq=np.append(phi.T @ program.q, 0.0)[None, :] if program.normalized else None,
         b_eq=[total] if program.normalized else None,
         bounds=[(None, None)] * d + [(-1.0, None)],
     )
@@ -230,12 +238,7 @@ def _refuse_thin_box(box: Box, normalized: bool) -> None:
 
 def move_points(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
-    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
-    _checks.require_finite(places, "coordinates")
-    if len(places) != simulator.n_states:
-        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
-    places = places.reshape(simulator.n_states, -1)
-    rows = Rows.of(simulator)
+    places, rows = check_places(coordinates, simulator), Rows.of(simulator)
     start = rows.spread(places[rows.state])
     return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
 
