@@ -157,7 +157,7 @@ def test_magic_between_the_model_and_the_log(is_wrong):
 
     The weights are normalised on each resample, and the least is looked for on a grid.
     """
-    problem, target = recorded_problem(3, horizon=4, n=15)
+    problem, target = recorded_problem(3, horizon=None if is_wrong else 4, n=15, length=5)
     rows = dense(target)[0]
     rows[:3] = 0.1 * rows[:3] + 0.9 * np.eye(4)[oee.state_values(target, POLICY).argmax()]
     model = target.with_transitions(rows) if is_wrong else target
