@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import align, find
+from oee_tabular._sparse import align, find, row_sums
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
@@ -66,20 +66,14 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
 
 
 def mean_rewards(problem: Problem) -> Array:
-    """(S*A,) mean reward of the log's transitions in each state-action pair (0 where there are none)."""
-    log, simulator = problem.log, problem.simulator
-    moves, size = log.moves(), simulator.n_states * simulator.n_actions
-    pairs = log.state * simulator.n_actions + log.action
-    if moves.reward_sum is None or moves.reward_count is None:
-        total, count = simulator_rewards(simulator, log) * moves.number, moves.number
-    else:
-        total, count = moves.reward_sum, moves.reward_count
-        unpaid = np.bincount(pairs, weights=count, minlength=size)[pairs] == 0  # rewards are missing: the simulator's
-        total = np.where(unpaid, simulator_rewards(simulator, log) * moves.number, total)
-        count = np.where(unpaid, moves.number, count)
-    paid = np.bincount(pairs, weights=total, minlength=size)
-    number = np.bincount(pairs, weights=count, minlength=size)
-    return np.divide(paid, number, out=np.zeros(size), where=number > 0)
+    """(S*A,) mean over the recorded transitions of each pair (0 without any): of the log's rewards, else the simulator's."""
+    simulator = problem.simulator
+    model = simulator if problem.log.moves().reward_sum is None else with_log_rewards(simulator, problem.log)
+    matrix, data = model.transitions, model.reward_data
+    observed, _ = align(problem.counts, matrix)
+    number = row_sums(matrix, observed)
+    paid = number * model.rewards.reshape(-1) if data is None else row_sums(matrix, observed * data)
+    return np.divide(paid, number, out=np.zeros_like(number), where=number > 0)
 
 
 def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:

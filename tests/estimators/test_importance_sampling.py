@@ -97,6 +97,8 @@ def test_one_deciding_episode_has_no_error():
     assert (plain.value, plain.standard_error) == (2.0, 2.0)
     both = ImportanceSampling(self_normalized=True)(Problem(mdp, log, horizon=1), np.array([[0.5, 0.5]]))
     assert both.standard_error is not None
+    rare = np.array([[0.05, 0.95]])  # weights .1 and 1.9: worth 1.1 episodes
+    assert ImportanceSampling(self_normalized=True)(Problem(mdp, log, horizon=1), rare).standard_error is None
 
 
 def test_without_any_weight_no_bias_is_bounded():
