@@ -26,6 +26,8 @@ from oee_tabular.inference.evidence import (
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.inference.robust import contradicted_rows, extreme_value, radii
+from oee_tabular.inference.shared import shared_directions, shared_ends
+from oee_tabular.mdp import check_policy
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -39,7 +41,8 @@ class Interval:
     ----------
     lower, upper : the ends (nan where ``status`` says why there is none)
     confidence : the level asked for; at least that for "robust", asymptotically for the others; 1 of a ``value_range``
-    method : "likelihood", "delta", "bootstrap" or "robust"; "range" of a ``value_range``
+    method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or "... under the features"; "range" of
+        a ``value_range``
     diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
         that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
         the share of the policy's time that they may have been (``dropped_share``)
@@ -103,6 +106,8 @@ def interval(
     confidence: float = 0.95,
     lower_ratio: float | None = None,
     upper_ratio: float | None = None,
+    tie: Any = None,
+    features: Any = None,
     radius: Literal["auto", "independent", "anytime"] = "auto",
     resample: Literal["transitions", "episodes"] = "transitions",
     n_bootstrap: int = 400,
@@ -124,6 +129,9 @@ def interval(
     confidence : in (0, 1)
     lower_ratio, upper_ratio : the prior box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the
         simulator's support
+    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one key,
+        or along features, differ from the simulator alike, its parameters free and nothing else (``inference.shared``). It
+        narrows where the assumption is true and may miss the value where it is not
     radius : of the balls: "independent" rows, "anytime" (counts that are random, as in episodes), "auto": anytime for a log
         with episodes
     resample, n_bootstrap, seed : over what the (percentile) bootstrap resamples, how often, and its seed
@@ -157,6 +165,9 @@ def interval(
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
+    if tie is not None or features is not None:
+        has_box = lower_ratio is not None or upper_ratio is not None
+        return _interval_under(problem, policy, tie, features, level, method, has_box=has_box)
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
     has_dropped = bool(problem.dropped.any())
     if has_dropped and method not in ("likelihood", "robust"):
@@ -222,6 +233,24 @@ def interval(
         "certified_beyond": max(abs(end.bound - end.value) for end in (lowest, highest)),
     }
     return finish(lowest.bound, highest.bound, certified)
+
+
+def _interval_under(
+    problem: Problem, policy: PolicyLike, tie: Any, features: Any, level: float, method: str, *, has_box: bool
+) -> Interval:
+    """The likelihood interval of a model whose rows share parameters."""
+    if method != "likelihood" or has_box:
+        what = "lower_ratio and upper_ratio must be None" if has_box else "method must be 'likelihood'"
+        raise ValueError(f"{what} with {'features' if tie is None else 'tie'}, whose interval is that of its own model")
+    if problem.dropped.any():
+        raise ValueError(
+            "tie and features must be left out where impossible moves were dropped: they say nothing of those"
+        )
+    directions = shared_directions(problem.simulator, tie, features)
+    pi = check_policy(policy, problem.simulator)
+    lower, upper, estimate = shared_ends(problem, pi, directions, level)
+    name = f"likelihood under the {'features' if tie is None else 'tie'}"
+    return Interval(lower, upper, level, name, {"estimate": estimate, "n_parameters": len(directions.names)})
 
 
 def estimated_rows(problem: Problem, policy: Array) -> Array:

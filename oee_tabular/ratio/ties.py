@@ -86,7 +86,7 @@ class Tied(Method):
     def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
         matrix, rows = simulator.transitions, given.rows
-        keys = _keys(self.tie, rows, simulator)
+        keys = tie_keys(self.tie, rows, simulator)
         visits = rows.sums(observed)
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
@@ -125,7 +125,7 @@ class Tied(Method):
         return replace(given.ratio(zeta, "tied", gap, details), tied=True)
 
 
-def _keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
+def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     """Keys numbered from 0, one for each entry."""
     if callable(tie):
         tie = tie(*rows.transitions)

@@ -51,6 +51,7 @@ class Directions:
     ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
     rewards : (entries,) r(s, a, s') in the same scale, or None
     without : the directions that no policy changes; None of themselves
+    keys : (entries,) in place of ``steps``: transitions of one key have a column of their own
     """
 
     names: tuple[str, ...]
@@ -63,6 +64,7 @@ class Directions:
     ahead: Array
     rewards: Array | None = None
     without: Directions | None = None
+    keys: IntArray | None = None
     _kept: dict[int, tuple[Rows, Columns]] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -89,7 +91,7 @@ class Directions:
         """All but V."""
         logs = np.log(rows.weights)
         parts = [logs[:, None], (logs * logs)[:, None]][: self.powers]
-        code = np.full(len(rows.arrival), -1)
+        code = np.full(len(rows.arrival), -1) if self.keys is None else self.keys[rows.entries]
         if self.places.shape[1]:
             start = rows.spread(self.places[rows.state])
             drift = self.places[rows.arrival] - start
@@ -145,6 +147,14 @@ def feature_directions(simulator: FiniteMDP, features: Array | None) -> Directio
     own = [f"feature {k}" for k in range(given.shape[1])]
     names = (["log P"] if features is None else none, none, none, own, none, none)
     return _directions(names, simulator, np.zeros((simulator.n_states, 0)), np.zeros((0, 0)), given)
+
+
+def tie_directions(simulator: FiniteMDP, keys: IntArray) -> Directions:
+    """A direction for each key, (entries,) integers from 0."""
+    none: list[str] = []
+    names = (none, none, none, none, none, [f"key {k}" for k in range(int(keys.max()) + 1)])
+    steps, nowhere = np.zeros((len(names[-1]), 0)), np.zeros((simulator.n_states, 0))
+    return replace(_directions(names, simulator, nowhere, steps, np.zeros((len(keys), 0))), keys=keys)
 
 
 def _directions(

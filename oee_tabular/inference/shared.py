@@ -1,0 +1,172 @@
+"""The likelihood interval of a model whose rows share parameters: transitions that are tied, or features.
+
+Under a tie, or features phi, the target is assumed to be P_theta proportional to P exp(theta . phi) in each row, phi the
+indicators of the keys under a tie. f(theta) is the negative log-likelihood of the counts with a unit Gaussian penalty on
+standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and the interval holds J(P_theta) over
+
+    {theta : f(theta) - f(theta_hat) <= q / 2},   q the quantile of chi-square with one degree of freedom.
+
+An end is found by linearising J: with g the gradient of J at theta_k, theta_{k+1} maximises s g . theta over the set, s = 1 or
+-1. The set is convex, so that theta_{k+1} = argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary: a
+root in c, bracketed, each value by Newton's method. At the fixed point g and f' are parallel, the first-order condition of an end.
+
+Nothing else is free: pairs that were never recorded follow from theta. Where the tie or the features are wrong the interval need
+not cover, however many transitions there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from oee_tabular._checks import Array
+from oee_tabular.estimators import Problem
+from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact.reweighted import with_rows
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.features import feature_array
+from oee_tabular.ratio.prior._ridge import evaluate, minimise, sum_columns
+from oee_tabular.ratio.prior.directions import Directions, feature_directions, tie_directions
+from oee_tabular.ratio.prior.ridge import Ridge, fit_ridge
+from oee_tabular.ratio.support import aligned_counts
+from oee_tabular.ratio.ties import tie_keys
+
+N_LINEARISATIONS = 30
+TOLERANCE = 1e-7  # of the width, by which the last linearisation may still have moved an end
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """The directions' model on a problem's counts: f, J and its gradient in theta (d,)."""
+
+    problem: Problem
+    policy: Array
+    fit: Ridge
+    whole: Rows
+    risk: tuple[Array, Array]
+    visited: Rows
+
+    def value(self, theta: Array) -> float:
+        """J(P_theta)."""
+        model = with_rows(self.problem.model, self._tilt(theta).at(self.whole))
+        return policy_value(model, self.policy, horizon=self.problem.horizon)
+
+    def gradient(self, theta: Array) -> Array:
+        """dJ / dtheta."""
+        tilt = self._tilt(theta)
+        rows = tilt.at(self.whole)
+        model = with_rows(self.problem.model, rows)
+        slope = transition_gradient(model, self.policy, horizon=self.problem.horizon)
+        return np.asarray(tilt.pull(self.whole, slope * rows).sum(axis=0))
+
+    def risk_of(self, theta: Array) -> float:
+        """f."""
+        columns = self.fit.directions.columns(self.visited)
+        return float(evaluate(columns, self.risk, self._padded(theta), self.fit.penalty)[0])
+
+    def pulled_by(self, force: Array, start: Array) -> Array:
+        """argmin f(theta) - force . theta."""
+        mass, pulled = self.risk
+        moved = pulled.copy()
+        moved[0] += force
+        columns = self.fit.directions.columns(self.visited)
+        theta, _, _ = minimise(columns, (mass, moved), self._padded(start), self.fit.penalty, 1e-22)
+        return np.asarray(theta[0])
+
+    def _padded(self, theta: Array) -> Array:
+        """With no parameters of an action alone."""
+        full = np.zeros(self.fit.theta.shape)
+        full[0] = theta
+        return full
+
+    def _tilt(self, theta: Array) -> Ridge:
+        return replace(self.fit, theta=self._padded(theta))
+
+
+def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Directions:
+    """The directions of a tie or of features, checked; both as in ``transition_ratio``."""
+    if tie is not None and features is not None:
+        raise ValueError("tie and features must not be given together: they are two different models")
+    rows = Rows.of(simulator)
+    if tie is not None:
+        return tie_directions(simulator, tie_keys(tie, rows, simulator))
+    array = feature_array(features, simulator)
+    spread = np.abs(rows.center(array)).max(axis=0)
+    constant = np.flatnonzero(spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300))
+    if constant.size:
+        raise ValueError(
+            f"features must differ between the next states of some state-action pair; feature {constant[0]} is constant in "
+            "every one"
+        )
+    return feature_directions(simulator, array)
+
+
+def shared_ends(problem: Problem, policy: Array, directions: Directions, level: float) -> tuple[float, float, float]:
+    """Lower end, upper end, and J at theta_hat."""
+    whole = Rows.of(problem.simulator)
+    counts = aligned_counts(problem.counts, problem.simulator)
+    visited = whole.select(whole.sums(counts) > 0)
+    observed = counts[visited.entries]
+    fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
+    risk = visited.sums(observed), sum_columns(directions.columns(visited), observed, visited.n_actions)
+    model = _Set(problem, policy, fit, whole, risk, visited)
+    best = fit.theta[0]
+    rise = 0.5 * float(chi2.ppf(level, 1))
+    middle = model.value(best)
+    lower, upper = (_end(model, best, rise, sign, middle) for sign in (-1.0, 1.0))
+    return lower, upper, middle
+
+
+def _end(model: _Set, best: Array, rise: float, sign: float, middle: float) -> float:
+    """The farthest J in the direction ``sign``."""
+    theta, end = best, middle
+    least = model.risk_of(best)
+    for _ in range(N_LINEARISATIONS):
+        force = sign * model.gradient(theta)
+        if not np.abs(force).max() > 0:
+            break
+        theta = _on_boundary(model, best, force, least + rise)
+        last, end = end, sign * max(sign * end, sign * model.value(theta))
+        if abs(end - last) <= TOLERANCE * abs(end - middle):
+            break
+    return end
+
+
+def _on_boundary(model: _Set, best: Array, force: Array, limit: float) -> Array:
+    """argmax force . theta where f <= ``limit``."""
+    size = 1.0 / max(float(np.abs(force).max()), 1e-300)
+
+    def excess(log_c: float) -> tuple[float, Array]:
+        theta = model.pulled_by(np.exp(log_c) * size * force, best)
+        return model.risk_of(theta) - limit, theta
+
+    return _root(excess, 0.0)
+
+
+def _root(excess: Callable[[float], tuple[float, Array]], start: float) -> Array:
+    """The argument where an increasing function is 0: bracketed, then by the secant or the middle."""
+    low = high = start
+    below = above = excess(start)
+    while above[0] < 0 and high < 60.0:
+        low, below = high, above
+        high += 2.0
+        above = excess(high)
+    while below[0] > 0 and low > -60.0:
+        high, above = low, below
+        low -= 2.0
+        below = excess(low)
+    for step in range(40):
+        if above[0] - below[0] <= 1e-10 or high - low <= 1e-12:
+            break
+        share = -below[0] / (above[0] - below[0]) if step % 2 == 0 else 0.5
+        middle = low + min(max(share, 0.02), 0.98) * (high - low)
+        new = excess(middle)
+        if new[0] > 0:
+            high, above = middle, new
+        else:
+            low, below = middle, new
+    return below[1]
