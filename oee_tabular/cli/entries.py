@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +13,22 @@ from oee_tabular import _files
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data.reader import csv_frame
-from oee_tabular.estimators import Estimator, OffEnvironment
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
-from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.tabled import features_in, keys_in, words
 
 
-def own_rows(files: Mapping[str, Path | None], simulator: FiniteMDP) -> tuple[dict[str, Estimator], dict[str, str]]:
-    """Rows for the report, by name, and its facts, of the files given for "features" and "tie"."""
-    rows: dict[str, Estimator] = {}
+def known_entries(files: Mapping[str, Path | None], simulator: FiniteMDP) -> tuple[dict[str, Any], dict[str, str]]:
+    """``features`` and ``tie`` for ``evaluate``, and the report's facts, of the files given for them."""
+    known: dict[str, Any] = {}
     facts = {}
     if (path := files["features"]) is not None:
-        features, names = features_of(path, simulator)
-        rows["oee-features"] = OffEnvironment(ratio=partial(transition_ratio, features=features))
+        known["features"], names = features_of(path, simulator)
         facts["features"] = f"{path} ({', '.join(names)})"
     if (path := files["tie"]) is not None:
-        keys = tie_of(path, simulator)
-        rows["oee-tied"] = OffEnvironment(ratio=partial(transition_ratio, method="tied", tie=keys))
-        facts["tie"] = f"{path} ({len(np.unique(keys))} keys)"
-    return rows, facts
+        known["tie"] = tie_of(path, simulator)
+        facts["tie"] = f"{path} ({len(np.unique(known['tie']))} keys)"
+    return known, facts
 
 
 def features_of(path: Path, simulator: FiniteMDP) -> tuple[Array, list[str]]:

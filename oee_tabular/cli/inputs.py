@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -134,6 +135,21 @@ def impossible_of(text: str) -> tuple[Literal["refuse", "drop"], float | None]:
     return "refuse", epsilon
 
 
+def box_of(text: str | None) -> dict[str, float | None]:
+    """What ``--box`` says: LOWER,UPPER, either left out."""
+    if text is None:
+        return {}
+    ends: list[float | None] = []
+    for part in text.split(","):
+        try:
+            ends.append(float(part) if part.strip() else None)
+        except ValueError:
+            ends.append(float("nan"))
+    if len(ends) != 2 or any(x is not None and math.isnan(x) for x in ends):
+        raise ValueError(f"--box must be LOWER,UPPER, bounds on P_target / P, as 0.5,2; got {text!r}")
+    return {"lower_ratio": ends[0], "upper_ratio": ends[1]}
+
+
 def _moves(log: Transitions | TransitionCounts, simulator: FiniteMDP) -> Any:
     """What ``with_support_of`` takes."""
     from oee_tabular.data import Transitions
@@ -165,10 +181,7 @@ def from_files(
     common: dict[str, Any],
 ) -> Report:
     """The report on a simulator, a log and policies from files."""
-    from dataclasses import replace
-
-    from oee_tabular.cli.entries import own_rows
-    from oee_tabular.estimators.names import default_names, named_estimators
+    from oee_tabular.cli.entries import known_entries
     from oee_tabular.report import evaluate as run
     from oee_tabular.report.page import date_of
     from oee_tabular.tasks.arguments import named_specs
@@ -187,15 +200,11 @@ def from_files(
     facts |= {} if options["discount"] is None else {"discount": options["discount"]}
     if options["action_noise"]:
         facts["simulator"] = f"{simulator} with action noise {options['action_noise']:g}: {task.mdp!r}"
-    own, said = own_rows(options, task.mdp)
-    left_out: list[str] = []
-    if own:
-        names = common["estimators"]
-        if names is None:
-            names, left_out = default_names(problem)
-        common = common | {"estimators": named_estimators(names, truth) | own}
-    report = run(problem, policies_of(policy, task), target=truth, normalized=normalized, facts=facts | said, **common)
-    return replace(report, warnings=(*report.warnings, *left_out))
+    known, said = known_entries(options, task.mdp)
+    known |= box_of(options["box"])
+    return run(
+        problem, policies_of(policy, task), target=truth, normalized=normalized, facts=facts | said, **known, **common
+    )
 
 
 def embedded(
@@ -218,7 +227,7 @@ def embedded(
         "initial": options["initial"],
     }
     given |= {} if options["impossible"] == "refuse" else {"impossible": options["impossible"]}
-    for name, value in (given | {name: options[name] for name in ("features", "tie")}).items():
+    for name, value in (given | {name: options[name] for name in ("features", "tie", "box")}).items():
         if value:
             raise ValueError(f"--{name} needs --simulator and --log")
     settings: dict[str, Any] = {"rewards": options["rewards"]}

@@ -132,6 +132,10 @@ Horizon = Annotated[
 Rewards = Annotated[
     str, option(VALUE, "Rewards that model-based values pay: simulator or log.", metavar="simulator|log")
 ]
+Box = Annotated[
+    str | None,
+    option(VALUE, "Bounds on P_target / P: LOWER,UPPER (0.5,2); they narrow every interval.", metavar="LOWER,UPPER"),
+]
 Confidence = Annotated[float, option(VALUE, "Level of the intervals.", metavar="LEVEL")]
 Quick = Annotated[bool, option(VALUE, "Leave likelihood intervals out, most of the time of large problems.", "--quick")]
 Seed = Annotated[int, option(VALUE, "The same seed gives the same bits.", metavar="N", min=0)]

@@ -11,6 +11,7 @@ from oee_tabular.cli.inputs import (
     ESTIMATORS_HELP,
     FEATURES_HELP,
     TIE_HELP,
+    box_of,
     embedded,
     from_files,
     given_problem,
@@ -23,6 +24,7 @@ from oee_tabular.cli.options import (
     OUTPUT,
     VALUE,
     Actions,
+    Box,
     Calibration,
     Confidence,
     Discount,
@@ -66,6 +68,7 @@ def evaluate(
     impossible: Impossible = "refuse",
     features: Annotated[Path | None, option(INPUT, FEATURES_HELP, metavar="FILE")] = None,
     tie: Annotated[Path | None, option(INPUT, TIE_HELP, metavar="FILE")] = None,
+    box: Box = None,
     horizon: Horizon = None,
     discount: Discount = None,
     normalized: Annotated[
@@ -108,7 +111,7 @@ def evaluate(
         raise ValueError("--title needs --report FILE.html, whose title it is")
     options: dict[str, object] = {
         "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "features": features,
-        "tie": tie, "initial": initial, "impossible": impossible,
+        "tie": tie, "initial": initial, "impossible": impossible, "box": box,
     }  # fmt: skip
     chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
     settings = settings_of(grid, outside, strict, calibration, floor, simulations)
@@ -155,6 +158,7 @@ def compare(
     discount: Discount = None,
     rewards: Rewards = "simulator",
     confidence: Confidence = 0.95,
+    box: Box = None,
     quick: Quick = False,
     json: Annotated[bool, json_option("compare")] = False,
 ) -> None:
@@ -175,7 +179,7 @@ def compare(
         "impossible": impossible,
     }  # fmt: skip
     task, problem = given_problem(simulator, log, None, options)
-    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick)
+    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick, **box_of(box))
     warnings = [str(finding) for finding in problem.findings]
     text = "\n".join([str(found), *(["", "Read before use:"] if warnings else []), *(f"  {text}" for text in warnings)])
     answer("compare", text, found.to_dict() | {"warnings": warnings}, json)

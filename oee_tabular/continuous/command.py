@@ -84,7 +84,7 @@ def from_states(
     from oee_tabular.continuous.names import continuous_simulator
     from oee_tabular.continuous.simulator import Settings
 
-    plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None}
+    plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None, "box": None}
     for name, plain in plains.items():
         if options[name] != plain:
             raise ValueError(

@@ -103,6 +103,8 @@ def compare_policies(
     *,
     method: Literal["delta", "bootstrap"] = "delta",
     confidence: float = 0.95,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
     n_draws: int = 10_000,
     n_bootstrap: int = 400,
     seed: Seed = 0,
@@ -119,12 +121,15 @@ def compare_policies(
     ----------
     problem : Problem
     policies : two or more, a mapping name -> policy or a list of them
-    method, confidence : as in ``interval``
+    method, confidence, lower_ratio, upper_ratio : as in ``interval``
     n_draws : draws of the joint normal distribution behind ``probability_best`` ("delta")
     n_bootstrap, seed : of the bootstrap, and of the draws
 
     Notes
     -----
+    In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so that no row moves the mean of G by more than the root
+    of that times its standard deviation under P: the most that a row never recorded adds to a standard error.
+
     Impossible moves that a Problem dropped, and a simulator that was sampled, widen each difference by the most that they can
     change either value; P(best) knows nothing of them.
 
@@ -148,10 +153,12 @@ def compare_policies(
     named = several_policies(policies, problem.simulator)
     require_squares(problem.model)
     _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(named), "n_draws", n_draws)
-    parts = {name: gather(problem, policy) for name, policy in named.items()}
+    parts = {name: gather(problem, policy, lower_ratio, upper_ratio) for name, policy in named.items()}
     names, evidences = list(parts), list(parts.values())
     values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])
     recorded, never = _covariances(evidences)
+    room = (1.0 - (lower_ratio or 0.0)) * ((np.inf if upper_ratio is None else upper_ratio) - 1.0)
+    never = never * min(1.0, room)
     generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never

@@ -127,11 +127,11 @@ def interval(
         Guaranteed: every row in a KL ball around its counts and in the box, all at once; the extreme values by robust policy
         evaluation, certified.
     confidence : in (0, 1)
-    lower_ratio, upper_ratio : the prior box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the
-        simulator's support
-    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one key,
-        or along features, differ from the simulator alike, its parameters free and nothing else (``inference.shared``). It
-        narrows where the assumption is true and may miss the value where it is not
+    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the simulator's
+        support
+    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one
+        key, or along features, differ from the simulator alike, its parameters free and nothing else (``inference.shared``).
+        It narrows where the assumption is true and may miss the value where it is not
     radius : of the balls: "independent" rows, "anytime" (counts that are random, as in episodes), "auto": anytime for a log
         with episodes
     resample, n_bootstrap, seed : over what the (percentile) bootstrap resamples, how often, and its seed

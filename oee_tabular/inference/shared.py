@@ -6,12 +6,12 @@ standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and th
 
     {theta : f(theta) - f(theta_hat) <= q / 2},   q the quantile of chi-square with one degree of freedom.
 
-An end is found by linearising J: with g the gradient of J at theta_k, theta_{k+1} maximises s g . theta over the set, s = 1 or
--1. The set is convex, so that theta_{k+1} = argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary: a
-root in c, bracketed, each value by Newton's method. At the fixed point g and f' are parallel, the first-order condition of an end.
+An end is found by linearising J: with g the gradient of J at theta_k, theta_{k+1} maximises s g . theta over the set, s = 1
+or -1. The set is convex, so that theta_{k+1} = argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary:
+a root in c, bracketed, each value by Newton's method. At the fixed point g and f' are parallel, the first-order condition.
 
-Nothing else is free: pairs that were never recorded follow from theta. Where the tie or the features are wrong the interval need
-not cover, however many transitions there are.
+Nothing else is free: pairs that were never recorded follow from theta. Where the tie or the features are wrong the interval
+need not cover, however many transitions there are.
 """
 
 from __future__ import annotations

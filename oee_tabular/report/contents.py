@@ -149,6 +149,7 @@ def method_facts(report: Evaluation) -> list[tuple[str, str]]:
         ("Simulator from", facts.get("simulator_name")),
         ("Log of the target", facts["log"]),
         ("Log from", facts.get("log_name")),
+        ("Target", facts.get("target")),
         ("Rewards paid by models", "the log's mean where it has any" if facts.get("rewards") == "log" else "the simulator's"),
         ("Horizon", "infinite" if report.horizon is None else f"{report.horizon} rewards"),
         ("Discount", f"{report.discount:g}"),

@@ -14,6 +14,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.inference import Comparison, Interval
 from oee_tabular.inference.comparison import several_policies
+from oee_tabular.report.assumptions import Assumptions
 from oee_tabular.report.quoting import LIKELIHOOD, quoted
 from oee_tabular.report.results import aligned
 from oee_tabular.report.sureness import ENOUGH, Sureness, how_sure, ranked, sampling_columns
@@ -128,7 +129,15 @@ class Contest:
 
 
 @one_thread
-def contest(problem: Problem, policies: object, *, confidence: float = 0.95, quick: bool = False) -> Contest:
+def contest(
+    problem: Problem,
+    policies: object,
+    *,
+    confidence: float = 0.95,
+    quick: bool = False,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
+) -> Contest:
     """Compare policies on one log: differences with their intervals, P(best), and the sentence.
 
     Parameters
@@ -137,6 +146,7 @@ def contest(problem: Problem, policies: object, *, confidence: float = 0.95, qui
     policies : two or more, as for ``evaluate``
     confidence : of the values' intervals, and of all differences from the best together
     quick : whether likelihood intervals are left out
+    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P, which narrows intervals and differences
 
     Raises
     ------
@@ -156,7 +166,8 @@ def contest(problem: Problem, policies: object, *, confidence: float = 0.95, qui
     named = several_policies(policies, problem.simulator)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
         raise ValueError("horizon must be given at discount 1")
-    sure = how_sure(problem, named, level, guaranteed=False, quick=quick, scale=1.0)
+    box = Assumptions(lower_ratio, upper_ratio)
+    sure = how_sure(problem, named, level, guaranteed=False, quick=quick, scale=1.0, assumed=box)
     found = sure.comparison
     assert found is not None
     values = {name: _value(problem, named[name], sure, name, level) for name in named}

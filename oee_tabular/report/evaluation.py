@@ -17,10 +17,11 @@ from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import contents
+from oee_tabular.report.assumptions import Assumptions
 from oee_tabular.report.files import check_page
 from oee_tabular.report.quoting import LIKELIHOOD, quoted, sentences, way
 from oee_tabular.report.results import Evaluation, Result, headline
-from oee_tabular.report.sureness import Sureness, how_sure, ranked
+from oee_tabular.report.sureness import SHARED, Sureness, how_sure, ranked
 
 
 class Report(Evaluation):
@@ -118,6 +119,7 @@ def evaluate(
     facts: Mapping[str, Any] | None = None,
     guaranteed: bool = False,
     quick: bool = False,
+    **assumed: Any,
 ) -> Report:
     """Evaluate policies in the target by several estimators.
 
@@ -134,6 +136,8 @@ def evaluate(
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
     guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
     quick : whether likelihood intervals, most of the time of large problems, are left out
+    lower_ratio, upper_ratio, tie, features : what you know about the target (``report.assumptions.Assumptions``): a box narrows
+        every interval and comparison; a tie, or features, adds a row with the interval of its own model
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Returns
@@ -178,7 +182,10 @@ def evaluate(
     named_policies = check_policies(policies, problem.simulator, name="policy")
     if not named_policies:
         raise ValueError("policies must hold at least one; it is empty")
+    assumptions = Assumptions(**assumed)
+    own = assumptions.estimators()
     chosen, left_out = _chosen(problem, estimators, target)
+    chosen |= own
     truth = {}
     if target is not None:
         truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
@@ -188,14 +195,18 @@ def evaluate(
         if estimators is None:
             raw, lost = _weighted(raw)
             left_out += lost
-        sure = how_sure(problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale)
+        sure = how_sure(
+            problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale, assumed=assumptions
+        )
     results = []
     for result in raw:
-        likelihood = sure.intervals.get(result.policy, {}).get(LIKELIHOOD)
+        key = SHARED if result.estimator in own else LIKELIHOOD
+        likelihood = sure.intervals.get(result.policy, {}).get(key)
         results.append(replace(result, estimate=quoted(result.estimate, likelihood, level, scale)))
     sure = _told(sure, results, problem, named_policies, chosen, scale)
     warnings, notes = _noted(problem, results, left_out)
     known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    known |= {"target": str(assumptions)} if str(assumptions) else {}
     known |= facts or {}
     return Report(
         tuple(results),

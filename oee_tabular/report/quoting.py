@@ -16,6 +16,8 @@ from oee_tabular.report.sureness import ENOUGH
 LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {
     LIKELIHOOD: "every value in keeping with the log; where it has nothing, any move that the simulator makes is possible",
+    "likelihood under the tie": "every value of the tied model in keeping with the log; transitions of one key change alike",
+    "likelihood under the features": "every value of the model in keeping with the log; rows change along the features alone",
     "one-step": "value plus or minus normal quantile x standard error, to which pairs never recorded add as if recorded once",
     "refits": "value plus or minus t quantile x standard error, by refits on resampled episodes and the rollouts' own",
     "calibrated": "value plus or minus normal quantile x standard error, in which the gap between two calibrations counts",
@@ -66,7 +68,7 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
 
 
 def _inside(estimate: Estimate, sure: Interval, scale: float) -> Estimate:
-    facts, value = estimate.diagnostics | {"interval_method": LIKELIHOOD}, estimate.value
+    facts, value = estimate.diagnostics | {"interval_method": sure.method}, estimate.value
     room = 1e-9 * max(1.0, abs(sure.lower), abs(sure.upper))  # the ends are found by iteration
     low, high = sure.lower - room, sure.upper + room
     if low <= value <= high:

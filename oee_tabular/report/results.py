@@ -167,7 +167,8 @@ class Evaluation:
         body = [self._cells(row) for row in self.records()]
         lines = aligned([self._header(), *body], numeric_from=2)
         lines.insert(1, "-" * max(len(line) for line in lines))
-        text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}", "", *lines]
+        text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}"]
+        text += [*([f"Target: {self.facts['target']}"] if "target" in self.facts else []), "", *lines]
         if self._legend():
             text += ["", *self._legend()]
         if self.truth:

@@ -14,10 +14,11 @@ from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
-from oee_tabular.inference import Comparison, Interval, compare_policies, interval
+from oee_tabular.inference import Comparison, Interval, compare_policies
 from oee_tabular.inference.evidence import Evidence, gather, reached_rows
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.report.assumptions import Assumptions
 
 LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes
 
@@ -28,6 +29,7 @@ SOFT = (
 OVERLAP = " Their intervals overlap, but differences are surer: the same moves count for both."
 MUCH_WIDER = 1.5  # times the interval from the recorded transitions alone: from there on the report explains both
 ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
+SHARED = "shared"  # the key of the interval under a tie or features
 
 
 @dataclass(frozen=True)
@@ -67,13 +69,14 @@ def how_sure(
     guaranteed: bool,
     scale: float,
     quick: bool = False,
+    assumed: Assumptions | None = None,
 ) -> Sureness:
     """Likelihood intervals (and guaranteed ones) of every policy; distance, width and the next (s, a) in words.
 
     ``scale`` multiplies values in the sentences (1 - discount for normalised reports). ``ranking`` is left to ``ranked``, which
     needs the values.
     """
-    soft = problem.soft
+    soft, assumed = problem.soft, assumed or Assumptions()
     if soft and guaranteed:
         raise ValueError("guaranteed must be False where counts are given: soft counts are no independent moves")
     evidence = gather(problem, next(iter(policies.values())))
@@ -98,7 +101,9 @@ def how_sure(
     elif not soft:
         for i, (name, policy) in enumerate(policies.items()):
             _progress.report_step(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
-            intervals[name] = {m: interval(problem, policy, method=m, confidence=confidence) for m in methods}
+            intervals[name] = {m: assumed.interval(problem, policy, method=m, confidence=confidence) for m in methods}
+            if (shared := assumed.shared_interval(problem, policy, confidence)) is not None:
+                intervals[name][SHARED] = shared
     del evidence  # as much memory as the simulator
     _progress.report_step("comparison of the policies, and what to record next")
     several = len(policies) > 1 and not endless
@@ -108,7 +113,7 @@ def how_sure(
         tuple(distance),
         {name: _width(found, confidence, scale) for name, found in intervals.items()},
         next="" if endless else advice(problem, policies, confidence),
-        comparison=compare_policies(problem, policies, confidence=each) if several else None,
+        comparison=compare_policies(problem, policies, confidence=each, **assumed.box) if several else None,
     )
 
 

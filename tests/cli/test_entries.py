@@ -59,27 +59,42 @@ def dense(values, elsewhere=np.nan):
 # ---------------------------------------------------------------- what they do
 
 
-def test_each_file_adds_a_row_and_leaves_the_others(capsys):
-    np.save("phi.npy", np.column_stack([KIND == 1, NEXT]).astype(float))
-    np.save("keys.npy", KEYS)
+FILES = {"features": np.column_stack([KIND == 1, NEXT]).astype(float), "tie": KEYS}
+OPTIONS = {"features": {"prior": "tilt", "features": FILES["features"]}, "tie": {"tie": KEYS}}
+
+
+@pytest.mark.parametrize(("kind", "name"), [("features", "oee-features"), ("tie", "oee-tied")])
+def test_a_file_adds_a_row_with_its_interval_and_leaves_the_others(capsys, kind, name):
+    np.save("own.npy", FILES[kind])
     plain = json.loads(run(capsys, *ASK, "--json"))
-    both = json.loads(run(capsys, *ASK, "--features", "phi.npy", "--tie", "keys.npy", "--json"))
-    names = [row["estimator"] for row in both["results"]]
-    assert names == ["simulator", "oee", "model-based", "oee-features", "oee-tied"]
-    for name in ("simulator", "oee", "model-based"):
-        one, other = (next(r for r in found["results"] if r["estimator"] == name) for found in (plain, both))
-        assert {k: v for k, v in one.items() if k != "notes"} == {k: v for k, v in other.items() if k != "notes"}
-    assert "Importance sampling is left out: the log has no episodes." in both["warnings"]
-    assert set(plain["warnings"]) <= set(both["warnings"])
-    values = {row["estimator"]: row["value"] for row in both["results"]}
-    problem = oee.Problem(GRID, oee.Transitions.load("log.csv"))
-    for name, options in (("oee-features", {"features": np.load("phi.npy")}), ("oee-tied", {"tie": KEYS})):
-        expected = oee.estimators.OffEnvironment(partial(oee.transition_ratio, **options))(problem, POLICY)
-        assert values[name] == expected.value
-    assert len({round(values[name], 9) for name in ("oee", "oee-features", "oee-tied")}) == 3
-    assert both["facts"]["features"] == "phi.npy (feature 0, feature 1)"
-    assert both["facts"]["tie"] == f"keys.npy ({len(np.unique(KEYS))} keys)"
-    assert not {"features", "tie"} & set(plain["facts"])
+    more = json.loads(run(capsys, *ASK, f"--{kind}", "own.npy", "--json"))
+    assert [row["estimator"] for row in more["results"]] == ["simulator", "oee", "model-based", name]
+    for other in ("simulator", "oee", "model-based"):
+        one, two = (next(r for r in found["results"] if r["estimator"] == other) for found in (plain, more))
+        assert {k: v for k, v in one.items() if k != "notes"} == {k: v for k, v in two.items() if k != "notes"}
+    assert set(plain["warnings"]) <= set(more["warnings"])
+    problem, row = oee.Problem(GRID, oee.Transitions.load("log.csv")), more["results"][-1]
+    expected = oee.estimators.OffEnvironment(partial(oee.transition_ratio, **OPTIONS[kind]))(problem, POLICY)
+    assert expected.value in (row["value"], row.get("replaced_value"))
+    interval = oee.interval(problem, POLICY, **{kind: FILES[kind]})
+    assert (row["lower"], row["upper"], row["interval_method"]) == (interval.lower, interval.upper, interval.method)
+    assert kind not in plain["facts"]
+    assert more["facts"][kind].startswith("own.npy (")
+    np.save("keys.npy", KEYS)
+    np.save("phi.npy", FILES["features"])
+    both = run(capsys, *ASK, "--features", "phi.npy", "--tie", "keys.npy", code=2)
+    assert "tie and features must not be given together" in both
+
+
+def test_a_box_narrows_the_interval(capsys):
+    plain, boxed = (json.loads(run(capsys, *ASK, *words, "--json")) for words in ((), ("--box", "0.2,3")))
+    one, two = (next(r for r in found["results"] if r["estimator"] == "oee") for found in (plain, boxed))
+    assert one["lower"] <= two["lower"] < two["upper"] <= one["upper"]
+    assert boxed["facts"]["target"] == "assumed between 0.2 and 3 times the simulator's probabilities"
+    for text in ("0.5", "a,b", "1,2,3", "nan,2"):
+        assert "--box must be LOWER,UPPER" in run(capsys, *ASK, "--box", text, code=2)
+    assert "lower_ratio must be in [0, 1]" in run(capsys, *ASK, "--box", "1.5,2", code=2)
+    assert "the counts contradict the box [0.99, 1.01]" in run(capsys, *ASK, "--box", "0.99,1.01", code=2)
 
 
 def test_beside_the_estimators_that_were_asked_for(capsys):
@@ -168,14 +183,11 @@ def test_states_and_actions_by_name(capsys):
         "named.npz",
         "--log",
         "log.csv",
-        "--tie",
-        "keys.csv",
-        "--features",
-        "phi.csv",
         "--json",
     ]
-    found = json.loads(run(capsys, *ask))
-    assert [row["estimator"] for row in found["results"]][-2:] == ["oee-features", "oee-tied"]
+    for words, name in ((("--tie", "keys.csv"), "oee-tied"), (("--features", "phi.csv"), "oee-features")):
+        found = json.loads(run(capsys, *ask, *words))
+        assert found["results"][-1]["estimator"] == name
 
 
 def test_python_takes_the_same_tables():

@@ -63,7 +63,12 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
     assert_allclose(found.diagnostics["estimate"], value(best.x), rtol=1e-6)
     for sign, end in ((1, found.lower), (-1, found.upper)):
         starts = [best.x + 0.1 * d for d in (np.zeros(2), *np.eye(2), *-np.eye(2))]
-        ends = [optimize.minimize(lambda t: sign * value(t), x, method="SLSQP", constraints=[inside]) for x in starts]
+        ends = [
+            optimize.minimize(
+                lambda t, s: s * value(t), x, (sign,), method="SLSQP", constraints=[{**inside, "args": ()}]
+            )
+            for x in starts
+        ]
         farthest = min(sign * value(e.x) for e in ends if risk(e.x) <= limit + 1e-6)
         assert sign * end <= farthest + 1e-4 * found.width
 
