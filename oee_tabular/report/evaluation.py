@@ -136,8 +136,9 @@ def evaluate(
     target : the true target, where it is known (teaching, research): adds its exact values and the errors
     guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
     quick : whether likelihood intervals, most of the time of large problems, are left out
-    lower_ratio, upper_ratio, tie, features : what you know about the target (``report.assumptions.Assumptions``): a box narrows
-        every interval and comparison; a tie, or features, adds a row with the interval of its own model
+    assumed : what you know about the target, by the keywords lower_ratio, upper_ratio, tie and features (as in
+        ``inference.interval``): a box narrows every interval and comparison; a tie, or features, adds a row (oee-tied,
+        oee-features) with the interval of its own model
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Returns
