@@ -27,7 +27,7 @@ policy can record ("behavior"): q in the occupancy polytope of the collection MD
 
     q >= 0,   sum_a q(s', a) = (1 - b) mu_0(s') + b sum_x q(x) P'(s' | x)   for every s'.
 
-Up to 2000 rows it is solved as cvxpy states it, with a second-order cone a row; above by columns [2]: q is a mixture of a few
+Up to 4000 rows it is solved as cvxpy states it, with a second-order cone a row; above by columns [2]: q is a mixture of a few
 occupancies, mixed by the multiplicative algorithm [3]. The weights w of the policies define one objective sum_k w_k F_k with
 slopes g_x = sum_k w_k C_kx / (b_x + q_x)^2. New columns are the best policy of the collection MDP that pays g (Frank and
 Wolfe's: the linear oracle is planning [4]), and the policy made of the minimising q below, at the value v of beta = q / sum_a q

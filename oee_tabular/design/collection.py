@@ -78,7 +78,7 @@ def plan_data_collection(
     restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
         in the state that ended it
     solver : "frank_wolfe" (columns by planning, to a gap of 0.1%), "CLARABEL" (the statement in cvxpy), or "auto": the
-        second up to 2000 (s, a), the first above and where the second is not close
+        second up to 4000 (s, a), the first above and where the second is not close
     confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
 
     Returns
