@@ -136,28 +136,39 @@ def _add_reference_entries(simulator: FiniteMDP, model: Model, rows: IntArray) -
         parts = np.full(columns.size, weight), columns.reshape(-1), np.append(0, np.cumsum(lengths))
         return sparse.csr_array(parts, (matrix.shape[0], n_columns))
 
-    same_state = matrix_of(
-        1.0 / n_actions, states[:, None] * n_actions + np.arange(n_actions), n_actions, matrix.shape[0]
-    )
+    all_actions = states[:, None] * n_actions + np.arange(n_actions)
+    same_state = matrix_of(1.0 / n_actions, all_actions, n_actions, matrix.shape[0])
     mean = canonical(same_state @ matrix, drop_zeros=False)
-    other = mean + matrix_of(1.0, states, 1, matrix.shape[1])
-    own = (1.0 - ACTION_NOISE) * matrix_of(1.0, rows, 1, matrix.shape[0]) @ matrix
-    reference = canonical(own + 0.5 * ACTION_NOISE * other, drop_zeros=True)
+    reference = canonical(
+        (1.0 - ACTION_NOISE) * matrix_of(1.0, rows, 1, matrix.shape[0]) @ matrix
+        + 0.5 * ACTION_NOISE * (mean + matrix_of(1.0, states, 1, matrix.shape[1])),
+        drop_zeros=True,
+    )
     pattern = canonical(_ones(model.transitions) + _ones(reference), drop_zeros=False)
-    rewards = None
-    if simulator.reward_data is not None:
-        paid = same_state @ csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
-        paid_on_pattern = align(canonical(paid, drop_zeros=False), pattern)[0]
-        chance = align(mean, pattern)[0]
-        rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
-        np.divide(paid_on_pattern, chance, out=rewards, where=chance > 0)
-        own_rewards, is_defined = align(simulator.transition_rewards, pattern)
-        np.copyto(rewards, own_rewards, where=is_defined)
+    weights = align(reference, pattern)[0]
+    del reference  # of many such rows each is as large as the simulator
+    rewards = None if simulator.reward_data is None else _rewards_on(pattern, simulator, same_state, mean)
+    del same_state, mean
     transitions = csr_on_pattern(pattern, align(model.transitions, pattern)[0], own=True)
     wider = ReweightedModel(
         model.n_states, n_actions, transitions, model.rewards, rewards, model.initial, model.discount, model.terminal_state
     )  # fmt: skip
-    return wider, align(reference, pattern)[0]
+    return wider, weights
+
+
+def _rewards_on(
+    pattern: sparse.csr_array, simulator: FiniteMDP, same_state: sparse.csr_array, mean: sparse.csr_array
+) -> Array:
+    """r(s, a, s') on the entries of ``pattern``: the row's own, or the mean over the state's actions, or the row's mean."""
+    rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
+    paid = same_state @ csr_on_pattern(
+        simulator.transitions, simulator.transitions.data * simulator.reward_data, own=True
+    )
+    chance = align(mean, pattern)[0]
+    np.divide(align(canonical(paid, drop_zeros=False), pattern)[0], chance, out=rewards, where=chance > 0)
+    own, is_defined = align(simulator.transition_rewards, pattern)
+    np.copyto(rewards, own, where=is_defined)
+    return rewards
 
 
 def _ones(matrix: sparse.csr_array) -> sparse.csr_array:
