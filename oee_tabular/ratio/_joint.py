@@ -140,31 +140,37 @@ def multipliers(b, theta, f, k, moves, eta, xi):
 
 @njit(cache=True, error_model="numpy")
 def root_in_b(f, k, scaled, moves):
-    """(b, theta) where the value's derivative in b vanishes, or at a bound; B into ``moves``."""
-    left, right = f.nu, f.mu
+    """(b, theta) where the value's derivative in b vanishes, or at a bound; B into ``moves``.
+
+    From b = 1 to the bound on the side of the root, or by doubled steps where there is none; then secant steps between the
+    ends of the bracket, every fifth a halving.
+    """
+    left, right, at_left, at_right = f.nu, f.mu, np.nan, np.nan
     b = min(max(1.0, left), right)
-    for _ in range(4000):
+    for step in range(1, 2000):
         theta, pull = inner(b, f, k, scaled, moves)
         slope = f.r[k] - theta * f.r[k] + f.lam * b + pull - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
-        if slope == 0.0:
+        if slope == 0.0 or (slope > 0.0 and b == f.nu) or (slope < 0.0 and b == f.mu):
             break
         if slope > 0.0:
-            right = b
+            right, at_right = b, slope
         else:
-            left = b
-        if right == np.inf:
-            trial = 2.0 * b
-        elif left == 0.0 and right > 1e-300:
-            trial = 0.5 * b
+            left, at_left = b, slope
+        if np.isnan(at_left):
+            trial = left if left > 0.0 else 0.5 * b
+        elif np.isnan(at_right):
+            trial = right if right < np.inf else 2.0 * b
         else:
-            trial = left + 0.5 * (right - left)
-        if trial == b or not left <= trial <= right or trial < 1e-300 or trial > 1e300:
+            trial = left - at_left * ((right - left) / (at_right - at_left))
+            if not left < trial < right or step % 5 == 0:
+                trial = left + 0.5 * (right - left)
+            if not left < trial < right:
+                break
+        if trial < 1e-300 or trial > 1e300:
             break
-        if trial in (left, right):
-            if (trial == f.nu and left == f.nu) or (trial == f.mu and right == f.mu):
-                b = trial
-                theta, pull = inner(b, f, k, scaled, moves)
-            break
+        if abs(trial - b) <= 2.3e-16 * b:
+            theta, pull = inner(trial, f, k, scaled, moves)
+            return trial, theta
         b = trial
     return b, theta
 
