@@ -14,7 +14,7 @@ SUBJECTS = {
     "data": {"Logs": ("Transitions", "TransitionCounts", "ContinuousTransitions")},
     "inference": {
         "How sure": ("interval", "Interval", "value_range"),
-        "Which policy is better": ("compare_policies", "Comparison", "selection_measures", "Selection"),
+        "Which policy is better": ("compare_policies", "Comparison", "Decision", "selection_measures", "Selection"),
         "Where the log contradicts the simulator": ("row_changes", "RowChanges"),
     },
     "design": {"What to record next": ("plan_data_collection", "Plan", "Outlook")},

@@ -35,7 +35,7 @@ NAMES = {
         Embedded embedded_default published table
     """,
     "oee_tabular.inference": """
-        Comparison EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
+        Comparison Decision EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
         compare_policies corrected_value_error_bound estimation_bound estimation_sides excess_risk interval
         kl_path_bound kl_path_sides normalised_bound normalised_sides path_kl plan_data_collection ratio_error_bound
         ratio_error_sides renyi_divergence row_changes selection_measures simulation_lemma squared_error_sides

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 
 from oee_tabular.inference.changes import RowChanges, row_changes
-from oee_tabular.inference.comparison import Comparison, Selection, compare_policies, selection_measures
+from oee_tabular.inference.comparison import Comparison, Decision, Selection, compare_policies, selection_measures
 from oee_tabular.inference.intervals import Interval, interval
 from oee_tabular.inference.ranges import value_range
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
+    "Decision",
     "Interval",
     "RowChanges",
     "Selection",

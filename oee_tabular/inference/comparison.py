@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,9 +19,43 @@ from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.asymptotic import bootstrap_values
 from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulated_rows
+from oee_tabular.inference.intervals import Interval
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
+
+ENOUGH = 0.9  # of a policy's time in pairs that the log has: below it what counts the log's noise alone says nothing
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Which policy is worth most, as far as the log can say.
+
+    Attributes
+    ----------
+    candidates : the policies of which none is surely worth less than another, largest value first
+    are_equal : whether several candidates do the same wherever it bears on J
+    probability_best : policy -> P(best); None of every policy where the log cannot say
+    margin : how much the best is worth more than the next, and an interval: (difference, lower, upper); None without a best
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known
+    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}).decide()
+    >>> found.best, [round(x, 2) for x in found.margin]
+    ('new', [3.26, 3.13, 3.39])
+    """
+
+    candidates: tuple[str, ...]
+    are_equal: bool
+    probability_best: Mapping[str, float | None]
+    margin: tuple[float, float, float] | None
+
+    @property
+    def best(self) -> str | None:
+        """The policy that is worth most; None where the log cannot say, or several are worth the same."""
+        return self.candidates[0] if len(self.candidates) == 1 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +68,8 @@ class Comparison:
     values, standard_errors : (k,) of the maximum-likelihood model
     differences : (k, k) value of the row's policy less that of the column's
     lower, upper : (k, k) intervals for the differences, at ``confidence``
-    probability_best : (k,) how often each has the largest value under the values' joint distribution
+    probability_best : (k,) how often each has the largest value under the values' joint distribution, which knows nothing of
+        what was never recorded; ``decide`` says where that means something
     covariance : (k, k) of the values
     unseen_share : (k,) in [0, 1], of each policy's discounted time in states that can be left (as a dropped move shows, too),
         that in rows of several next states that the log has never seen, or in moves that were dropped
@@ -58,41 +95,76 @@ class Comparison:
     unseen_share: Array
     confidence: float
 
-    def __str__(self) -> str:
-        width = max(len(name) for name in self.names)
-        lines = [f"{'policy':<{width}}  {'value':>10}  {'std. error':>10}  {'P(best)':>7}  difference from the best"]
-        for i, name in enumerate(self.names):
-            text = self._difference(i) if i else ""
-            lines.append(
-                f"{name:<{width}}  {self.values[i]:>10.5g}  {self.standard_errors[i]:>10.2g}  "
-                f"{100 * self.probability_best[i]:>6.1f}%  {text}"
-            )
-        return "\n".join([*lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
+    def decide(
+        self, values: Mapping[str, float] | None = None, intervals: Mapping[str, Interval] | None = None
+    ) -> Decision:
+        """Say which policy is worth most: one rule for the ranking, P(best) and every sentence.
 
-    def _difference(self, i: int) -> str:
-        """Of policy i from the best, with its interval."""
-        spec = _printing.spec(self.lower[i, 0], self.upper[i, 0])
-        interval = _printing.interval(self.lower[i, 0], self.upper[i, 0])
-        return f"{self.differences[i, 0]:{spec}} {interval}"
+        One policy is surely worth more than another where the interval of their difference says so and the log has ``ENOUGH``
+        of both policies' time, or where likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of every
+        policy's time; not where it cannot say which is best, but P(best) would exceed the confidence of all differences.
+
+        Parameters
+        ----------
+        values : policy -> the value that is shown; None: the comparison's own
+        intervals : policy -> likelihood interval, where there is one
+        """
+        shown = dict(zip(self.names, self.values.tolist(), strict=True)) if values is None else values
+        order = sorted(shown, key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf)
+        known = intervals or {}
+        candidates = [a for a in order if a == order[0] or not any(self._is_better(b, a, known) for b in order)]
+        rows = np.ix_(*[[self.names.index(name) for name in candidates]] * 2)
+        scale = max((abs(x) for x in shown.values() if math.isfinite(x)), default=0.0)
+        are_equal = len(candidates) > 1 and np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale
+        level = 1.0 - (len(order) - 1) * (1.0 - self.confidence)
+        is_open = len(candidates) > 1 and not are_equal and self.probability_best.max() > level
+        told = self.unseen_share.max() <= 1.0 - ENOUGH and not is_open
+        best = {name: float(self.probability_best[self.names.index(name)]) if told else None for name in order}
+        margin = self._margin(order[0], order[1], shown, known) if len(candidates) == 1 else None
+        return Decision(tuple(candidates), bool(are_equal), best, margin)
+
+    def _is_better(self, one: str, other: str, intervals: Mapping[str, Interval]) -> bool:
+        if one in intervals and other in intervals and intervals[one].lower > intervals[other].upper:
+            return True
+        pair = self.names.index(one), self.names.index(other)
+        return bool(self.lower[pair] > 0 and max(self.unseen_share[[*pair]]) <= 1.0 - ENOUGH)
+
+    def _margin(
+        self, one: str, other: str, shown: Mapping[str, float], intervals: Mapping[str, Interval]
+    ) -> tuple[float, float, float]:
+        """The difference of the values that are shown, in the paired interval, or in what likelihood intervals leave."""
+        difference, pair = shown[one] - shown[other], (self.names.index(one), self.names.index(other))
+        lower, upper = float(self.lower[pair]), float(self.upper[pair])
+        if not self._is_better(one, other, {}):
+            lower = intervals[one].lower - intervals[other].upper
+            upper = intervals[one].upper - intervals[other].lower
+        return difference, min(lower, difference), max(upper, difference)
+
+    def __str__(self) -> str:
+        header, *rows = self._rows()
+        width = max(len(name) for name in self.names)
+        lines = [f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip() for row in rows]
+        head = f"{header[0]:<{width}}  {header[1]:>10}  {header[2]:>10}  {header[3]:>7}  {header[4]}"
+        return "\n".join([head, *lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
+
+    def _rows(self) -> list[list[str]]:
+        """The header, then a row each policy; P(best) is left out where the log cannot say."""
+        rows, best = (
+            [["policy", "value", "std. error", "P(best)", "difference from the best"]],
+            self.decide().probability_best,
+        )
+        for i, name in enumerate(self.names):
+            difference, share = "", best[name]
+            if i:
+                ends = self.lower[i, 0], self.upper[i, 0]
+                difference = f"{self.differences[i, 0]:{_printing.spec(*ends)}} {_printing.interval(*ends)}"
+            numbers = f"{self.values[i]:.5g}", f"{self.standard_errors[i]:.2g}"
+            rows.append([name, *numbers, "-" if share is None else f"{share:.1%}", difference])
+        return rows
 
     def _repr_html_(self) -> str:
-        rows = [
-            (
-                name,
-                f"{self.values[i]:.5g}",
-                f"{self.standard_errors[i]:.2g}",
-                f"{100 * self.probability_best[i]:.1f}%",
-                self._difference(i) if i else "",
-            )
-            for i, name in enumerate(self.names)
-        ]
-        header = [
-            "policy",
-            "value",
-            "std. error",
-            "P(best)",
-            f"difference from the best, {100 * self.confidence:.4g}% interval",
-        ]
+        header, *rows = self._rows()
+        header[4] += f", {100 * self.confidence:.4g}% interval"
         return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -101,18 +101,6 @@ def simulated_rows(evidence: Evidence) -> Array:
     """(entries,) the simulator's probabilities, rows summing to 1."""
     data = evidence.model.transitions.data
     return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
-
-
-def hold_unobserved(evidence: Evidence, rows: Array) -> Evidence:
-    """The same with the pairs that were never recorded held at ``rows`` (entries,), as far towards them as the box allows."""
-    base = simulated_rows(evidence)
-    change = rows - base
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(change > 0, evidence.high - base, base - evidence.low) / np.abs(change)
-    share = np.minimum.reduceat(np.where(change == 0, 1.0, np.clip(room, 0.0, 1.0)), evidence.indptr[:-1])
-    p = np.where(evidence.n[evidence.rows] > 0, evidence.phat, base + share[evidence.rows] * change)
-    held = evidence.n[evidence.rows] == 0
-    return replace(evidence, phat=p, low=np.where(held, p, evidence.low), high=np.where(held, p, evidence.high))
 
 
 def unseen_time(evidence: Evidence) -> float:

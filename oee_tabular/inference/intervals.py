@@ -9,16 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
-from oee_tabular.exact import reweight
 from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
 from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
     gather,
-    hold_unobserved,
     reached_rows,
     require_squares,
     unseen_time,
@@ -47,8 +45,11 @@ class Interval:
         that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
         the share of the policy's time that they may have been (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
-    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone, with state-action pairs that were
-        never recorded, and impossible moves that were dropped, as the default estimates them; None for the other methods
+    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. Where the policy reaches no
+        state-action pair that was never recorded, the interval itself; else the value of ``OffEnvironment()`` plus or minus a
+        normal quantile times its standard error, in which such pairs are as estimated, and as uncertain as one transition
+        would leave them (at 3 to 10 transitions a pair, with 90% of the time recorded, it covers 96%; the likelihood interval
+        with these pairs held fixed 91%). None where there is no standard error, and for the other methods
 
     Examples
     --------
@@ -207,20 +208,18 @@ def interval(
         return _require_variation(finish(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
     if method == "likelihood":
         ends = likelihood_ends(evidence, level)
-        held = ends
-        if has_dropped or diagnostics["unvisited_rows"]:
-            held = likelihood_ends(hold_unobserved(evidence, estimated_rows(problem, evidence.policy)), level)
-        sampling = held[0].value, held[1].value
-        # a model of the smaller set is one of the larger: where its end is farther, the other ascent stopped short
-        lower, upper = min(ends[0].value, sampling[0]), max(ends[1].value, sampling[1])
         names = {
             "divergence": "divergence",
             "iterations": "iterations",
             "change": "last_change",
             "promised": "promised",
         }
-        added = {told: max(getattr(end, name) for end in ends) for name, told in names.items()}
-        return replace(finish(lower, upper, added), sampling=sampling)
+        added: dict[str, Any] = {told: max(getattr(end, name) for end in ends) for name, told in names.items()}
+        sampling: tuple[float, float] | None = ends[0].value, ends[1].value
+        if has_dropped or diagnostics["unvisited_rows"]:
+            sampling = _interval_as_estimated(problem, evidence, level, (ends[0].value, ends[1].value))
+            added["sampling_method"] = "value ± quantile x standard error"
+        return replace(finish(ends[0].value, ends[1].value, added), sampling=sampling)
     require_squares(problem.model)
     radius_of_row = radii(evidence, level, kind)
     lowest, highest = (extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0))
@@ -253,10 +252,16 @@ def _interval_under(
     return Interval(lower, upper, level, name, {"estimate": estimate, "n_parameters": len(directions.names)})
 
 
-def estimated_rows(problem: Problem, policy: Array) -> Array:
-    """(entries,) the default's model zeta P (eq. 4.2), which stands behind the point estimate."""
-    zeta = OffEnvironment().fit(problem, policy, np.random.default_rng(0))  # which draws nothing
-    return np.asarray(reweight(problem.model, zeta).transitions.data)
+def _interval_as_estimated(
+    problem: Problem, evidence: Evidence, level: float, quoted: tuple[float, float]
+) -> tuple[float, float] | None:
+    """The default's value, plus or minus a normal quantile times its standard error; within the quoted ends under a box."""
+    estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
+    if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
+        return None
+    half = NormalDist().inv_cdf(0.5 + level / 2.0) * estimate.standard_error
+    ends = estimate.value - half, estimate.value + half
+    return tuple(np.clip(ends, *quoted).tolist()) if evidence.has_box else ends
 
 
 def _require_variation(found: Interval, evidence: Evidence) -> Interval:

@@ -200,7 +200,10 @@ def glossary(report: Evaluation) -> list[tuple[str, str]]:
             ("guaranteed interval", "Holds with the confidence given however few moves the log has; the widest.")
         )
     if any(SAMPLING in alone(report, policy) for policy in report.sureness.intervals):
-        meaning = "From the recorded transitions alone: state-action pairs that were never recorded are as estimated."
+        meaning = (
+            "From the recorded transitions alone: the value plus or minus a normal quantile times its standard error. "
+        )
+        meaning += "State-action pairs that were never recorded are as estimated."
         found.append((SAMPLING, meaning))
     methods = dict.fromkeys([*(row["interval_method"] for row in report.records()), LIKELIHOOD])
     return [

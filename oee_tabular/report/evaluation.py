@@ -267,7 +267,7 @@ def _told(
         by_name = {result.estimator: result.estimate for result in own}
         simulator = Simulator()(problem, policy) if known is None else by_name[known]
         about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator.value, scale))))
-    return ranked(replace(sure, policies=about), values)
+    return ranked(replace(sure, policies=about), values, scale)
 
 
 def _noted(

@@ -11,7 +11,7 @@ from oee_tabular import _printing
 from oee_tabular.estimators import Estimate
 from oee_tabular.estimators.findings import NEVER_VARIED, Finding, no_value, outside
 from oee_tabular.inference import Interval
-from oee_tabular.report.sureness import ENOUGH
+from oee_tabular.inference.comparison import ENOUGH
 
 LIKELIHOOD, NOISE, OWN = "likelihood", "standard error", "the estimator's own"
 METHODS: Mapping[str, str] = {

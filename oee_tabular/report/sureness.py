@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
-from oee_tabular.inference import Comparison, Interval, compare_policies
+from oee_tabular.inference import Comparison, Decision, Interval, compare_policies
 from oee_tabular.inference.evidence import Evidence, gather, reached_rows
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.mdp.rows import Rows
@@ -26,9 +27,8 @@ SOFT = (
     "The counts were given beside the log: tests of the simulator and likelihood intervals, which need whole and independent "
     "moves, are left out."
 )
-OVERLAP = " Their intervals overlap, but differences are surer: the same moves count for both."
+MORE_PRECISE = " The difference is known more precisely than either value because both rest on the same transitions."
 MUCH_WIDER = 1.5  # times the interval from the recorded transitions alone: from there on the report explains both
-ENOUGH = 0.9  # of a policy's time in rows that the log has: below it what counts the log's noise alone says nothing
 SHARED = "shared"  # the key of the interval under a tie or features
 
 
@@ -53,6 +53,12 @@ class Sureness:
     best: str | None = None
     next: str = ""
     comparison: Comparison | None = None
+
+    @property
+    def likelihood(self) -> dict[str, Interval]:
+        """The likelihood interval of each policy that has one."""
+        found = {name: methods.get("likelihood") for name, methods in self.intervals.items()}
+        return {name: one for name, one in found.items() if one is not None and one.status == "ok"}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -117,52 +123,40 @@ def how_sure(
     )
 
 
-def ranked(sure: Sureness, values: Mapping[str, float]) -> Sureness:
-    """With the sentence about the best policy; ``values`` are those that are shown.
-
-    A policy is out where another is surely better: its likelihood interval lies below, or the paired comparison says so and
-    the log has ``ENOUGH`` of both policies' time.
-    """
-    finite = [name for name, value in values.items() if math.isfinite(value)]
-    if len(values) < 2 or not finite:
+def ranked(sure: Sureness, values: Mapping[str, float], scale: float = 1.0) -> Sureness:
+    """With the sentence about the best policy, by the comparison's one rule; ``values`` are those that are shown."""
+    if len(values) < 2 or not any(math.isfinite(value) for value in values.values()):
         return sure
     if sure.comparison is None:
         return replace(sure, ranking="At discount 1 policies are ranked only with a horizon (horizon=, --horizon).")
-    leader = max(finite, key=lambda name: values[name])
-    best = [name for name in values if name == leader or not any(_better(sure, other, name) for other in values)]
-    if len(best) == 1:
-        alone = all(_differs(sure, leader, name) for name in values if name != leader)
-        why = "" if alone else OVERLAP
-        return replace(
-            sure, best=leader, ranking=f"Of {len(values)} policies, “{leader}” is worth most in the target.{why}"
-        )
-    names = ", ".join(f"“{name}”" for name in best[:-1]) + f" and “{best[-1]}”"
-    rest = len(values) - len(best)
+    found = sure.comparison.decide(values, sure.likelihood)
+    names, best = found.candidates, found.best
+    if best is not None:
+        told = f"Of {len(values)} policies, “{best}” is worth most in the target.{_lead(found, sure, values, scale)}"
+        return replace(sure, best=best, ranking=told)
+    told = ", ".join(f"“{name}”" for name in names[:-1]) + f" and “{names[-1]}”"
+    rest = len(values) - len(names)
     less = f"; the other {rest} {'is' if rest == 1 else 'are'} worth less" if rest else ""
-    if _same(sure.comparison, best, max(abs(values[name]) for name in finite)):
-        return replace(sure, ranking=f"{names} are worth the same in the target{less}.")
-    return replace(sure, ranking=f"The log cannot say which of {names} is worth most in the target{less}.")
+    if found.are_equal:
+        return replace(sure, ranking=f"{told} are worth the same in the target{less}.")
+    return replace(sure, ranking=f"The log cannot say which of {told} is worth most in the target{less}.")
 
 
-def _differs(sure: Sureness, one: str, other: str) -> bool:
-    ours, theirs = (sure.intervals.get(name, {}).get("likelihood") for name in (one, other))
-    return ours is not None and theirs is not None and ours.lower > theirs.upper
-
-
-def _same(found: Comparison, names: Sequence[str], scale: float) -> bool:
-    """Whether they do the same wherever it bears on J: no difference, and none that a move could make."""
-    rows = np.ix_(*[[found.names.index(name) for name in names]] * 2)
-    return bool(np.abs([found.lower[rows], found.upper[rows]]).max() <= 1e-12 * scale)
-
-
-def _better(sure: Sureness, one: str, other: str) -> bool:
-    if _differs(sure, one, other):
-        return True
-    found = sure.comparison
-    if found is None:
-        return False
-    i, j = found.names.index(one), found.names.index(other)
-    return bool(found.lower[i, j] > 0 and max(found.unseen_share[[i, j]]) <= 1.0 - ENOUGH)
+def _lead(found: Decision, sure: Sureness, values: Mapping[str, float], scale: float) -> str:
+    """By how much the best is worth more than the next, and why that is known."""
+    assert found.margin is not None
+    assert sure.comparison is not None
+    best, following = sorted(values, key=lambda name: -values[name] if math.isfinite(values[name]) else math.inf)[:2]
+    difference, lower, upper = (scale * x for x in found.margin)
+    if not math.isfinite(difference):
+        return ""
+    form = _printing.spec(lower, upper)
+    level = 1.0 - (len(values) - 1) * (1.0 - sure.comparison.confidence)
+    text = f" It is better than “{following}” by {difference:{form}} ({level:.0%}: {lower:{form}} to {upper:{form}})."
+    ours, theirs = (sure.likelihood.get(name) for name in (best, following))
+    if ours is None or theirs is None or ours.lower <= theirs.upper:
+        text += MORE_PRECISE
+    return text
 
 
 def _distance(evidence: Evidence) -> str:
@@ -219,13 +213,14 @@ def _assumptions(shown: Interval, scale: float) -> str:
     """What the quoted interval assumes, and what the narrower one, where the two differ by more than ``MUCH_WIDER``."""
     if shown.sampling is None or shown.width <= MUCH_WIDER * (shown.sampling[1] - shown.sampling[0]):
         return ""
+    quantile = NormalDist().inv_cdf(0.5 + shown.confidence / 2.0)
     share = _printing.share(shown.diagnostics["unvisited_share"])
     dropped = shown.diagnostics.get("dropped_moves", 0.0)
     also = " and dropped transitions lead anywhere" if dropped else ""
     return (
         f" It lets state-action pairs that were never recorded ({share} of the policy's time) do anything that the simulator "
         f"allows{also}; from the recorded transitions alone, with those pairs as estimated, the value lies "
-        f"{_between(*shown.sampling, scale)}."
+        f"{_between(*shown.sampling, scale)} (value ± {quantile:.3g} standard errors)."
     )
 
 

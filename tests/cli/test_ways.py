@@ -279,7 +279,7 @@ def test_impossible_moves_are_refused_dropped_or_allowed(capsys, folder):
 def test_compare_says_which_or_that_it_cannot(capsys, folder):
     words = ["compare", "--simulator", "sim.npz", "--log", "log.csv", "--horizon", "30"]
     text = run(capsys, *words, "--policy", "best=optimal", "--policy", "any=uniform")
-    assert text.startswith("Of 2 policies, “best” is worth most in the target.\n")
+    assert text.startswith("Of 2 policies, “best” is worth most in the target. It is better than “any” by ")
     found = json.loads(run(capsys, *words, "--policy", "best=optimal", "--policy", "any=uniform", "--json"))
     assert found["best"] == "best"
     problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"), horizon=30)

@@ -1,5 +1,7 @@
 """Differences of policies, rankings, and measures of selection."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -129,6 +131,35 @@ def test_a_row_seen_once_is_not_certain():
     assert found.names == ("second", "first")
     assert (found.standard_errors > 0).all()
     assert found.lower[0, 1] < 0 < found.upper[0, 1]
+
+
+def test_where_the_log_cannot_say_there_is_no_probability():
+    """One rule: unrecorded time hides P(best), as does an open question that P(best) would answer."""
+    case, policies, _ = half_recorded(0)
+    found = compare_policies(case, policies)
+    assert set(found.decide().probability_best.values()) == {None}
+    assert found.decide().best is found.decide().margin is None
+    assert all(line.split()[3] == "-" for line in str(found).splitlines()[1:3])
+    known = compare_policies(problem(2000, 0), POLICIES)
+    decision = known.decide()
+    assert decision.best == "delta=0.9"
+    assert decision.probability_best["delta=0.9"] == known.probability_best[0]
+    assert decision.margin == (known.differences[0, 1], known.lower[0, 1], known.upper[0, 1])
+    # a band around every difference leaves the question open, whatever the draws say
+    wide = dataclasses.replace(known, lower=known.lower - 10.0, upper=known.upper + 10.0)
+    assert wide.decide().candidates == known.names
+    assert set(wide.decide().probability_best.values()) == {None}
+    even = dataclasses.replace(wide, probability_best=np.array([0.4, 0.3, 0.3]))
+    assert even.decide().probability_best == dict(zip(known.names, (0.4, 0.3, 0.3), strict=True))
+    # values that are shown contradict the difference; intervals that lie apart decide alone
+    assert known.decide({"delta=0.9": 0.0, "delta=0.5": 1.0, "delta=0.4": -1.0}).best is None
+    ends = {
+        name: oee.inference.Interval(x, x + 1.0, 0.95, "likelihood")
+        for name, x in zip(known.names, (9.0, 5, 1), strict=True)
+    }
+    assert wide.decide(intervals=ends).best == "delta=0.9"
+    shown = {"delta=0.9": 9.5, "delta=0.5": 5.5, "delta=0.4": 1.5}
+    assert wide.decide(shown, ends).margin == (4.0, 3.0, 5.0)
 
 
 def test_the_same_seed_gives_the_same_ranking():

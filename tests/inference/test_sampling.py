@@ -1,4 +1,4 @@
-"""The interval from the recorded transitions alone: what is held, what it covers, and where people read it."""
+"""The interval from the recorded transitions alone: what it is, what it covers, and where people read it."""
 
 import csv
 import json
@@ -10,8 +10,6 @@ from scipy import stats
 
 import oee_tabular as oee
 
-LIMIT = stats.chi2.ppf(0.95, 1) / 2
-
 
 def chain(recorded):
     """From 0 to 1 (pays 1) or 2; from 2, which may be unrecorded, to 1 or to the end 3."""
@@ -22,17 +20,17 @@ def chain(recorded):
     return oee.Problem(simulator, oee.Transitions(state, np.zeros(len(state), int), following)), np.ones((4, 1))
 
 
-def test_pairs_never_recorded_are_held_where_the_estimate_has_them():
+def test_pairs_never_recorded_are_as_the_default_estimates_them():
     """V(0) = .9 p + .81 (1 - p) q: the log bounds p, nothing bounds q but the simulator."""
     problem, policy = chain(0)
-    found = oee.interval(problem, policy)
-    q = oee.transition_ratio(problem.log, problem.simulator, values_of=policy).target_model(problem.simulator)
-    q = q.transitions.toarray()[2, 1]
+    found, estimate = oee.interval(problem, policy, confidence=0.9), oee.estimators.OffEnvironment()(problem, policy)
+    half = stats.norm.ppf(0.95) * estimate.standard_error
+    assert_allclose(found.sampling, [estimate.value - half, estimate.value + half], rtol=1e-12)
+    assert found.diagnostics["sampling_method"] == "value ± quantile x standard error"
     grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
-    inside = grid[20 * (0.6 * np.log(0.6 / grid) + 0.4 * np.log(0.4 / (1 - grid))) <= LIMIT]
+    limit = stats.chi2.ppf(0.9, 1) / 2
+    inside = grid[20 * (0.6 * np.log(0.6 / grid) + 0.4 * np.log(0.4 / (1 - grid))) <= limit]
     ends = np.array([inside.min(), inside.max()])
-    assert 0.3 < q < 0.7
-    assert_allclose(found.sampling, 0.9 * ends + 0.81 * (1 - ends) * q, rtol=1e-4)
     assert_allclose([found.lower, found.upper], [0.9 * ends[0], 0.9 * ends[1] + 0.81 * (1 - ends[1])], rtol=1e-4)
     assert "from the recorded transitions alone" in found._repr_html_()
 
@@ -45,14 +43,13 @@ def test_where_all_is_recorded_both_are_one():
         assert oee.interval(problem, policy, method=method).sampling is None
 
 
-def test_held_rows_stay_in_the_box():
-    """An estimate far from the simulator's 1/2 is followed as far as the box allows."""
+def test_it_stays_in_the_box():
     rows = np.array([[[0, 0.5, 0.5]]] * 2 + [[[0, 0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0]), 0, 0.9)
     log = oee.Transitions([1] * 400, [0] * 400, [1] * 396 + [2] * 4)
     problem, policy = oee.Problem(simulator, log), np.ones((3, 1))
     narrow = oee.interval(problem, policy, lower_ratio=0.01, upper_ratio=2.0)
-    assert narrow.lower <= narrow.sampling[0] < narrow.sampling[1] <= narrow.upper
+    assert narrow.lower <= narrow.sampling[0] <= narrow.sampling[1] <= narrow.upper
 
 
 def unrecorded(seed, n_next=30):

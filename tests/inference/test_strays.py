@@ -90,8 +90,6 @@ def test_intervals_widen_by_the_band(method, horizon):
     assert found.diagnostics["dropped_moves"] == 2 * EACH
     assert 0.0 < found.diagnostics["dropped_share"] < 0.2
     assert outside_margin(kept, gather(kept, policy)) is None
-    if method == "likelihood":  # which leaves them out of the interval from the recorded transitions alone
-        assert_allclose(found.sampling, bare.sampling, rtol=1e-9)
 
 
 @pytest.mark.parametrize("horizon", [None, 3])

@@ -237,9 +237,11 @@ def test_a_standard_error_of_zero_makes_no_interval():
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     good, bad = (oee.tasks.gridworld_policy(4, x) for x in (0.9, 0.4))
     report = oee.evaluate(even(4000), {"bad": bad, "good": good}, estimators=["oee"])
-    assert (
-        report.sureness.ranking == "Of 2 policies, “good” is worth most in the target."
-    )  # intervals apart: no more to say
+    compared = report.sureness.comparison
+    text = "Of 2 policies, “good” is worth most in the target. It is better than “bad” by "
+    assert report.sureness.ranking.startswith(text)
+    assert report.sureness.ranking.endswith(").")  # intervals apart: no more to say
+    assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in report.sureness.ranking
     assert report.sureness.ranking in str(report)
     assert report.sureness.ranking in report.to_html()
     tied = oee.evaluate(even(4000), {"bad": bad, "good": good, "same": good}, estimators=["oee"])
@@ -253,9 +255,9 @@ def test_a_paired_comparison_ranks_where_intervals_overlap():
     report = oee.evaluate(even(1000, 3), policies, estimators=["oee"])
     sure = [report.sureness.intervals[name]["likelihood"] for name in policies]
     assert sure[0].lower < sure[1].upper
-    best, why = report.sureness.ranking.split(".5” is worth most in the target.")
+    best, why = report.sureness.ranking.split(".5” is worth most in the target. It is better than “delta=0.4” by ")
     assert best == "Of 2 policies, “delta=0"
-    assert why == " Their intervals overlap, but differences are surer: the same moves count for both."
+    assert why.endswith("known more precisely than either value because both rest on the same transitions.")
 
 
 def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
