@@ -21,21 +21,20 @@ sum_x c_kx / (n_x + n q_x). A plan minimises the largest relative inefficiency, 
 
     max_k F_k(q),   F_k(q) = sum_x C_kx / (b_x + q_x),   b_x = n_x / n,
 
-with C_k = c_k / n over the least variance that a plan for k alone reaches,
-over all q ("free"; for one policy and no log Neyman's n_x ~ sqrt(c_x), value (sum sqrt c)^2 / n [1]), or over what a behaviour
-policy can record ("behavior"): q in the occupancy polytope of the collection MDP, b the probability of going on after a move,
+with C_k = c_k / n over the least variance that a plan for k alone reaches: over all q ("free"; for one policy and no log
+Neyman's n_x ~ sqrt(c_x), value (sum sqrt c)^2 / n [1]), or over what a behaviour policy can record ("behavior"), q in the
+occupancy polytope of the collection MDP, which starts again after a transition with probability rho (``restart``),
 
-    q >= 0,   sum_a q(s', a) = (1 - b) mu_0(s') + b sum_x q(x) P'(s' | x)   for every s'.
+    q >= 0,   sum_a q(s', a) = rho mu_0(s') + (1 - rho) sum_x q(x) P'(s' | x)   for every s'.
 
 Up to 4000 rows it is solved as cvxpy states it, with a second-order cone a row; above by columns [2]: q is a mixture of a few
 occupancies, mixed by the multiplicative algorithm [3]. The weights w of the policies define one objective sum_k w_k F_k with
 slopes g_x = sum_k w_k C_kx / (b_x + q_x)^2. New columns are the best policy of the collection MDP that pays g (Frank and
-Wolfe's: the linear oracle is planning [4]), and the policy made of the minimising q below, at the value v of beta = q / sum_a q
-there.
+Wolfe's: the linear oracle is planning [4]), and the policy made of the minimising q below, v the value of beta = q / sum_a q.
 
-**Certificate.** For any v, with kappa = v(s) - b E_P' v(s') made nonnegative by a constant added to v (Lagrange),
+**Certificate.** For any v, with kappa = v(s) - (1 - rho) E_P' v(s') made nonnegative by a constant added to v (Lagrange),
 
-    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  (1 - b) mu_0 . v   <=   min_q max_k F_k(q),
+    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  rho mu_0 . v   <=   min_q max_k F_k(q),
 
 with v the value of beta, where kappa is g less the advantage and the error is of second order, or of the best policy,
 no less than Frank and Wolfe's bound. ``Plan.gap`` is the distance of the two sides over the value, however q was found;

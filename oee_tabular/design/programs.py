@@ -74,7 +74,7 @@ def collection_mdp(
 ) -> FiniteMDP:
     """Make the MDP in which data are collected: ``model``, started again after each move with probability ``restart``.
 
-    Its discount is b = 1 - restart, its occupancy the long-run share of recorded moves, its rewards 0. An episode ends in the
+    Its discount is 1 - restart, its occupancy the long-run share of recorded moves, its rewards 0. An episode ends in the
     states ``ends`` (S,), by default those that no action leaves: entering one leads to a start (as ``sample_episodes``
     records), or, with ``restart_costs_a_move``, one more recorded move does.
     """
@@ -181,7 +181,7 @@ class FlowProgram:
         return bound, [self.visits(best), self.visits(behavior_of(table, self.shape))]
 
     def _prices(self, v: Array) -> Array:
-        """kappa_x = v(s) - b sum_s' P(s' | x) v(s')."""
+        """kappa_x = v(s) - (1 - rho) sum_s' P(s' | x) v(s')."""
         ahead = self.mdp.discount * (self.mdp.transitions @ v)
         return np.asarray(np.repeat(v, self.mdp.n_actions) - ahead)
 
@@ -204,7 +204,7 @@ class FlowProgram:
         return self.visits(behavior_of(np.maximum(q, 0.0), self.shape))
 
     def equations(self) -> tuple[Any, Any]:
-        """(M, m): sum_a q(s', a) - b sum_x P(s' | x) q(x) = (1 - b) mu_0(s')."""
+        """(M, m): sum_a q(s', a) - (1 - rho) sum_x P(s' | x) q(x) = rho mu_0(s')."""
         in_state = sparse.kron(sparse.eye_array(self.mdp.n_states), np.ones((1, self.mdp.n_actions)))
         flow = in_state - self.mdp.discount * self.mdp.transitions.T
         return sparse.csr_array(flow), (1.0 - self.mdp.discount) * self.mdp.initial
