@@ -194,15 +194,15 @@ class DoublyRobust(ExactLimit):
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
     """D_0 of each rollout, backward in time: D = m + zeta (gamma D' - gamma V(s')), m = sum_s' zeta P (r + gamma V(s')).
 
-    ``values`` (T + 1, S) are V; after the last of T steps nothing is to come.
+    ``values`` (T + 1, S) are V; those after the last step change no mean.
     """
     matrix, by_transition = model.transitions, model.reward_data is not None
     kernel, rows = drawn.ratio * matrix.data, row_of_entry(matrix)
     pay = row_sums(matrix, kernel * model.reward_data) if by_transition else model.rewards.reshape(-1)
-    ahead, n_steps, previous = np.zeros(len(drawn.lengths)), len(values) - 1, None
-    nothing, constant = np.zeros(matrix.shape[1]), values[0] if values.strides[0] == 0 else None
+    ahead, previous = np.zeros(len(drawn.lengths)), None
+    constant = values[0] if values.strides[0] == 0 else None
     for t in range(int(drawn.lengths.max()) - 1, -1, -1):
-        following = nothing if t + 1 == n_steps else values[t + 1] if constant is None else constant
+        following = values[t + 1] if constant is None else constant
         if following is not previous:
             going = model.discount * following
             known, previous = pay + row_sums(matrix, kernel * going[matrix.indices]), following

@@ -61,3 +61,12 @@ def test_the_model_s_standard_error_row_by_row(horizon):
         p = model.transitions.toarray()[x]
         variance += p @ (table[x] - p @ table[x]) ** 2 / n[x]
     assert_allclose(ModelBased()(problem, POLICY).standard_error, np.sqrt(variance), rtol=1e-10)
+
+
+def test_one_record_is_enough_where_there_is_one_next_state():
+    """State 0 leads to 1 for sure, and was left once; state 1 may stay or end, and was left once: its variance is unknown."""
+    rows = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]])
+    simulator = FiniteMDP(rows, [1.0, 1.0, 0.0], [1, 0, 0], 0.5)
+    found = ModelBased("simulator")(Problem(simulator, Transitions([0, 1], [0, 0], [1, 2])), np.ones((3, 1)))
+    assert_allclose(found.diagnostics["single_share"], 1 / 3)  # of the time before the end: 1 in state 0, .5 in state 1
+    assert_allclose(found.measured, 2 / 3)
