@@ -6,9 +6,10 @@ standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and th
 
     {theta : f(theta) - f(theta_hat) <= q / 2},   q the quantile of chi-square with one degree of freedom.
 
-An end is found by linearising J: with g the gradient of J at theta_k, theta_{k+1} maximises s g . theta over the set, s = 1
-or -1. The set is convex, so that theta_{k+1} = argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary:
-a root in c, bracketed, each value by Newton's method. At the fixed point g and f' are parallel, the first-order condition.
+An end is found by linearising J (Frank and Wolfe): with g the gradient of J at theta_k, theta_{k+1} lies between theta_k and the
+maximiser of s g . theta over the set, s = 1 or -1, as far as J grows. The set is convex, so that the maximiser is
+argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary: a root in c, bracketed, each value by Newton's
+method. At the fixed point g and f' are parallel, the first-order condition of an end.
 
 Nothing else is free: pairs that were never recorded follow from theta. Where the tie or the features are wrong the interval
 need not cover, however many transitions there are.
@@ -30,7 +31,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.features import feature_array
 from oee_tabular.ratio.prior._ridge import evaluate, minimise, sum_columns
-from oee_tabular.ratio.prior.directions import Directions, feature_directions, tie_directions
+from oee_tabular.ratio.prior.directions import Directions, own_directions
 from oee_tabular.ratio.prior.ridge import Ridge, fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
@@ -93,7 +94,7 @@ def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Di
         raise ValueError("tie and features must not be given together: they are two different models")
     rows = Rows.of(simulator)
     if tie is not None:
-        return tie_directions(simulator, tie_keys(tie, rows, simulator))
+        return own_directions(simulator, keys=tie_keys(tie, rows, simulator))
     array = feature_array(features, simulator)
     spread = np.abs(rows.center(array)).max(axis=0)
     constant = np.flatnonzero(spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300))
@@ -102,7 +103,7 @@ def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Di
             f"features must differ between the next states of some state-action pair; feature {constant[0]} is constant in "
             "every one"
         )
-    return feature_directions(simulator, array)
+    return own_directions(simulator, array)
 
 
 def shared_ends(problem: Problem, policy: Array, directions: Directions, level: float) -> tuple[float, float, float]:
@@ -129,10 +130,13 @@ def _end(model: _Set, best: Array, rise: float, sign: float, middle: float) -> f
         force = sign * model.gradient(theta)
         if not np.abs(force).max() > 0:
             break
-        theta = _on_boundary(model, best, force, least + rise)
-        last, end = end, sign * max(sign * end, sign * model.value(theta))
-        if abs(end - last) <= TOLERANCE * abs(end - middle):
-            break
+        step = _on_boundary(model, best, force, least + rise) - theta
+        length, last = 1.0, end
+        while length > 1e-3 and sign * (end := model.value(theta + length * step)) <= sign * last:
+            length *= 0.5  # what lies between two members is one: the set is convex
+        if sign * (end - last) <= TOLERANCE * abs(end - middle):
+            return sign * max(sign * end, sign * last)
+        theta = theta + length * step
     return end
 
 

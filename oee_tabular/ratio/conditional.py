@@ -24,7 +24,7 @@ from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.features import feature_array, warn_of_rank
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network
-from oee_tabular.ratio.prior.directions import add_values, feature_directions, make_directions, values_in
+from oee_tabular.ratio.prior.directions import add_values, make_directions, own_directions, values_in
 from oee_tabular.ratio.prior.ridge import Ridge as Tilt
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
@@ -221,7 +221,7 @@ def _simulator(given: RatioInput, method: Conditional) -> _Prior:
 def _along_features(given: RatioInput, method: Conditional) -> _Prior:
     """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
     features, details = _features(given, method)
-    directions = feature_directions(given.simulator, features)
+    directions = own_directions(given.simulator, features)
     rows = given.visited
     tilt = fit_ridge(directions, rows, given.observed[rows.entries], None, by_evidence=False, solver=method.solver)
     details |= {"theta": tilt.theta[0], "tilt_gap": tilt.gap}

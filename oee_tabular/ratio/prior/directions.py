@@ -140,21 +140,15 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
     return _directions(names, simulator, places, steps, features)
 
 
-def feature_directions(simulator: FiniteMDP, features: Array | None) -> Directions:
-    """The user's features alone, or log P where there are none."""
+def own_directions(simulator: FiniteMDP, features: Array | None = None, keys: IntArray | None = None) -> Directions:
+    """The user's features alone, (entries, f), or a direction for each key, (entries,) from 0; log P without either."""
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
-    none: list[str] = []
+    n_keys, none = 0 if keys is None else int(keys.max()) + 1, list[str]()
+    powers = ["log P"] if features is None and keys is None else none
     own = [f"feature {k}" for k in range(given.shape[1])]
-    names = (["log P"] if features is None else none, none, none, own, none, none)
-    return _directions(names, simulator, np.zeros((simulator.n_states, 0)), np.zeros((0, 0)), given)
-
-
-def tie_directions(simulator: FiniteMDP, keys: IntArray) -> Directions:
-    """A direction for each key, (entries,) integers from 0."""
-    none: list[str] = []
-    names = (none, none, none, none, none, [f"key {k}" for k in range(int(keys.max()) + 1)])
-    steps, nowhere = np.zeros((len(names[-1]), 0)), np.zeros((simulator.n_states, 0))
-    return replace(_directions(names, simulator, nowhere, steps, np.zeros((len(keys), 0))), keys=keys)
+    names = (powers, none, none, own, none, [f"key {k}" for k in range(n_keys)])
+    nowhere = np.zeros((simulator.n_states, 0))
+    return replace(_directions(names, simulator, nowhere, np.zeros((n_keys, 0)), given), keys=keys)
 
 
 def _directions(
