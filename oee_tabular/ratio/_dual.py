@@ -178,27 +178,6 @@ def blend(left, right, at_left, at_right, target, form, low, high, g):
 
 
 @njit(cache=True, error_model="numpy")
-def finish_row(left, right, target, form, low, high, g):
-    """``blend``, but for a jump without an upper bound: there the deficit goes to the unobserved entries, evenly."""
-    at_left, at_right, free_mass = 0.0, 0.0, 0.0
-    for x in range(low, high):
-        if form.q[x] > 0.0:
-            above = minimiser(left, form, x)
-            at_right += form.q[x] * minimiser(right, form, x)
-            if above == np.inf:
-                free_mass += form.q[x]
-            else:
-                at_left += form.q[x] * above
-    if free_mass == 0.0:
-        return blend(left, right, at_left, at_right, target, form, low, high, g)
-    for x in range(low, high):
-        g[x] = minimiser(right, form, x)
-        if minimiser(left, form, x) == np.inf:
-            g[x] += (target - at_right) / free_mass
-    return right
-
-
-@njit(cache=True, error_model="numpy")
 def solve_row(form, low, high, flat, g):
     """Solve one row into ``g``; returns m and its bracket. ``flat``: a = pull = 0.
 
@@ -257,7 +236,8 @@ def solve_row(form, low, high, flat, g):
                 break
         m = trial
         total, slope = fill_row(m, form, low, high, g)
-    return finish_row(left, right, target, form, low, high, g), left, right
+    at_left, at_right = fill_row(left, form, low, high, g)[0], fill_row(right, form, low, high, g)[0]
+    return blend(left, right, at_left, at_right, target, form, low, high, g), left, right
 
 
 @njit(cache=True, error_model="numpy")
