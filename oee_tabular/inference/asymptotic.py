@@ -16,7 +16,7 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
-from oee_tabular.inference.evidence import Evidence, simulated_rows
+from oee_tabular.inference.evidence import Evidence, simulator_rows
 
 FEWEST_EPISODES = 10
 
@@ -55,7 +55,7 @@ def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstr
                 f"log must have at least {FEWEST_EPISODES} episodes to be resampled by episodes; it has {len(starts) - 1}"
             )
         episode = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    base = simulated_rows(evidence)
+    base = simulator_rows(evidence)
     counts = np.bincount(entry, weights=weight, minlength=size)
     values = np.empty(n_bootstrap)
     for b in range(n_bootstrap):

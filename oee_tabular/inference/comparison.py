@@ -18,7 +18,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.asymptotic import bootstrap_values
-from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulated_rows
+from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulator_rows
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
@@ -306,7 +306,7 @@ def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:
     """Of the values, (k, k) each: from the rows that the log has, and from those that it has not, as of one move."""
     first = evidences[0]
     rows, n = first.rows, first.n[first.rows]
-    law = (n * first.phat + simulated_rows(first)) / (n + 1.0)
+    law = (n * first.phat + simulator_rows(first)) / (n + 1.0)
     gradients = [transition_gradient(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences]
     centred = np.array([g - np.add.reduceat(law * g, first.indptr[:-1])[rows] for g in gradients])
     weight = law / np.maximum(n, 1.0)

@@ -97,7 +97,7 @@ def require_squares(model: FiniteMDP) -> None:
         )
 
 
-def simulated_rows(evidence: Evidence) -> Array:
+def simulator_rows(evidence: Evidence) -> Array:
     """(entries,) the simulator's probabilities, rows summing to 1."""
     data = evidence.model.transitions.data
     return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
@@ -109,7 +109,7 @@ def unseen_time(evidence: Evidence) -> float:
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 
 
-def reached_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
+def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
     """(S*A,) rows that the policy can reach in some model on the simulator's support; with ``steps``, as one of its first."""
     model = evidence.model
     taken = evidence.policy > 0

@@ -17,13 +17,13 @@ from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
     gather,
-    reached_rows,
+    reachable_rows,
     require_squares,
     unseen_time,
 )
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.inference.margins import outside_margin
-from oee_tabular.inference.robust import contradicted_rows, extreme_value, radii
+from oee_tabular.inference.robust import extreme_value, find_contradictions, radii
 from oee_tabular.inference.shared import shared_directions, shared_ends
 from oee_tabular.mdp import check_policy
 
@@ -190,7 +190,7 @@ def interval(
         return Interval(lower, upper, level, method, diagnostics | added)
 
     if evidence.has_box:
-        wrong = contradicted_rows(evidence, level, kind)
+        wrong = find_contradictions(evidence, level, kind)
         if wrong.size:
             status = (
                 f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
@@ -267,7 +267,7 @@ def _interval_as_estimated(
 def _require_variation(found: Interval, evidence: Evidence) -> Interval:
     """An interval from the log's own variation; without any there is none, and neither error nor interval."""
     lower, upper = found.lower, found.upper
-    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reached_rows(evidence)).any():
+    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reachable_rows(evidence)).any():
         return found
     status = (
         "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
@@ -281,5 +281,5 @@ def _describe_unobserved(evidence: Evidence) -> dict[str, Any]:
     steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
     if steps is not None and evidence.model.reward_data is None:
         steps -= 1  # where the last step leads pays nothing more
-    reached = (evidence.n == 0) & evidence.open_rows & reached_rows(evidence, steps)
+    reached = (evidence.n == 0) & evidence.open_rows & reachable_rows(evidence, steps)
     return {"unvisited_share": unseen_time(evidence), "unvisited_rows": int(reached.sum())}

@@ -34,7 +34,7 @@ from scipy.special import gammaincinv
 
 from oee_tabular._checks import Array
 from oee_tabular.exact import policy_value
-from oee_tabular.inference.evidence import Evidence, simulated_rows
+from oee_tabular.inference.evidence import Evidence, simulator_rows
 from oee_tabular.inference.policy_rows import FINE, Points, PolicyRows
 
 N_DRAWS = 16  # ascents from drawn directions, of small problems
@@ -106,7 +106,7 @@ def _start_directions(rows: PolicyRows, evidence: Evidence, base: Points) -> Ite
     """The gradient at the frequencies; r + gamma V of the simulator; drawn V, every other time each row's best state alone."""
     arrays, rng = rows.arrays, np.random.default_rng(5)
     yield base.gradient[0]
-    own = rows.evaluate(simulated_rows(evidence)[rows.entries][None], base, FINE)
+    own = rows.evaluate(simulator_rows(evidence)[rows.entries][None], base, FINE)
     yield arrays.pay + evidence.model.discount * own.values[0][arrays.column]
     work = len(arrays.phat) * (N_SWEEPS if rows.n_steps is None else rows.n_steps)
     for k in range(min(max(AFFORDED // max(work, 1), 1), N_DRAWS)):

@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.exact import solvers
 from oee_tabular.exact.system import Kernel, System, as_readonly
-from oee_tabular.inference.evidence import Evidence, reached_rows
+from oee_tabular.inference.evidence import Evidence, reachable_rows
 from oee_tabular.mdp.horizons import optional_horizon_length
 
 N_DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms)
@@ -65,7 +65,7 @@ class PolicyRows:
     def from_evidence(cls, evidence: Evidence) -> PolicyRows:
         """Cut and number them."""
         model = evidence.model
-        rows = np.flatnonzero(reached_rows(evidence))
+        rows = np.flatnonzero(reachable_rows(evidence))
         states, place = np.unique(rows // model.n_actions, return_inverse=True)
         lengths = np.diff(evidence.indptr)[rows]
         indptr = np.concatenate([[0], np.cumsum(lengths)])

@@ -23,7 +23,7 @@ from scipy import special
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._threads import dot
 from oee_tabular.exact import evaluate_policy, state_values
-from oee_tabular.inference.evidence import Evidence, reached_rows
+from oee_tabular.inference.evidence import Evidence, reachable_rows
 from oee_tabular.mdp.horizons import optional_horizon_length
 
 N_SWEEPS = 100  # at most; five to ten are usual
@@ -50,7 +50,7 @@ def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
 
 def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
     """(S*A,) radius of each row, the failure probability shared evenly by the rows that are reached and open."""
-    counted = int((evidence.open_rows & reached_rows(evidence)).sum())
+    counted = int((evidence.open_rows & reachable_rows(evidence)).sum())
     level = (1.0 - confidence) / max(counted, 1)
     radius = independent_radius if kind == "independent" else anytime_radius
     return radius(evidence.n, np.diff(evidence.indptr), level)
@@ -147,7 +147,7 @@ class _RowProblems:
         return Extreme(np.nan, np.nan, self.p, 0, np.nan, np.flatnonzero(self.contradicted))
 
 
-def contradicted_rows(evidence: Evidence, confidence: float, kind: str) -> IntArray:
+def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> IntArray:
     """Rows in which the KL ball of the counts misses the box: the box is wrong there, with the confidence given."""
     rows = _RowProblems(evidence, radii(evidence, confidence, kind), 1.0)
     rows.solve(np.zeros(len(evidence.phat)))

@@ -16,7 +16,7 @@ from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Decision, Interval, compare_policies
-from oee_tabular.inference.evidence import Evidence, gather, reached_rows
+from oee_tabular.inference.evidence import Evidence, gather, reachable_rows
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.report.assumptions import Assumptions
@@ -94,7 +94,7 @@ def how_sure(
         lacking = "quick was asked for"
     elif (
         len(evidence.phat) > LARGEST
-        and (moves := int(np.diff(evidence.indptr)[reached_rows(evidence)].sum())) > LARGEST
+        and (moves := int(np.diff(evidence.indptr)[reachable_rows(evidence)].sum())) > LARGEST
     ):
         lacking = f"the reachable moves are {moves}, more than {LARGEST}"
     if lacking and guaranteed:

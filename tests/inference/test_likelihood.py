@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 import oee_tabular as oee
 from oee_tabular.exact import transition_gradient
 from oee_tabular.inference import _likelihood, _robust, likelihood, policy_rows
-from oee_tabular.inference.evidence import gather, reached_rows
+from oee_tabular.inference.evidence import gather, reachable_rows
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.inference.policy_rows import PolicyRows
 
@@ -124,7 +124,7 @@ def value_and_gradient(evidence, p):
 
 def best_of_slsqp(evidence, sign, n_starts, rng):
     """The end by SLSQP over all free probabilities."""
-    free = np.flatnonzero((reached_rows(evidence) & evidence.open_rows)[evidence.rows])
+    free = np.flatnonzero((reachable_rows(evidence) & evidence.open_rows)[evidence.rows])
     pair, n = evidence.rows[free], evidence.n[evidence.rows[free]]
     phat, base = evidence.phat[free], evidence.phat.copy()
     held = np.flatnonzero((n > 0) & (phat > 0))
