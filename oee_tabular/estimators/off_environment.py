@@ -75,7 +75,8 @@ class OffEnvironment(ExactLimit):
 
     change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
     sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few
-    transitions. s is the standard error of the difference of the two values, se that of the one-step value, se_fit that of
+    transitions. Where the nearer of them is more than 2 s away the change leads further to maximum likelihood, and from
+    4 s on all the way: what the first order misses is then larger than the noise. s is the standard error of the difference of the two values, se that of the one-step value, se_fit that of
     zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more the log has to say
     against it. Its values make the largest regret over all biases of the prior as small as a soft threshold can [1].
     ``diagnostics`` has both ends and the share ``moved``.
@@ -249,9 +250,9 @@ def _moved(
     known = [within, step.change, step.standard_error, step.change_error]
     if not np.isfinite(known if likeliest is None else [*known, likeliest]).all():
         return exact  # rewards near the largest float
-    change = 0.0 if likeliest is None else nearer(step.change, likeliest - exact.value)
     shared = min(within / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
     apart = float(step.standard_error * np.sqrt(1.0 - shared**2))
+    change = 0.0 if likeliest is None else change_to_log(step.change, likeliest - exact.value, apart)
     kept = min(abs(change), threshold(apart, within) * apart)
     share = 1.0 - kept / abs(change) if change else 0.0
     value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
@@ -306,9 +307,16 @@ def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float 
         return None
 
 
-def nearer(first: float, second: float) -> float:
-    """The smaller of two changes in one direction; 0 where they contradict each other."""
-    return 0.0 if first * second <= 0 else float(np.copysign(min(abs(first), abs(second)), first))
+def change_to_log(one_step: float, likelihood: float, apart: float) -> float:
+    """The change to what the log says: to the nearer of two values, 0 where they contradict each other.
+
+    Where the nearer is 2 to 4 times ``apart`` away, more and more to maximum likelihood's.
+    """
+    if one_step * likelihood <= 0:
+        return 0.0
+    nearer = min(one_step, likelihood, key=abs)
+    distance = abs(nearer) / apart if apart > 0 else np.inf
+    return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (likelihood - nearer)
 
 
 def coverage(problem: Problem, model: Model, policy: Array, counts: Array, time: Array | None = None) -> dict[str, Any]:

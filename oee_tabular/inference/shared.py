@@ -6,8 +6,8 @@ standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and th
 
     {theta : f(theta) - f(theta_hat) <= q / 2},   q the quantile of chi-square with one degree of freedom.
 
-An end is found by linearising J (Frank and Wolfe): with g the gradient of J at theta_k, theta_{k+1} lies between theta_k and the
-maximiser of s g . theta over the set, s = 1 or -1, as far as J grows. The set is convex, so that the maximiser is
+An end is found by linearising J (Frank and Wolfe). With g the gradient of J at theta_k, theta_{k+1} lies between theta_k and
+the maximiser of s g . theta over the set, s = 1 or -1, as far as J grows. The set is convex, so that the maximiser is
 argmin f(theta) - c s g . theta for the one c > 0 that puts it on the boundary: a root in c, bracketed, each value by Newton's
 method. At the fixed point g and f' are parallel, the first-order condition of an end.
 

@@ -211,12 +211,14 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     value = model.J(policy, horizon)
     first = float((slope * (likeliest.P - model.P)).sum())
     second = likeliest.J(policy, horizon) - value
-    change = 0.0 if first * second <= 0 else np.sign(first) * min(abs(first), abs(second))
     variance = (model.P * slope**2).sum(axis=2) - (model.P * slope).sum(axis=2) ** 2
     seen = total > 0
     each = variance[seen] / total[seen]
     within = estimate.diagnostics["standard_error_if_centre_fits"]
     own = np.sqrt(max(each.sum() - within**2, 0.0))
+    nearer = np.sign(first) * min(abs(first), abs(second))
+    further = np.clip((abs(nearer) / own - 2) / 2, 0, 1)
+    change = 0.0 if first * second <= 0 else nearer + further * (second - nearer)
     table = {0.3: 0.55, 1: 0.73, 5: 0.98, 10: 1.12, 30: 1.38, 100: 1.70}
     limit = np.interp(np.log(own**2 / within**2), np.log(list(table)), list(table.values())) * own
     moved = max(0.0, 1 - limit / abs(change)) if change else 0.0

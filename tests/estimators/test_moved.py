@@ -13,7 +13,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular import exact
 from oee_tabular.estimators import ModelBased, OffEnvironment
-from oee_tabular.estimators.off_environment import THRESHOLDS, VARIANCE_RATIOS, nearer, threshold
+from oee_tabular.estimators.off_environment import THRESHOLDS, VARIANCE_RATIOS, change_to_log, threshold
 
 HALF = functools.partial(oee.transition_ratio, prior="simulator", strength=30.0)
 
@@ -48,9 +48,11 @@ def test_the_value_by_its_diagnostics(estimator, horizon):
         problem, policy, found = estimated(seed, size=0.3 * (seed % 4), horizon=horizon, estimator=estimator)
         facts = found.diagnostics
         changes = [facts[name] - facts["model_value"] for name in ("one_step_value", "maximum_likelihood_value")]
-        change = 0.0 if changes[0] * changes[1] <= 0 else min(changes, key=abs)
+        nearer = min(changes, key=abs)
         within = facts["standard_error_if_centre_fits"]
         apart = np.sqrt(facts["one_step_standard_error"] ** 2 - within**2)
+        further = np.interp(abs(nearer) / apart, [2, 4], [0, 1])
+        change = 0.0 if changes[0] * changes[1] <= 0 else nearer + further * (changes[1] - nearer)
         limit = np.interp(np.log(apart**2 / within**2), np.log(VARIANCE_RATIOS), THRESHOLDS)
         assert_allclose(facts["one_step_distance"], abs(change) / apart, rtol=1e-9)
         rest = np.sign(change) * max(0.0, abs(change) - limit * apart)
@@ -104,8 +106,8 @@ def test_its_standard_error_row_by_row(per_row, skip):
     assert_allclose(found.standard_error, np.sqrt(error + unseen), rtol=1e-9)
     assert_allclose(facts["one_step_value"] - facts["model_value"], change, rtol=1e-9)
     changes = change, facts["maximum_likelihood_value"] - facts["model_value"]
-    nearest = 0.0 if changes[0] * changes[1] <= 0 else min(map(abs, changes))
-    assert_allclose(facts["one_step_distance"], nearest / np.sqrt(error + own), rtol=1e-9)
+    distance = abs(change_to_log(*changes, np.sqrt(error + own))) / np.sqrt(error + own)
+    assert_allclose(facts["one_step_distance"], distance, rtol=1e-9)
 
 
 def test_a_row_of_one_move_has_a_variance():
@@ -134,20 +136,25 @@ def test_a_log_of_one_row_leaves_the_others_unsure():
     assert_allclose(many.standard_error, many.diagnostics["one_step_standard_error"], rtol=1e-12)
 
 
-@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_the_nearer_of_two_changes(x, y):
-    found = nearer(x, y)
-    if x * y <= 0:
-        assert found == 0.0
-    else:
-        assert found in (x, y)
-        assert abs(found) == min(abs(x), abs(y))
-    assert nearer(y, x) == found
-    assert nearer(-x, -y) == -found
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
+def test_the_change_to_the_log_lies_between_the_two(one_step, likelihood, apart):
+    change = change_to_log(one_step, likelihood, apart)
+    if one_step * likelihood <= 0:
+        assert change == 0.0
+        return
+    nearer = min(one_step, likelihood, key=abs)
+    assert abs(nearer) <= abs(change) * (1 + 1e-12)
+    assert abs(change) <= max(abs(nearer), abs(likelihood)) * (1 + 1e-12)
+    if abs(nearer) <= 2 * apart:
+        assert change == nearer
+    if abs(nearer) >= 4 * apart:
+        assert_allclose(change, likelihood, rtol=1e-12)
+    assert change_to_log(-one_step, -likelihood, apart) == -change
 
 
-def test_two_changes_by_hand():
-    assert (nearer(2.0, 3.0), nearer(-3.0, -2.0), nearer(1.0, -5.0), nearer(0.0, 4.0)) == (2.0, -2.0, 0.0, 0.0)
+def test_changes_by_hand():
+    cases = [(2.0, 3.0, 1.0), (-3.0, -2.0, 2.0), (1.0, -5.0, 1.0), (3.0, 5.0, 1.0), (8.0, 9.0, 1.0), (1.0, 2.0, 0.0)]
+    assert [change_to_log(*case) for case in cases] == [2.0, -2.0, 0.0, 4.0, 9.0, 2.0]
 
 
 def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
