@@ -75,10 +75,11 @@ class OffEnvironment(ExactLimit):
 
     change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
     sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few
-    transitions. Where the nearer of them is more than 2 s away the change leads further to maximum likelihood, and from
-    4 s on all the way: what the first order misses is then larger than the noise. s is the standard error of the difference of the two values, se that of the one-step value, se_fit that of
-    zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more the log has to say
-    against it. Its values make the largest regret over all biases of the prior as small as a soft threshold can [1].
+    transitions. Where the nearer of them is more than 2 s away the change leads further to maximum likelihood, and from 4 s
+    on all the way: what the first order misses is then larger than the noise. s is the standard error of the difference of
+    the two values, se that of the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with s / se_fit:
+    the more the prior can gain, the more the log has to say against it. Its values make the largest regret over all biases
+    of the prior as small as a soft threshold can [1].
     ``diagnostics`` has both ends and the share ``moved``.
 
     ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
