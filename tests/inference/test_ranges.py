@@ -110,6 +110,7 @@ def test_value_range_at_discount_1_where_the_policy_ends():
     found = oee.value_range(walk(0.5), [0, 0], 0.4, 1.5)
     assert_allclose([found.lower, found.upper], [-1 / 0.25, -1 / 0.75], rtol=1e-12)
     assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.0, 1.5).lower, -4.0, rtol=1e-12)
+    assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.4, 3.0).lower, -5.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
