@@ -188,7 +188,7 @@ def sparse_problem(seed):
     return oee.Problem(simulator, log, horizon=horizon), rng.dirichlet(np.ones(n_actions), size=n_states)
 
 
-@pytest.mark.parametrize("seed", [12, 152, 188, 220, 276])
+@pytest.mark.parametrize("seed", [12, 152, 188, 276])
 def test_several_starts_find_farther_ends_than_the_frequencies(seed, monkeypatch):
     """Of these problems one start misses an end by 1.5% of the width or more."""
     problem, policy = sparse_problem(seed)
