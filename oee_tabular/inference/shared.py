@@ -110,7 +110,9 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
     """Lower end, upper end, and J at theta_hat."""
     whole = Rows.of(problem.simulator)
     counts = aligned_counts(problem.counts, problem.simulator)
-    visited = whole.select(whole.sums(counts) > 0)
+    visited = whole.select((whole.sums(counts) > 0) & (np.diff(whole.indptr) > 1))
+    if not len(visited):
+        raise ValueError("log must have a transition of a state-action pair with more than one next state; it has none")
     observed = counts[visited.entries]
     fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
     risk = visited.sums(observed), sum_columns(directions.columns(visited), observed, visited.n_actions)

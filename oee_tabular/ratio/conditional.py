@@ -221,8 +221,10 @@ def _simulator(given: RatioInput, method: Conditional) -> _Prior:
 def _along_features(given: RatioInput, method: Conditional) -> _Prior:
     """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
     features, details = _features(given, method)
+    if not len(given.get_or_compute(_informative)):
+        return _simulator(given, method)
     directions = own_directions(given.simulator, features)
-    rows = given.visited
+    rows = given.get_or_compute(_informative)
     tilt = fit_ridge(directions, rows, given.observed[rows.entries], None, by_evidence=False, solver=method.solver)
     details |= {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
     return _of_strength(given, method, tilt.at, tilt, details, "tilt")
@@ -230,8 +232,8 @@ def _along_features(given: RatioInput, method: Conditional) -> _Prior:
 
 def _along_all(given: RatioInput, method: Conditional) -> _Prior:
     """The tilt along all directions, shrunk by evidence."""
-    rows = given.visited
-    if not (np.diff(rows.indptr) > 1).any():
+    rows: Rows = given.get_or_compute(_informative)
+    if not len(rows):
         return _simulator(given, method)
     features, details = _features(given, method)
     tilt = _without_values(given, features) if features is not None else given.get_or_compute(_without_values)
@@ -246,15 +248,20 @@ def _along_all(given: RatioInput, method: Conditional) -> _Prior:
 
 def _without_values(given: RatioInput, features: Array | None = None) -> Tilt:
     """What no policy changes: the tilt along all directions but V."""
-    rows = given.visited
+    rows: Rows = given.get_or_compute(_informative)
     none = np.zeros((len(given.observed), 0))
     directions = make_directions(given.simulator, rows, none if features is None else features)
     return fit_ridge(directions, rows, given.observed[rows.entries], _choice_of_kappa(given))
 
 
+def _informative(given: RatioInput) -> Rows:
+    """The visited rows with more than one next state; the others tell nothing."""
+    return given.visited.select(np.diff(given.visited.indptr) > 1)
+
+
 def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
-    """kappa of the visited rows around given ones, as far as weights notice."""
-    rows = given.visited
+    """kappa of the informative rows around given ones, as far as weights notice."""
+    rows: Rows = given.get_or_compute(_informative)
     counts, kind = given.observed[rows.entries], given.get_or_compute(_kinds)[rows.number]
     return lambda model: choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
 

@@ -77,7 +77,7 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
     for i in range(len(grid)):
         scores[i] = score_by_kind(np.full(n_kinds, exp(grid[i])), rows, leave_one_out)
         for kind in range(n_kinds):
-            if scores[i, kind] >= value[kind] - 1e-9 * (1.0 + abs(value[kind])):
+            if scores[i, kind] >= value[kind] - 1e-13 * (1.0 + abs(value[kind])):
                 best[kind], value[kind] = grid[i], max(scores[i, kind], value[kind])
     distance = grid[1] - grid[0]
     for _ in range(n_halvings):
