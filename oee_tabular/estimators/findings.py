@@ -138,6 +138,15 @@ def foreign_starts(share: float) -> Findings:
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
 
+MADE_FROM_LOG = Finding(
+    "selected",
+    1.0,
+    "The policy is optimal in the log's own model and not in the simulator, so it was probably made from this log. Such a "
+    "value was chosen for being large: it is too large on average, and its interval covers less often than it says. Another "
+    "log would tell without this error.",
+)
+
+
 def conflict_with_centre(likeliest: float, distance: float) -> Findings:
     """The value rests on the corrected simulator against the log, ``distance`` standard errors of their difference away."""
     text = (

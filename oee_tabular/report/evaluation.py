@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from oee_tabular import _checks, _files, _progress
-from oee_tabular._checks import Seed
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem, Simulator
-from oee_tabular.estimators.findings import WEIGHTLESS
+from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.exact import policy_value
+from oee_tabular.exact import Model, action_values, occupancy, policy_value
+from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import contents
@@ -200,7 +203,11 @@ def evaluate(
             problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale, assumed=assumptions
         )
     results = []
+    made_from_log = {name for name, policy in named_policies.items() if is_best_in_log(problem, policy)}
     for result in raw:
+        if result.policy in made_from_log and result.estimate.is_from_log:
+            warned = replace(result.estimate, findings=(MADE_FROM_LOG, *result.estimate.findings))
+            result = replace(result, estimate=warned)
         key = SHARED if result.estimator in own else LIKELIHOOD
         likelihood = sure.intervals.get(result.policy, {}).get(key)
         results.append(replace(result, estimate=quoted(result.estimate, likelihood, level, scale)))
@@ -224,6 +231,25 @@ def evaluate(
         problem,
         named_policies,
     )  # fmt: skip
+
+
+def is_best_in_log(problem: Problem, policy: Array) -> bool:
+    """Whether the policy is optimal in the log's own model, without a horizon, and not in the simulator.
+
+    The log's own model has its frequencies, and the simulator's rows where there are none.
+    """
+    if problem.simulator.discount == 1.0:
+        return False
+    evidence = gather(problem, policy)
+    return _is_optimal(evidence.with_rows(evidence.phat), policy) and not _is_optimal(problem.model, policy)
+
+
+def _is_optimal(model: Model, policy: Array) -> bool:
+    """Whether no action is better than the policy's own in any state that it reaches."""
+    values = action_values(model, policy)
+    lost = values.max(axis=1) - (policy * values).sum(axis=1)
+    reached = occupancy(model, policy).sum(axis=1) > 0
+    return bool(lost[reached].max() <= 1e-9 * max(1.0, float(np.abs(values).max())))
 
 
 def _weighted(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
