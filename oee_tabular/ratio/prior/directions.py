@@ -135,7 +135,7 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
         [f"drift at s {k}" for k in range(n_products)],
         [f"feature {k}" for k in range(features.shape[1])],
         [],
-        [f"step {_in_words(step * size)}" for step in steps],
+        [f"step ({', '.join(f'{x:+.4g}' if abs(x) > 1e-9 else '0' for x in step * size)})" for step in steps],
     )
     return _directions(names, simulator, places, steps, features)
 
@@ -182,12 +182,6 @@ def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
     size = scaled.std(axis=0)
     size = np.where(size > 0, size, 1.0)
     return np.ascontiguousarray((scaled - scaled.mean(axis=0)) / size), size * largest
-
-
-def _in_words(step: Array) -> str:
-    """A displacement in the layout's units."""
-    numbers = ", ".join(f"{x:+.4g}" if abs(x) > 1e-9 else "0" for x in step)
-    return numbers if len(step) == 1 else f"({numbers})"
 
 
 def values_in(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> list[Array]:
