@@ -151,15 +151,17 @@ class Conditional(Method):
             lam = np.array([check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
-        zeta, bent, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
+        zeta, curvature, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
         gaps = [0.0 if prior.tilt is None else prior.tilt.gap]
         whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
         for some in (rows,) if whole else rows.blocks():
             number, at, spread, m = some.number, some.entries, some.spread, prior.at(some)
             smoothed = observed[at] + spread(prior.kappa[number]) * m
             p = np.where(spread(n_row[number] == 0), m, smoothed / spread(np.where(known, weight, 1.0)[number]))
-            curvature = np.asarray(spread(lam[number]) if self.toward is None else spread(lam[number]) * some.weights)
-            program = dual.Coordinates(p, some.weights, curvature, np.full(len(p), center))
+            ridge_curvature = np.asarray(
+                spread(lam[number]) if self.toward is None else spread(lam[number]) * some.weights
+            )
+            program = dual.Coordinates(p, some.weights, ridge_curvature, np.full(len(p), center))
             if self.functions is not None:
                 fit = fit_rows(self.functions, observed, program, rows, seed=given.seed)
                 return given.ratio(fit.ratio, "conditional", fit.gap, details | fit.details)
@@ -172,11 +174,11 @@ class Conditional(Method):
             gaps.append(float(gap.max()))
             inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
             safe = np.where(inside, zeta[at], 1.0)
-            bent[at] = np.where(inside, (p / safe) / safe + curvature, 0.0)
+            curvature[at] = np.where(inside, (p / safe) / safe + ridge_curvature, 0.0)
         if ends:
             details["enclosure"] = tuple(ends)
         share = np.divide(n_row, weight, out=np.zeros_like(n_row), where=known)
-        influence = Influence(rows, observed, zeta, bent, share, tilt=prior.tilt)
+        influence = Influence(rows, observed, zeta, curvature, share, tilt=prior.tilt)
         return given.ratio(zeta, "conditional", max(gaps), details, influence)
 
     def _chosen_ridge(self, given: RatioInput, n_row: Array, details: dict[str, Any]) -> Array:
