@@ -107,9 +107,9 @@ CHOICES: dict[str, OffEnvironment] = {
 
 def misspecified_cell(settings: Cell, stream: Stream) -> list[Row]:
     """20 x 20 grid, slip 0.3 simulated; 0.1 real on the left half, 0.5 on the right; T = 200, data of the uniform
-    policy. Root mean square over the seeds. The default finds that theta varies over the states; with one theta for
-    all the centre is wrong, and the value is moved from it (the share moved is in the table) towards the one-step
-    value, which has maximum likelihood's variance.
+    policy. Root mean square over the seeds. The default finds that the slip changes across the floor; with one
+    theta for all the prior is wrong, and the value is moved from it (the share moved is in the table) towards maximum
+    likelihood's.
     """
     n = int(settings["n"])
     simulator, target = grid.halves(20)

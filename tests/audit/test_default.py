@@ -74,6 +74,7 @@ class Own:
         ahead = pay + self.mdp.g * self.mdp.values(self.policy)
         drift = np.broadcast_to((x[None] - x[:, None])[:, None], (*P.shape, x.shape[1]))
         found = [("log P", logs), ("log P", logs**2), ("V", ahead / np.abs(ahead).max() + 0.0 * P)]
+        found += [("log P at s", logs * x[:, None, None, i]) for i in range(x.shape[1])]
         found += [("drift", drift[..., i]) for i in range(x.shape[1])]
         pairs = np.ndindex(x.shape[1], x.shape[1])
         found += [("drift at s", drift[..., i] * x[:, None, None, j]) for i, j in pairs]

@@ -80,10 +80,12 @@ def test_the_value_moves_and_its_intervals_hold():
         assert_allclose(likelihood, ModelBased("simulator")(problem, policy).value, rtol=1e-9)
         errors.append([found.value - truth, found.diagnostics["model_value"] - truth, likelihood - truth])
         assert found.diagnostics["coverage"] == pytest.approx(1.0)
-    own, unmoved, likelihood = np.sqrt(np.mean(np.square(errors), axis=0))
+    own, unmoved, likelihood = np.median(
+        np.abs(errors), axis=0
+    )  # without a discount maximum likelihood has heavy tails
     assert max(moved) > 0.5
-    assert own < 0.9 * unmoved
-    assert own < 2.3 * likelihood  # the most that the move may cost, as a root mean square
+    assert own < 0.6 * unmoved
+    assert own < 2.0 * likelihood
     assert sum(held) >= 26
 
 

@@ -20,7 +20,7 @@ DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others 
 # their saved tables are the former sampler's, whose seeds drew other logs; the last issue of this edition remakes them
 DRAWN_BEFORE = {
     "fig1a", "fig1bcd", "estimands", "horizon", "data_policy", "rate", "renyi", "misspecified", "normalisation", "lambda_n",
-    "coverage", "coverage_lake", "collection",
+    "coverage", "coverage_lake", "collection", "frozen_lake", "taxi", "cliff_walking",
 }  # fmt: skip
 IDS = [experiment.id for experiment in EXPERIMENTS if experiment.group != "continuous"]
 

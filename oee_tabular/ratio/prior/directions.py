@@ -7,6 +7,7 @@ V            r(s, a, s') + gamma V_pi(s') in the simulator: everything a little 
              error of J along this direction alone, since J's derivative in P(s' | s, a) is d(s, a) times it
 steps        indicators of the most frequent displacements, in ``layout`` or in the states' numbers: an event (an arrival, a
              slip to the left) that is more frequent than simulated
+log P at s   log P times the coordinates of s: a floor that is more slippery on one side
 drift        the displacement itself, one direction a coordinate: a wind, a weaker motor
 drift at s   the displacement times the coordinates of s: a wind that blows in one half, a motor that fades
 features     the user's own
@@ -34,7 +35,7 @@ N_STEPS = 24  # displacements that are directions of their own
 ALL_PAIRS = 4  # coordinates up to which each displacement is multiplied by each coordinate of s; beyond, by its own
 
 
-GROUPS = ("log P", "drift", "drift at s", "features", "V", "steps")
+GROUPS = ("log P", "log P at s", "drift", "drift at s", "features", "V", "steps")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ class Directions:
     def columns(self, rows: Rows) -> Columns:
         """The columns at the entries of ``rows``, each but the indicators less its mean in its row under the simulator.
 
-        Those of a small simulator are kept for the fits of other policies.
+        Those of a small simulator are kept.
         """
         if self.without is not None:
             base, *rest = self.without.columns(rows)
@@ -95,7 +96,7 @@ class Directions:
         if self.places.shape[1]:
             start = rows.spread(self.places[rows.state])
             drift = self.places[rows.arrival] - start
-            parts += [drift, _products(drift, start)]
+            parts += [logs[:, None] * start, drift, _products(drift, start)]
             tolerance = 10.0**-DIGITS
             code = find_codes(self.places, rows.state, rows.arrival, rows.indptr, self.steps, tolerance)
         parts.append(self.features[rows.entries])
@@ -105,9 +106,8 @@ class Directions:
 
 def _products(drift: Array, start: Array) -> Array:
     """Displacements times coordinates of s, (entries, c c); (entries, c) where there are more than ``ALL_PAIRS``."""
-    if drift.shape[1] > ALL_PAIRS:
-        return np.asarray(drift * start)
-    return np.asarray((drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1))
+    own = drift.shape[1] > ALL_PAIRS
+    return np.asarray(drift * start if own else (drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1))
 
 
 def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Directions:
@@ -131,6 +131,7 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
     n_products = _products(drift[:1], places[:1]).shape[1]
     names: tuple[list[str], ...] = (
         ["log P", "(log P)^2"],
+        [f"log P at s {k}" for k in range(places.shape[1])],
         [f"drift {k}" for k in range(places.shape[1])],
         [f"drift at s {k}" for k in range(n_products)],
         [f"feature {k}" for k in range(features.shape[1])],
@@ -146,7 +147,7 @@ def own_directions(simulator: FiniteMDP, features: Array | None = None, keys: In
     n_keys, none = 0 if keys is None else int(keys.max()) + 1, list[str]()
     powers = ["log P"] if features is None and keys is None else none
     own = [f"feature {k}" for k in range(given.shape[1])]
-    names = (powers, none, none, own, none, [f"key {k}" for k in range(n_keys)])
+    names = (powers, none, none, none, own, none, [f"key {k}" for k in range(n_keys)])
     nowhere = np.zeros((simulator.n_states, 0))
     return replace(_directions(names, simulator, nowhere, np.zeros((n_keys, 0)), given), keys=keys)
 
