@@ -39,7 +39,7 @@ class Contest:
     >>> pair = oee.testing.case("ragged")
     >>> found = contest(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
     >>> print(found.sentence)
-    Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.254 (95%: 3.134 to 3.389).
+    Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.255 (95%: 3.134 to 3.389).
     >>> found.to_dict()["differences"][0]["upper"] < 0
     True
     """

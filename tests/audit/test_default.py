@@ -44,7 +44,7 @@ def moved_case():
     simulator = oee.FiniteMDP(P, r, np.full(8, 1 / 8), 0.9)
     Q = 0.6 * P
     Q[:, :, np.argmin(r)] += 0.4
-    log = oee.sample_transitions(simulator.with_transitions(Q), np.full((8, 1), 1 / 8), 400, seed=1)
+    log = oee.sample_transitions(simulator.with_transitions(Q), np.full((8, 1), 1 / 8), 160, seed=4)
     return simulator, np.ones((8, 1)), log
 
 
