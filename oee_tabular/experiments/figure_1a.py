@@ -34,7 +34,7 @@ from oee_tabular.ratio.support import aligned_counts
 if TYPE_CHECKING:
     import pandas as pd
 
-DEFAULT, QUOTIENT = "default (average of candidates, evidence)", "paper's quotient, tabular"
+DEFAULT, QUOTIENT = "default (tilt by evidence)", "paper's quotient, tabular"
 ZETA_ERROR = "mean |zeta error| (ratio, no unit)"
 
 

@@ -205,7 +205,7 @@ def evaluate(
     results = []
     made_from_log = {name for name, policy in named_policies.items() if is_best_in_log(problem, policy)}
     for result in raw:
-        if result.policy in made_from_log and result.estimate.is_from_log:
+        if result.policy in made_from_log and result.estimate.is_from_log and result.estimate.status == "ok":
             warned = replace(result.estimate, findings=(MADE_FROM_LOG, *result.estimate.findings))
             result = replace(result, estimate=warned)
         key = SHARED if result.estimator in own else LIKELIHOOD
