@@ -3,7 +3,7 @@
 Objects. P (S*A, S) is the simulator, P* the target, mu (S,) the start, gamma the discount, pi (S, A) the policy, b (S, A) the
 log's. n(s, a, s') are the log's counts, f = n(s, a, s') / n(s, a) its frequencies; zeta = P* / P on the support of P, or an
 estimate. V_M, Q_M, J_M are values of pi in a model M, d_M(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a), m = zeta P unless said
-otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up to t.
+otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up to t::
 
     Simulator           J_P                                                                      simulator
     OffEnvironment      J_m (eq. 4.2), moved towards the log where that speaks against it        off_environment

@@ -22,13 +22,15 @@ a sum of terms that are none of them negative. It is computed from the program a
 
 From counts to zeta
 -------------------
-``Conditional``  P is known: in each row (s, a) the program above, q = P and p the log's frequencies, shrunk to a prior row.
-                 Without ridge and box  zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa).
-``InClass``      one program for all rows, zeta = 1 + Phi w: features (linear) or a kernel.
-``Tied``         entries with one key share one ratio.
-``Quotient``     the paper's: zeta = beta(s, a, s') / beta(s, a), each beta by eq. 3.7 (eq. 4.4); by tables, Algorithm 1 or
-                 networks. Nothing makes its rows sum to 1.
-``Joint``        both betas at once, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a) beta(s, a), which makes them.
+::
+
+    ``Conditional``  P is known: in each row (s, a) the program above, q = P and p the log's frequencies, shrunk to a prior row.
+                     Without ridge and box  zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa).
+    ``InClass``      one program for all rows, zeta = 1 + Phi w: features (linear) or a kernel.
+    ``Tied``         entries with one key share one ratio.
+    ``Quotient``     the paper's: zeta = beta(s, a, s') / beta(s, a), each beta by eq. 3.7 (eq. 4.4); by tables, Algorithm 1 or
+                     networks. Nothing makes its rows sum to 1.
+    ``Joint``        both betas at once, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a) beta(s, a), which makes them.
 
 Where to find it
 ----------------
