@@ -41,7 +41,7 @@ NAMED: Mapping[str, Named] = {
         "OffEnvironment",
         "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log "
         "supports, and the policy is evaluated exactly in the corrected simulator; where the log speaks against "
-        "that, the value moves towards the one-step value, which rests on the log alone wherever the log has moves.",
+        "that, the value moves towards what the log alone says: the one-step value or maximum likelihood's.",
     ),
     "oee-product": Named(
         "OffEnvironment",

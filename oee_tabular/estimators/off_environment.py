@@ -242,7 +242,7 @@ def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
 def _moved(
     problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate, values: Array, time: Array
 ) -> Estimate:
-    """The exact value, moved towards the log where that speaks against the centre; its standard error and interval."""
+    """The exact value, moved towards the log where that speaks against the prior; its standard error and interval."""
     likeliest = _likeliest(problem, zeta, policy)  # before the gradient, which is as large as its model
     gradient = transition_gradient(model, policy, horizon=problem.horizon, values=values, time=time)
     within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)

@@ -274,7 +274,7 @@ class Influence:
         return found
 
     def one_step(self, gradient: Array) -> OneStep:
-        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the centre taken as given."""
+        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the prior taken as given."""
         variance, change = np.empty(len(self.rows)), 0.0
         for rows in self.rows.blocks():
             kernel, slope = self.ratio[rows.entries] * rows.weights, gradient[rows.entries]

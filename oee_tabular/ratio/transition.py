@@ -98,7 +98,7 @@ def transition_ratio(
     Returns
     -------
     TransitionRatio
-        Rows without data have the prior's zeta (1, or the centre's); ``visited`` says which have some.
+        Rows without data have the prior's zeta (1, or the tilt's); ``visited`` says which have some.
 
     Raises
     ------

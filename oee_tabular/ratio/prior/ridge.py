@@ -1,4 +1,4 @@
-"""The centre of the prior: the simulator's rows tilted along all directions at once, shrunk by evidence.
+"""The rows of the prior: the simulator's rows tilted along all directions at once, shrunk by evidence.
 
     zeta(s, a, s') proportional to exp((theta_0 + theta_a) . phi(s, a, s')) in each row,   theta_gj s_gj ~ N(0, 1 / lambda_g),
 
