@@ -13,9 +13,9 @@ otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up
     ImportanceSampling  mean over episodes of sum_t gamma^t rho_t r_t (eq. 3.5)                  importance_sampling
     DoublyRobust        J_P + sum d_m (f - P) (r + gamma V_P)                                    doubly_robust
       "rollouts"        D = sum_s' m (r + gamma V_P) + zeta (gamma D' - gamma V_P(s'))
-      "episodes"        D = V_m(s) + rho [r + gamma D' - Q_m(s, a)]  (Jiang & Li 2016)           episodes
+      "episodes"        D = V_m(s) + rho [r + gamma D' - Q_m(s, a)]  (Jiang & Li 2016)           doubly_robust
     Magic               doubly robust for j steps, then V_m; weights on j by a quadratic
-                        program (Thomas & Brunskill 2016)                                        magic
+                        program (Thomas & Brunskill 2016)                                        doubly_robust
     Marginalized        E_log[beta w r] / (1 - gamma), beta = d_P / d_log, w = d_P* / d_P:
                         d_m / d_P, or A^T theta = -(1 - gamma) E phi_0 (Katdare et al. 2023)     marginalized
     DualDice            w = nu - gamma f^pi nu at the least of a quadratic (Nachum et al. 2019)  marginalized
@@ -41,10 +41,9 @@ if TYPE_CHECKING:
 
     from oee_tabular.estimators.base import Estimate, Estimator
     from oee_tabular.estimators.calibrated import calibrate
-    from oee_tabular.estimators.doubly_robust import DoublyRobust
+    from oee_tabular.estimators.doubly_robust import DoublyRobust, Magic
     from oee_tabular.estimators.findings import Finding
     from oee_tabular.estimators.importance_sampling import ImportanceSampling
-    from oee_tabular.estimators.magic import Magic
     from oee_tabular.estimators.marginalized import DualDice, Marginalized
     from oee_tabular.estimators.model_based import ModelBased
     from oee_tabular.estimators.off_environment import OffEnvironment
@@ -57,8 +56,8 @@ __all__ = [  # imported on first use: ``oee --help`` reads the table of names al
 ]  # fmt: skip
 _FILES = {
     "Estimate": "base", "Estimator": "base", "Finding": "findings", "DualDice": "marginalized", "Oracle": "simulator",
-    "DoublyRobust": "doubly_robust", "ImportanceSampling": "importance_sampling", "ModelBased": "model_based",
-    "OffEnvironment": "off_environment", "calibrate": "calibrated",
+    "DoublyRobust": "doubly_robust", "Magic": "doubly_robust", "ImportanceSampling": "importance_sampling",
+    "ModelBased": "model_based", "OffEnvironment": "off_environment", "calibrate": "calibrated",
 }  # fmt: skip
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -13,9 +11,10 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
-from oee_tabular._sparse import align, row_sums
+from oee_tabular._sparse import row_variances
+from oee_tabular._threads import one_thread
 from oee_tabular.estimators.findings import Finding
-from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -153,6 +152,14 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
         return float(np.ldexp(scaled.mean(), shift)), error
 
 
+def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:
+    """Delta method, root of the sum over visited rows of Var(gradient) / n, variances under ``frequency``."""
+    shift = exponent(gradient)
+    gradient = np.ldexp(gradient, -shift)
+    variance = row_variances(matrix, frequency, gradient)
+    return float(np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift))
+
+
 def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | None:
     """A delta-method error, or None where it is 0 though a row's next state matters: the log's transitions do not vary.
 
@@ -164,33 +171,54 @@ def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | No
     return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
 
 
-def catch_divergence(call: Callable[..., Estimate]) -> Callable[..., Estimate]:
-    """Of an estimator's call: nan with a status where the sum that it needs does not exist."""
+def learnable_shares(problem: Problem, time: Array) -> Array:
+    """Shares of the policy's ``time`` (S, A) where the log has something to tell: not in states that no action leaves."""
+    alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
+    return np.asarray(alive / (float(alive.sum()) or 1.0))
 
-    @functools.wraps(call)
-    def answer(self: object, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        try:
-            return call(self, problem, policy, seed=seed)
-        except DivergentKernelError as divergence:
-            return Estimate(float("nan"), status=str(divergence))
 
-    return answer
+def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
+    """How much of the policy's time the log has seen, and how many of its transitions bear on it.
+
+    ``shares`` (S, A) of ``learnable_shares``, ``counts`` (S, A) of the log. The effective sample size is 1 / sum d^2 / n over
+    visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
+    policy goes.
+    """
+    visited = counts > 0
+    d, n, missed = shares[visited], counts[visited], np.where(visited, 0.0, shares)
+    share = float(missed.sum())
+    spread = float(np.sum(d * d / n))
+    first = [divmod(int(k), shares.shape[1]) for k in np.argsort(-missed, axis=None, kind="stable")[:3]]
+    return {
+        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in first if missed[s, a] > 0),
+        "coverage": 1.0 - share,
+        "fallback_share": share,
+        "effective_sample_size": float(d.sum()) ** 2 / spread if spread > 0 else 0.0,
+    }
 
 
 # what an estimator claims (testing.CLAIMS) that reads the log's counts alone
 OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
 
 
-def expected_rewards(simulator: FiniteMDP, transitions: sparse.csr_array) -> Array:
-    """(S*A,) expected rewards under other dynamics, with the simulator's rewards."""
-    if simulator.reward_data is None:
-        return simulator.rewards.reshape(-1)
-    probability, _ = align(transitions, simulator.transitions)
-    return row_sums(simulator.transitions, probability * simulator.reward_data)
+class TabularEstimator:
+    """An estimator of the package: calls and limits check their arguments here, and subclasses do the rest."""
 
+    @one_thread
+    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+        """Estimate J of ``policy`` in the target; ``seed`` is for what is sampled: rollouts, resamples, the simulator's data.
 
-class ExactLimit:
-    """An estimator with an exact population limit: subclasses say what it is of a ``Population``."""
+        The value is nan, and the status says why, where the sum that it needs does not exist.
+        """
+        pi = require_policy(problem, policy)
+        try:
+            return self.estimate(problem, pi, _checks.generator(seed))
+        except DivergentKernelError as divergence:
+            return Estimate(float("nan"), status=str(divergence))
+
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """The estimate of a checked policy."""
+        raise NotImplementedError
 
     def limit(
         self,

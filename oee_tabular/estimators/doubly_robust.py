@@ -1,4 +1,4 @@
-"""Doubly robust estimators: a model's value, and the log's residuals on top of it."""
+"""Doubly robust estimators: a model's value, and the log's residuals on top of it; and a blend of the two (MAGIC)."""
 
 from __future__ import annotations
 
@@ -8,25 +8,29 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
-from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
+    ROUNDING,
     Estimate,
-    ExactLimit,
-    catch_divergence,
+    coverage,
+    delta_error,
+    effective_sample_size,
     error_or_none,
+    learnable_shares,
     mean_and_error,
 )
-from oee_tabular.estimators.episodes import EpisodeTerms, episode_limit, model_values
-from oee_tabular.estimators.model_based import delta_error
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, ratio_claims
-from oee_tabular.estimators.problem import Problem, require_policy
-from oee_tabular.estimators.rollouts import rollout_horizon
-from oee_tabular.exact import Model, policy_value, reweight, transition_gradient
+from oee_tabular.estimators.importance_sampling import Episodes
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
+from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
+from oee_tabular.exact import Model, policy_value, reweight, state_values, transition_gradient
 from oee_tabular.exact.efficiency import require_action_support
+from oee_tabular.exact.finite import values_to_go
+from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
@@ -35,7 +39,7 @@ from oee_tabular.simulate.sampler import Drawn, draw
 
 
 @dataclass(frozen=True)
-class DoublyRobust(ExactLimit):
+class DoublyRobust(RatioEstimator):
     """A value that is right if either of its two parts is.
 
     Parameters
@@ -78,34 +82,29 @@ class DoublyRobust(ExactLimit):
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _checks.one_of(self.data, "data", ("transitions", "rollouts", "episodes"))
         _checks.one_of(self.weights, "weights", ("occupancy", "beta"))
         _checks.boolean(self.self_normalized, "self_normalized")
         if self.self_normalized and self.data != "episodes":
             raise ValueError(f"self_normalized must be False with data {self.data!r}: it is for episodes")
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
-        OffEnvironment(ratio=self.ratio)  # or an error
 
-    @one_thread
-    @catch_divergence
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """``seed`` is for rollouts and for ratios that sample the simulator."""
-        pi = require_policy(problem, policy)
-        generator = _checks.generator(seed)
-        if self.data == "transitions":
-            return self._correct_by_transitions(problem, pi, generator)
-        zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, generator)
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """``generator`` is for rollouts and for ratios that sample the simulator."""
+        needs_zeta = self.data != "transitions" or self.weights == "occupancy"
+        zeta = self.fit(problem, policy, generator) if needs_zeta else None
+        if zeta is None or self.data == "transitions":
+            return self._correct_by_transitions(problem, policy, zeta)
         if self.data == "rollouts":
-            return self._average_rollouts(problem, pi, zeta, generator)
-        terms = EpisodeTerms.from_problem(
-            problem, pi, reweight(problem.model, zeta), self_normalized=self.self_normalized
-        )
-        return terms.estimate(zeta, terms.total, terms.error)
+            return self._average_rollouts(problem, policy, zeta, generator)
+        terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=self.self_normalized)
+        return terms.estimate(zeta, terms.total, mean_and_error(len(terms.partial) * terms.partial[:, -1])[1])
 
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
-        known = ratio_claims(self.ratio)
+        known = self.model_claims
         if self.data == "transitions":  # with "beta" no zeta is fitted
             return known | {"shift"} if self.weights == "occupancy" else OF_COUNTS | {"identical", "shift"}
         if self.data == "rollouts":
@@ -114,36 +113,37 @@ class DoublyRobust(ExactLimit):
             return known - {"after_end"} | {"consistent"}
         return known | ({"consistent", "unbiased"} if isinstance(self.ratio, TransitionRatio) else {"consistent"})
 
-    def _correct_by_transitions(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def _correct_by_transitions(self, problem: Problem, policy: Array, zeta: TransitionRatio | None) -> Estimate:
         """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r + gamma V_sim)."""
-        model, horizon = problem.model, problem.horizon
-        where: Model = model
-        base = policy_value(model, policy, horizon=horizon)
-        diagnostics: dict[str, object] = {"standard_error_of": "log", "simulator_value": base}
-        if self.weights == "occupancy":
-            zeta = OffEnvironment(ratio=self.ratio).fit(problem, policy, generator)
-            where = reweight(model, zeta)
-            diagnostics["gap"] = zeta.gap
-        gradient = transition_gradient(where, policy, horizon=horizon, values_of=model)
-        observed, _ = align(problem.counts, model.transitions)
-        total = row_sums(model.transitions, observed)
-        counts = total[row_of_entry(model.transitions)]
+        simulator, horizon = problem.model, problem.horizon
+        model: Model = simulator if zeta is None else reweight(simulator, zeta)
+        base = policy_value(simulator, policy, horizon=horizon)
+        gradient = transition_gradient(model, policy, horizon=horizon, values_of=simulator)
+        observed, _ = align(problem.counts, simulator.transitions)
+        total = row_sums(simulator.transitions, observed)
+        counts = total[row_of_entry(simulator.transitions)]
         recorded = counts > 0
         frequency = np.divide(observed, counts, out=np.zeros_like(observed), where=recorded)
-        change = float(gradient[recorded] @ (frequency - model.transitions.data)[recorded])
-        if self.weights == "occupancy" and not isinstance(self.ratio, TransitionRatio):
-            gradient = transition_gradient(where, policy, horizon=horizon)
-        noise = delta_error(model.transitions, frequency, total, gradient)
-        error = error_or_none(noise, gradient, model.transitions.indptr)
-        time = coverage(problem, where, policy, total.reshape(model.n_states, -1))
+        change = float(gradient[recorded] @ (frequency - simulator.transitions.data)[recorded])
+        if zeta is not None and not isinstance(self.ratio, TransitionRatio):
+            gradient = transition_gradient(model, policy, horizon=horizon)
+        noise = delta_error(simulator.transitions, frequency, total, gradient)
+        error = error_or_none(noise, gradient, simulator.transitions.indptr)
+        shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))
+        time = coverage(problem, shares, total.reshape(shares.shape))
         return Estimate(
             base + change,
             error,
-            diagnostics=diagnostics | time,
+            diagnostics={
+                "standard_error_of": "log",
+                "simulator_value": base,
+                **({} if zeta is None else {"gap": zeta.gap}),
+                **time,
+            },
             findings=(
                 *findings.unseen_time(time["fallback_share"], bare=error is not None, judged=True),
                 *findings.no_variation(error),
-                *(findings.gap(zeta.gap) if self.weights == "occupancy" else ()),
+                *(() if zeta is None else findings.gap(zeta.gap)),
             ),
             measured=time["coverage"],
         )
@@ -156,7 +156,7 @@ class DoublyRobust(ExactLimit):
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
         drawn = draw(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=True, name="n_rollouts")
-        values, _ = model_values(model, policy, problem.horizon, steps)
+        values, _ = _model_values(model, policy, problem.horizon, steps)
         value, error = mean_and_error(_rollout_values(model, drawn, values))
         return Estimate(
             value,
@@ -173,22 +173,199 @@ class DoublyRobust(ExactLimit):
         policy takes every action of the policy (None: it does), else what the model makes of the rest (self-normalised:
         an error that names an action).
         """
-        simulator, target, policy, horizon = (
-            population.simulator, population.target, population.policy, population.horizon,
-        )  # fmt: skip
-        limit_model = OffEnvironment(ratio=self.ratio).limit_model(population)
+        simulator, target, policy = population.simulator, population.target, population.policy
+        horizon, model = population.horizon, self.limit_model(population)
         if self.data == "rollouts":
-            return population.value(limit_model)
+            return population.value(model)
         if self.data == "episodes":
             if self.self_normalized and population.behavior is not None:
                 require_action_support(target, population.behavior, policy, horizon)
-            return episode_limit(population, limit_model)
-        where: Model = limit_model if self.weights == "occupancy" else simulator
+            return _episode_limit(population, model)
+        where: Model = model if self.weights == "occupancy" else simulator
         gradient = transition_gradient(where, policy, horizon=horizon, values_of=simulator)
         inside, _ = align(target.transitions, simulator.transitions)
         recorded = population.support[row_of_entry(simulator.transitions)]
         change = float(gradient[recorded] @ (inside - simulator.transitions.data)[recorded])
-        return policy_value(simulator, policy, horizon=horizon) + change
+        return population.value(simulator) + change
+
+
+@dataclass(frozen=True)
+class Magic(RatioEstimator):
+    """Model and guided importance sampling combining [1], on the log's episodes.
+
+    g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model alone, j = T:
+    the whole of it). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
+    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T, the weights normalised again on
+    each resample (one without any weight at some step is left out).
+
+    Parameters
+    ----------
+    ratio : as in ``OffEnvironment``: the model
+    n_lengths : how many j are blended (spread evenly from 0 to T)
+    n_bootstrap : resamples of the episodes
+
+    Notes
+    -----
+    Limit: that of weighted doubly robust. The standard error takes the model for known: where most of the weight is on it, that
+    is too small. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
+    for reinforcement learning, ICML 2016.
+
+    Examples
+    --------
+    >>> from oee_tabular.testing import case
+    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> estimate = Magic()(pair.problem(1000, seed=0), pair.policy, seed=0)
+    >>> round(estimate.value, 1), round(estimate.diagnostics["share_of_model"], 1)
+    (10.1, 1.0)
+    """
+
+    ratio: RatioOption = "conditional"
+    n_lengths: int = 25
+    n_bootstrap: int = 200
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _checks.positive_integer(self.n_lengths, "n_lengths")
+        _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
+
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """``generator`` is for the bootstrap and for ratios that sample the simulator."""
+        zeta = self.fit(problem, policy, generator)
+        terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=True)
+        n, columns = terms.partial.shape
+        if n < 2:
+            return Estimate(float("nan"), status="the blend needs at least 2 episodes")
+        if np.isnan(terms.total):
+            return Estimate(terms.total, status=weight_status(terms.total))
+        lengths = np.unique(np.round(np.linspace(0, columns - 1, min(self.n_lengths, columns))).astype(int))
+        parts = terms.partial[:, lengths]
+        totals = parts.sum(axis=0)
+        covariance = n / (n - 1.0) * (parts - totals / n).T @ (parts - totals / n)
+        draws = generator.integers(0, n, size=(self.n_bootstrap, n))
+        low, high = np.nanquantile(terms.resample(draws), [0.25, 0.75])
+        bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
+        weights = _minimize_on_simplex(covariance + np.outer(bias, bias))
+        error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+        varies = error > ROUNDING * float(np.abs(n * parts).max())
+        return terms.estimate(
+            zeta, float(weights @ totals), error if varies else None, share_of_model=float(weights[0])
+        )
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Words of ``testing.CLAIMS``."""
+        return self.model_claims - {"after_end"} | {"consistent", "random"}
+
+    def limit_of(self, population: Population) -> float:
+        """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""
+        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(population)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeTerms:
+    """The doubly robust estimator on n episodes of at most T steps, V and Q of zeta * P as control variates.
+
+    The value is sum_t sum_i share_ti ``gains``_ti, where share_ti is ``weights``_ti = rho_0 ... rho_{t-1} over n, or over their
+    sum at t (both are (T + 1, n); an episode that has ended keeps its weight). ``partial`` (n, T + 1) are its parts where
+    the log is used for j = 0..T steps and the model's value after them.
+    """
+
+    weights: Array
+    gains: Array
+    partial: Array
+
+    @classmethod
+    def from_problem(
+        cls, problem: Problem, policy: Array, zeta: TransitionRatio, *, self_normalized: bool
+    ) -> EpisodeTerms:
+        """The terms, nan where the weights to divide by are all 0."""
+        episodes, model = Episodes.from_problem(problem), reweight(problem.model, zeta)
+        log, lengths, gamma = episodes.log, episodes.lengths, model.discount
+        n, steps = len(lengths), int(lengths.max())
+        v, q = _model_values(model, policy, problem.horizon, steps)
+        t, used = np.arange(steps)[:, None], np.minimum(np.arange(steps + 1)[:, None], lengths)
+        place = episodes.starts[:-1] + np.minimum(t, lengths - 1)
+        rows, first = episodes.rows[place], episodes.rows[episodes.starts[:-1]]
+        weights = np.vstack([np.ones((1, n)), episodes.weights(problem, policy)[place]])
+        state, action = log.state[rows], log.action[rows]
+        factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
+        residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])  # carries W_{t+1}
+        value = factor * v[t, state]  # carries W_t
+        arrival = np.where(used == 0, log.state[first], log.next_state[first + np.maximum(used, 1) - 1])
+        ended = (used == lengths) & episodes.is_over
+        rest = np.where(ended, 0.0, gamma**used * v[used, arrival])  # of the model after ``used`` steps
+        with np.errstate(invalid="ignore"):
+            shares = weights / (weights.sum(axis=1, keepdims=True) if self_normalized else n)
+        gains = np.zeros((steps + 1, n))
+        gains[1:] = residual
+        gains[:-1] += value
+        gains[lengths, np.arange(n)] += rest[-1]
+        partial = np.take_along_axis(shares, used, axis=0) * rest
+        partial[1:] += np.cumsum(shares[1:] * residual + shares[:-1] * value, axis=0)
+        return cls(weights, gains, np.where(np.isfinite(shares).all(), partial, np.nan).T)
+
+    @property
+    def total(self) -> float:
+        """The value."""
+        return float(self.partial[:, -1].sum())
+
+    def resample(self, draws: IntArray) -> Array:
+        """(b,) self-normalised values of the resamples ``draws`` (b, n) of the episodes, weights normalised on each.
+
+        nan where at some step all weights of a resample are 0.
+        """
+        n, products = len(self.partial), self.weights * self.gains
+        totals = np.empty(len(draws))
+        for b, episodes in enumerate(draws):
+            number = np.bincount(episodes, minlength=n)
+            with np.errstate(invalid="ignore"):
+                totals[b] = float(((products @ number) / (self.weights @ number)).sum())
+        return totals
+
+    def estimate(self, zeta: TransitionRatio, value: float, error: float | None, **more: float) -> Estimate:
+        """An estimate from the log's episodes; ``more`` joins the diagnostics."""
+        last, n = self.weights[-1], len(self.partial)
+        effective = effective_sample_size(last)
+        return Estimate(
+            value,
+            error,
+            diagnostics={
+                "standard_error_of": "log",
+                "n_episodes": n,
+                "effective_sample_size": effective,
+                "largest_weight": float(last.max()),
+                "gap": zeta.gap,
+                **more,
+            },
+            status=weight_status(value),
+            findings=(
+                *findings.no_variation(error),
+                *findings.weights(effective, n, "episodes"),
+                *findings.gap(zeta.gap),
+            ),
+            is_from_episodes=True,
+        )
+
+
+def _model_values(model: Model, policy: Array, horizon: int | None, steps: int) -> tuple[Array, Array]:
+    """V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
+    v = state_values(model, policy)[None] if horizon is None else values_to_go(model, policy, horizon)[: steps + 1]
+    ahead = (model.transitions @ (v if horizon is None else v[1:]).T).T
+    q = model.rewards + model.discount * ahead.reshape(-1, *model.rewards.shape)
+    return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(q, (steps, *q.shape[1:]))
+
+
+def _episode_limit(population: Population, model: Model) -> float:
+    """E[V(s_0) + sum rho ...], by the recursion of its mean; J_target where the behaviour policy has support."""
+    if population.behavior is None:
+        return population.value(population.target)
+    target = population.target
+    steps = rollout_horizon(target.discount, population.horizon)
+    v, q = _model_values(model, population.policy, population.horizon, steps)
+    walk = walk_of(target, population.behavior, policy=population.policy)
+    reached = walk.weights_by_state(steps, power=1)[:-1, 0]
+    gains = v[:-1] + walk.sum_actions(walk.act * walk.u * (target.rewards - q).reshape(steps, -1))
+    return float(target.discount ** np.arange(steps, dtype=np.float64) @ (reached * gains).sum(axis=1))
 
 
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
@@ -211,3 +388,18 @@ def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
         change = model.discount * ahead[alive] - going[matrix.indices[entry]]
         ahead[alive] = known[rows[entry]] + drawn.ratio[entry] * change
     return ahead
+
+
+def _minimize_on_simplex(matrix: Array) -> Array:
+    """argmin x^T A x over the simplex, A positive semidefinite.
+
+    Nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2 over y >= 0 is a multiple of it.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    scale = max(float(values.max()), 1e-300)
+    root = (np.sqrt(np.maximum(values, 0.0) / scale) * vectors).T
+    stacked = np.vstack([root, np.ones(len(matrix))])
+    from scipy.optimize import nnls  # a tenth of a second
+
+    y, _ = nnls(stacked, np.append(np.zeros(len(root)), 1.0), maxiter=100 * len(matrix))
+    return np.asarray(y / y.sum())

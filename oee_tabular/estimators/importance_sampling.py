@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Estimate, ExactLimit, effective_sample_size, mean_and_error
-from oee_tabular.estimators.episodes import LARGEST_WEIGHT, Episodes, behavior_ratios
-from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.estimators.base import Estimate, TabularEstimator, effective_sample_size, mean_and_error
+from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import (
     normalize_by_episode,
     normalize_by_step,
@@ -26,9 +25,95 @@ from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.ratio.method import Population
 
+LARGEST_WEIGHT = 1e150  # its square is still a float
+
+
+class Episodes(NamedTuple):
+    """The log's n episodes within the horizon.
+
+    ``rows`` of the log, one episode after the other: that of episode i in starts[i] to starts[i + 1]. ``is_over`` (n,) says
+    which have ended then.
+    """
+
+    log: Transitions
+    rows: IntArray
+    starts: IntArray
+    is_over: BoolArray
+
+    @classmethod
+    def from_problem(cls, problem: Problem) -> Episodes:
+        """Those of ``problem.recorded``."""
+        log = problem.recorded
+        if log.episode_starts is None:
+            raise ValueError(
+                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
+            )
+        lengths = np.diff(log.episode_starts)
+        if problem.horizon is not None:
+            lengths = np.minimum(lengths, problem.horizon)
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        rows = np.repeat(log.episode_starts[:-1], lengths) + step_numbers(starts)
+        final = rows[starts[1:] - 1]
+        return cls(log, rows, starts, log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]])
+
+    @property
+    def lengths(self) -> IntArray:
+        """(n,) how many steps they have."""
+        return np.diff(self.starts)
+
+    def weights(self, problem: Problem, policy: Array, *, is_estimated: bool = False) -> Array:
+        """rho_0 ... rho_t of each of ``rows``, rho = policy / behaviour."""
+        with np.errstate(over="ignore"):
+            ratio = _behavior_ratios(problem, policy, is_estimated=is_estimated)
+            return segment_products(ratio[self.rows], self.starts)
+
+
+def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> Array:
+    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is over.
+
+    ``is_estimated``: the behaviour is the log's action frequencies, and not what was recorded or given.
+    """
+    log = problem.recorded
+    if is_estimated:
+        pairs = np.zeros((problem.simulator.n_states, problem.simulator.n_actions))
+        np.add.at(pairs, (log.state, log.action), 1.0)
+        behavior = pairs[log.state, log.action] / pairs.sum(axis=1)[log.state]
+    else:
+        behavior = _behavior_probabilities(problem, log)
+    ratio = policy[log.state, log.action] / behavior
+    beyond = np.flatnonzero(~(ratio <= LARGEST_WEIGHT))
+    if beyond.size:
+        row = int(beyond[0])
+        raise ValueError(
+            f"behavior_probability must be large enough for a weight that floats can square; in row {row} it is "
+            f"{behavior[row]:g}, and the policy takes that action with probability {policy[log.state[row], log.action[row]]:g}"
+        )
+    return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)
+
+
+def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
+    """The recorded probability of each action, or that of ``behavior_policy``."""
+    if log.behavior_probability is not None:
+        probability, name = log.behavior_probability, "log.behavior_probability"
+    elif problem.behavior_policy is not None:
+        probability, name = problem.behavior_policy[log.state, log.action], "behavior_policy"
+    else:
+        raise ValueError(
+            "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...) "
+            "(--behavior), or use behavior='estimated'"
+        )
+    zero = np.flatnonzero(probability == 0)
+    if zero.size:
+        row = int(zero[0])
+        raise ValueError(
+            f"{name} must be positive for the actions taken; it is 0 in row {row} (s={log.state[row]}, "
+            f"a={log.action[row]}; {zero.size} such rows in all)"
+        )
+    return np.asarray(probability)
+
 
 @dataclass(frozen=True)
-class ImportanceSampling(ExactLimit):
+class ImportanceSampling(TabularEstimator):
     """Episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
 
     Parameters
@@ -71,18 +156,12 @@ class ImportanceSampling(ExactLimit):
         _checks.boolean(self.self_normalized, "self_normalized")
         _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
 
-    @one_thread
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Exact given the log; ``seed`` is not used."""
-        pi = require_policy(problem, policy)
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """Exact given the log."""
         episodes = Episodes.from_problem(problem)
-        log, n = episodes.log, len(episodes.lengths)
-        starts = np.concatenate([[0], np.cumsum(episodes.lengths)])
-        step = step_numbers(starts)
-        rows = np.repeat(episodes.starts[:-1], episodes.lengths) + step
-        with np.errstate(over="ignore"):
-            ratio = behavior_ratios(problem, pi, is_estimated=self.behavior == "estimated")
-            weight = segment_products(ratio[rows], starts)
+        log, rows, starts, _ = episodes
+        n, step = len(episodes.lengths), step_numbers(starts)
+        weight = episodes.weights(problem, policy, is_estimated=self.behavior == "estimated")
         beyond = np.flatnonzero(~(weight <= LARGEST_WEIGHT))
         if beyond.size:
             row = int(rows[beyond[0]])
@@ -94,14 +173,16 @@ class ImportanceSampling(ExactLimit):
         reward = problem.simulator.discount ** step.astype(np.float64) * problem.rewards_of(log)[rows]
         if self.kind == "trajectory":
             weight = np.repeat(last, episodes.lengths)
-        if self.self_normalized and self.kind == "per_decision":
-            value, error = normalize_by_step(reward, weight, starts, last, keep_last=self.ragged == "pad")
+        totals = np.add.reduceat(weight * reward, starts[:-1])
+        if not self.self_normalized:
+            value, error = mean_and_error(totals)
+        elif self.kind == "trajectory":
+            value, error = normalize_by_episode(totals, last)
         else:
-            totals = np.add.reduceat(weight * reward, starts[:-1])
-            value, error = normalize_by_episode(totals, last) if self.self_normalized else mean_and_error(totals)
+            value, error = normalize_by_step(reward, weight, starts, last, keep_last=self.ragged == "pad")
         effective = effective_sample_size(last)
         n_cut, bound = _truncation_bound(problem, episodes, last, self_normalized=self.self_normalized)
-        foreign = float((problem.simulator.initial[log.state[episodes.starts[:-1]]] == 0).mean())
+        foreign = float((problem.simulator.initial[log.state[rows[starts[:-1]]]] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
             error = None  # one episode decides: its value has no spread to show
         told = (
@@ -119,9 +200,7 @@ class ImportanceSampling(ExactLimit):
                 "effective_sample_size": effective,
                 "largest_weight": float(weight.max()),
                 "mean_weight": float(last.mean()),
-                "truncated_share": n_cut / n,
                 "truncation_bias_bound": bound,
-                "foreign_starts_share": foreign,
             },
             status=weight_status(value) if last.any() else str(findings.WEIGHTLESS),
             findings=told if last.any() else (findings.WEIGHTLESS,),
@@ -176,13 +255,13 @@ def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self
     A missing reward has at most the largest size that the log or the simulator's transitions have, and in expectation the
     episode's last weight.
     """
-    log, _, lengths, is_over = episodes
+    lengths, is_over = episodes.lengths, episodes.is_over
     simulator, horizon, gamma = problem.simulator, problem.horizon, problem.simulator.discount
     missing = ~is_over if horizon is None else ~is_over & (lengths < horizon)
     if not missing.any():
         return 0, 0.0
     paid = simulator.rewards if simulator.reward_data is None else simulator.reward_data
-    largest = max(float(np.abs(problem.rewards_of(log)).max()), float(np.abs(paid).max()))
+    largest = max(float(np.abs(problem.rewards_of(episodes.log)).max()), float(np.abs(paid).max()))
     if gamma == 1.0:
         tail = np.asarray((np.inf if horizon is None else horizon) - lengths, dtype=np.float64)
     else:

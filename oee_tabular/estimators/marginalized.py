@@ -9,17 +9,17 @@ import numpy as np
 from scipy import linalg, sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
-from oee_tabular._sparse import row_sums
-from oee_tabular._threads import one_thread
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import align, row_sums
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, catch_divergence, expected_rewards
+from oee_tabular.estimators.base import OF_COUNTS, Estimate, TabularEstimator, coverage, learnable_shares
 from oee_tabular.estimators.model_based import ModelBased
-from oee_tabular.estimators.off_environment import OffEnvironment, RatioOption, coverage, ratio_claims
-from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
 from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
@@ -32,7 +32,7 @@ RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
 
 
 @dataclass(frozen=True, eq=False)
-class Marginalized(ExactLimit):
+class Marginalized(RatioEstimator):
     """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
 
     beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's pairs), and
@@ -79,37 +79,36 @@ class Marginalized(ExactLimit):
     features: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        OffEnvironment(ratio=self.ratio)  # or an error
+        super().__post_init__()
         check_box(self.lower, self.upper, normalized=False)
         if self.features is not None and not (isinstance(self.ratio, str) and self.ratio == "conditional"):
             raise ValueError("ratio must be left out with features, which need no zeta")
 
-    @one_thread
-    @catch_divergence
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Exact given the log and zeta; ``seed`` is for ratios that sample the simulator."""
-        pi = require_policy(problem, policy)
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """Exact given the log and zeta; ``generator`` is for ratios that sample the simulator."""
+        simulator, horizon = problem.simulator, problem.horizon
         total = problem.counts.sum()
         share = row_sums(problem.counts) / total
-        beta, gap = self._fit_beta(problem.simulator, pi, problem.horizon, share)
+        beta, gap = self._fit_beta(simulator, policy, horizon, share)
         model: Model = problem.model
         if self.features is None:
-            zeta = OffEnvironment(ratio=self.ratio).fit(problem, pi, _checks.generator(seed))
+            zeta = self.fit(problem, policy, generator)
             model, gap = reweight(problem.model, zeta), max(gap, zeta.gap)
-            shift = _occupancy_ratio(model, problem.simulator, pi, problem.horizon)
+            shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
-            shift = self._solve_class(problem.simulator, pi, problem.counts / total, beta)
+            shift = self._solve_class(simulator, policy, problem.counts / total, beta)
         weights = beta * shift
-        time = coverage(problem, model, pi, row_sums(problem.counts).reshape(pi.shape))
+        shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))
+        time = coverage(problem, shares, row_sums(problem.counts).reshape(policy.shape))
         return Estimate(
-            total_discount(model.discount, problem.horizon) * float(share @ (weights * mean_rewards(problem))),
+            total_discount(model.discount, horizon) * float(share @ (weights * mean_rewards(problem))),
             diagnostics={
                 "gap": gap,
                 "largest_weight": float(weights.max()),
                 "mean_weight": float(share @ weights),
                 **time,
             },
-            findings=(*findings.unseen_time(time.get("fallback_share", 0.0)), *findings.gap(gap)),
+            findings=(*findings.unseen_time(time["fallback_share"]), *findings.gap(gap)),
         )
 
     @property
@@ -117,23 +116,25 @@ class Marginalized(ExactLimit):
         """Words of ``testing.CLAIMS``: pairs that the log never visited pay nothing, so that rewards cannot be shifted."""
         if self.features is not None:
             return frozenset({"scale", "infinite"})
-        known = ratio_claims(self.ratio) - {"shift"}
+        known = self.model_claims - {"shift"}
         boxed = self.lower is not None or self.upper is not None
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
     def limit_of(self, population: Population) -> float:
         """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P, or of the class."""
         simulator, policy, horizon = population.simulator, population.policy, population.horizon
-        share = population.distribution.reshape(-1)
+        share, target = population.distribution.reshape(-1), population.target.transitions
         beta, _ = self._fit_beta(simulator, policy, horizon, share)
         if self.features is None:
-            model = OffEnvironment(ratio=self.ratio).limit_model(population)
-            shift = _occupancy_ratio(model, simulator, policy, horizon)
+            shift = _occupancy_ratio(self.limit_model(population), simulator, policy, horizon)
         else:
-            transitions = sparse.csr_array(sparse.diags_array(share) @ population.target.transitions)
+            transitions = sparse.csr_array(sparse.diags_array(share) @ target)
             shift = self._solve_class(simulator, policy, transitions, beta)
-        pay = expected_rewards(simulator, population.target.transitions)
-        return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * pay))
+        rewards = simulator.rewards.reshape(-1)
+        if simulator.reward_data is not None:  # the target's transitions pay what the simulator's do
+            probability, _ = align(target, simulator.transitions)
+            rewards = row_sums(simulator.transitions, probability * simulator.reward_data)
+        return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * rewards))
 
     def _fit_beta(self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array) -> tuple[Array, float]:
         """Beta on (S*A,), 0 where the log has nothing, and its gap."""
@@ -227,7 +228,7 @@ def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
 
 
 @dataclass(frozen=True)
-class DualDice(ExactLimit):
+class DualDice(TabularEstimator):
     """Tabular DualDICE [1] for a shift of the environment, with the simulator's occupancy as its base distribution.
 
     nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies (the simulator's
@@ -248,50 +249,37 @@ class DualDice(ExactLimit):
     True
     """
 
-    @one_thread
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Exact given the log; ``seed`` is not used."""
-        pi = require_policy(problem, policy)
+    claims = OF_COUNTS | {"consistent", "shift", "infinite"}
+
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """Exact given the log.
+
+        With B = I - gamma P^pi on (s, a) the normal equations are B^T D B nu = (1 - gamma) mu_0 pi: first y = D w from B^T y,
+        then nu from B nu = w.
+        """
         if problem.horizon is not None:
             raise ValueError(
                 f"horizon must be None for DualDICE, whose occupancies are of the infinite sum; it is {problem.horizon}"
             )
         model = ModelBased(fallback="simulator").model(problem)
-        value, nu, weights, missed = _dual_dice(model, problem.simulator, pi)
+        gamma, kernel = model.discount, policy_kernel(model, policy)
+        if gamma == 1.0:
+            raise ValueError("discount must be below 1 for DualDICE; it is 1")
+        base = occupancy(problem.simulator, policy)
+        states = solve_policy_system(kernel, (1.0 - gamma) * model.initial, gamma, transpose=True).x
+        weights = np.divide(states[:, None] * policy, base, out=np.zeros_like(base), where=base > 0)
+        nu_states = solve_policy_system(kernel, (policy * weights).sum(axis=1), gamma).x
+        nu = weights + gamma * (model.transitions @ nu_states).reshape(weights.shape)
+        residual = nu - gamma * (model.transitions @ (policy * nu).sum(axis=1)).reshape(nu.shape) - weights
         return Estimate(
-            value,
+            float((base * weights * model.rewards).sum()) / (1.0 - gamma),
             diagnostics={
                 "largest_weight": float(weights.max()),
                 "largest_nu": float(np.abs(nu).max()),
-                "residual": missed,
+                "residual": float(np.abs(residual).max()),
             },
         )
-
-    @property
-    def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
-        return OF_COUNTS | {"consistent", "shift", "infinite"}
 
     def limit_of(self, population: Population) -> float:
         """J of the target's rows where the data are, the simulator's elsewhere."""
         return population.value(population.model(population.simulator.transitions))
-
-
-def _dual_dice(model: FiniteMDP, simulator: FiniteMDP, policy: Array) -> tuple[float, Array, Array, float]:
-    """J, nu (S, A), w (S, A), and the largest residual of the normal equations.
-
-    With B = I - gamma P^pi on (s, a) they are B^T D B nu = (1 - gamma) mu_0 pi: first y = D w from B^T y, then nu from
-    B nu = w.
-    """
-    gamma = model.discount
-    if gamma == 1.0:
-        raise ValueError("discount must be below 1 for DualDICE; it is 1")
-    base = occupancy(simulator, policy)
-    kernel = policy_kernel(model, policy)
-    states = solve_policy_system(kernel, (1.0 - gamma) * model.initial, gamma, transpose=True).x
-    weights = np.divide(states[:, None] * policy, base, out=np.zeros_like(base), where=base > 0)
-    nu_states = solve_policy_system(kernel, (policy * weights).sum(axis=1), gamma).x
-    nu = weights + gamma * (model.transitions @ nu_states).reshape(weights.shape)
-    residual = nu - gamma * (model.transitions @ (policy * nu).sum(axis=1)).reshape(nu.shape) - weights
-    value = float((base * weights * model.rewards).sum()) / (1.0 - gamma)
-    return value, nu, weights, float(np.abs(residual).max())

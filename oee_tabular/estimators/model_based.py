@@ -9,28 +9,27 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
-from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
-from oee_tabular._threads import one_thread
+from oee_tabular._checks import Array
+from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
     ROUNDING,
     Estimate,
-    ExactLimit,
-    catch_divergence,
+    TabularEstimator,
+    coverage,
+    delta_error,
+    learnable_shares,
 )
-from oee_tabular.estimators.off_environment import coverage
-from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, transition_gradient
-from oee_tabular.exact.linear import exponent
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.method import Population
 
 
 @dataclass(frozen=True)
-class ModelBased(ExactLimit):
+class ModelBased(TabularEstimator):
     """J in the model whose rows are the log's frequencies n_sas' / n_sa.
 
     Parameters
@@ -62,20 +61,18 @@ class ModelBased(ExactLimit):
     def __post_init__(self) -> None:
         _checks.one_of(self.fallback, "fallback", ("stay", "simulator"))
 
-    @one_thread
-    @catch_divergence
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Exact given the log; ``seed`` is not used."""
-        pi = require_policy(problem, policy)
+    claims = OF_COUNTS | {"consistent", "shift"}
+
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """Exact given the log."""
         model, totals = self.model(problem), row_sums(problem.counts)
-        result = evaluate_policy(model, pi, horizon=problem.horizon)
-        time = time_in_pairs(model, pi, problem.horizon)
-        shares = coverage(problem, model, pi, totals.reshape(pi.shape), time)
+        result = evaluate_policy(model, policy, horizon=problem.horizon)
+        time = time_in_pairs(model, policy, problem.horizon)
+        shares = learnable_shares(problem, time)
+        seen = coverage(problem, shares, totals.reshape(policy.shape))
         n_successors = np.diff(problem.model.transitions.indptr)
-        repeated = np.where((totals == 1) & (n_successors > 1), 0.0, totals)
-        measured = coverage(problem, model, pi, repeated.reshape(pi.shape), time)["coverage"]
-        single = shares["coverage"] - measured
-        gradient = transition_gradient(model, pi, horizon=problem.horizon, values=result.values, time=time)
+        single = float(shares.reshape(-1)[(totals == 1) & (n_successors > 1)].sum())
+        gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
         least = ROUNDING * max(abs(result.value), float(np.abs(model.rewards).max()))
         error = delta if (n_successors <= 1).all() or delta > least else None
@@ -85,22 +82,17 @@ class ModelBased(ExactLimit):
             diagnostics={
                 "error_bound": result.error_bound,
                 "method": result.method,
-                **shares,
+                **seen,
                 "single_share": single,
                 "standard_error_of": "log",
             },
             findings=(
-                *findings.unseen_time(shares["fallback_share"], bare=error is not None, judged=True),
+                *findings.unseen_time(seen["fallback_share"], bare=error is not None, judged=True),
                 *findings.single_moves(single, error),
                 *findings.linear_algebra(result.error_bound, result.value),
             ),
-            measured=measured,
+            measured=seen["coverage"] - single,
         )
-
-    @property
-    def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
-        return OF_COUNTS | {"consistent", "shift"}
 
     def limit_of(self, population: Population) -> float:
         """J of the target's rows where the data are, the fallback's elsewhere."""
@@ -133,11 +125,3 @@ class ModelBased(ExactLimit):
             matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state, layout=base.layout,
             state_names=base.state_names, action_names=base.action_names,
         )  # fmt: skip
-
-
-def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:
-    """Delta method, root of the sum over visited rows of Var(gradient) / n, variances under ``frequency``."""
-    shift = exponent(gradient)
-    gradient = np.ldexp(gradient, -shift)
-    variance = row_variances(matrix, frequency, gradient)
-    return float(np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift))

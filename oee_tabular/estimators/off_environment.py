@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern
-from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, Estimate, ExactLimit, error_or_none
-from oee_tabular.estimators.problem import Problem, require_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_claims, product_estimate, rollout_horizon
-from oee_tabular.exact import (
-    Model,
-    ReweightedModel,
-    evaluate_policy,
-    policy_value,
-    reweight,
-    transition_gradient,
-    weighted_return_moments,
+from oee_tabular.estimators.base import (
+    Estimate,
+    coverage,
+    effective_sample_size,
+    error_or_none,
+    learnable_shares,
+    mean_and_error,
 )
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
+from oee_tabular.estimators.rollouts import (
+    carried_rewards,
+    normalize_by_episode,
+    normalize_by_step,
+    rollout_horizon,
+    weight_status,
+)
+from oee_tabular.exact import evaluate_policy, policy_value, reweight, transition_gradient, weighted_return_moments
 from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.reweighted import with_rows
-from oee_tabular.ratio import Method, TransitionRatio
+from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
-from oee_tabular.ratio.transition import method_named
+from oee_tabular.simulate.sampler import draw
 
 NORMAL = NormalDist().inv_cdf(0.975)
 # Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias is b: by s^2 over the variance of
@@ -41,17 +46,11 @@ THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
 CONTRADICTION = (
     2.0  # standard errors of their difference between the value and maximum likelihood's that are worth a word
 )
-_SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
-NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
-    "conditional": OF_COUNTS | {"consistent", "shift"},
-    "ratio_of_ratios": _SAMPLED,  # its rows have any sum
-    "joint": _SAMPLED | {"shift"},
-}
-RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
+OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
 @dataclass(frozen=True)
-class OffEnvironment(ExactLimit):
+class OffEnvironment(RatioEstimator):
     """The paper's estimator: zeta from the log, the policy's value in zeta * P (eq. 4.2).
 
     Parameters
@@ -105,179 +104,166 @@ class OffEnvironment(ExactLimit):
     n_rollouts: int = 100
 
     def __post_init__(self) -> None:
-        if isinstance(self.ratio, str):
-            _checks.one_of(self.ratio, "ratio", tuple(NAMED))
-        elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
-            raise ValueError(
-                f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}"
-            )
+        super().__post_init__()
         _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
-        check_rollout_options(self.weighting, self.n_rollouts)
+        _checks.one_of(self.weighting, "weighting", ("per_decision", "trajectory"))
         _checks.boolean(self.self_normalized, "self_normalized")
+        _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
-    @one_thread
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """``seed`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
-        pi = require_policy(problem, policy)
-        generator = _checks.generator(seed)
-        zeta = self.fit(problem, pi, generator)
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """``generator`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
+        zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
-            estimate = product_estimate(
-                problem.model,
-                zeta,
-                pi,
-                horizon=problem.horizon,
-                weighting=self.weighting,
-                self_normalized=self.self_normalized,
-                n_rollouts=self.n_rollouts,
-                seed=generator,
-            )
-            told = (*estimate.findings, *findings.gap(zeta.gap))
-            return replace(estimate, diagnostics=estimate.diagnostics | {"gap": zeta.gap}, findings=told)
-        return _exact(problem, zeta, pi)
-
-    def fit(self, problem: Problem, policy: Array, generator: np.random.Generator) -> TransitionRatio:
-        """zeta from the log, as ``ratio`` says.
-
-        V of ``policy`` is a direction of "conditional"; ``generator`` samples the simulator's data where a method needs them.
-        """
-        if isinstance(self.ratio, TransitionRatio):
-            self.ratio.on(problem.simulator)  # or an error
-            return self.ratio
-        if callable(self.ratio):
-            return self.ratio(problem.observed, problem.simulator)
-        return self._method.fit(
-            problem.observed,
-            problem.simulator,
-            values_of=policy,
-            horizon=problem.horizon,
-            simulator_data=problem.simulator_data,
-            behavior_policy=problem.behavior_policy,
-            seed=generator,
-            made=problem.made,
-        )
+            return self._average_rollouts(problem, zeta, policy, generator)
+        return _evaluate(problem, zeta, policy)
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
-        known = ratio_claims(self.ratio)
-        return known if self.evaluation == "exact" else product_claims(known, self_normalized=self.self_normalized)
+        """Words of ``testing.CLAIMS``. Products move with the rewards only over the sum of their weights."""
+        if self.evaluation == "exact":
+            return self.model_claims
+        shifts = self.model_claims | {"shift"} if self.self_normalized else self.model_claims - {"shift"}
+        return shifts | {"random"}
 
-    @property
-    def _method(self) -> Method:
-        assert isinstance(self.ratio, str | Method)
-        return method_named(self.ratio) if isinstance(self.ratio, str) else self.ratio
+    def _average_rollouts(
+        self, problem: Problem, zeta: TransitionRatio, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
+        """J by rollouts of the simulator weighted by products of zeta: the episodes of ``sample_returns``."""
+        model, per_decision = problem.model, self.weighting == "per_decision"
+        zeta.on(model)  # or an error
+        n_steps = horizon_length(rollout_horizon(model.discount, problem.horizon), model)
+        by_step = self.self_normalized and per_decision
+        drawn = draw(
+            model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=by_step, name="n_rollouts"
+        )
+        if by_step:
+            value, error = normalize_by_step(*carried_rewards(model, drawn), drawn.starts, drawn.weights)
+        elif self.self_normalized:
+            value, error = normalize_by_episode(drawn.whole, drawn.weights)
+        else:
+            value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
+        overflows = not np.isfinite(value) and not np.isfinite(drawn.weights).all()
+        effective = effective_sample_size(drawn.weights)
+        return Estimate(
+            value,
+            error,
+            status=OVERFLOW if overflows else weight_status(value),
+            diagnostics={
+                "standard_error_of": "rollouts",
+                "n_rollouts": self.n_rollouts,
+                "effective_sample_size": effective,
+                "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
+                "mean_weight": float(drawn.weights.mean()),
+                "row_sum_error": zeta.row_sum_error,
+                "gap": zeta.gap,
+            },
+            findings=(
+                *findings.no_variation(error),
+                *findings.row_sums(zeta.row_sum_error),
+                *findings.weights(effective, self.n_rollouts, "rollouts"),
+                *findings.gap(zeta.gap),
+            ),
+        )
 
-    def limit_model(self, people: Population) -> ReweightedModel:
-        """zeta * P with the zeta that infinitely many moves would give."""
-        if isinstance(self.ratio, TransitionRatio):
-            return reweight(people.simulator, self.ratio)
-        if callable(self.ratio):
-            return reweight(people.simulator, self.ratio(people.counts(), people.simulator))
-        return reweight(people.simulator, self._method.limit(people))
-
-    def limit_of(self, people: Population) -> float:
+    def limit_of(self, population: Population) -> float:
         """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.
 
         Exact rows of the target where the data are, the prior's elsewhere ("conditional"); the box-clipped quotient
         ("ratio_of_ratios", "joint": data_distribution counts, against the simulator's exact occupancy under the
         behaviour policy, which is that of the data where it is not given).
         """
-        model = self.limit_model(people)
+        model, simulator = self.limit_model(population), population.simulator
         if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
-            return people.value(model)
-        zeta = csr_on_pattern(
-            people.simulator.transitions,
-            np.divide(model.transitions.data, people.simulator.transitions.data, out=np.zeros(people.simulator.transitions.nnz),
-                      where=people.simulator.transitions.data > 0),
-        )  # fmt: skip
-        return weighted_return_moments(
-            people.simulator, zeta, people.policy, kind=self.weighting, self_normalized=self.self_normalized,
-            horizon=rollout_horizon(people.simulator.discount, people.horizon),
-        ).mean  # fmt: skip
+            return population.value(model)
+        own, rows = simulator.transitions, model.transitions.data
+        zeta = csr_on_pattern(own, np.divide(rows, own.data, out=np.zeros_like(rows), where=own.data > 0))
+        moments = weighted_return_moments(
+            simulator,
+            zeta,
+            population.policy,
+            kind=self.weighting,
+            self_normalized=self.self_normalized,
+            horizon=rollout_horizon(simulator.discount, population.horizon),
+        )
+        return moments.mean
 
 
-def ratio_claims(ratio: RatioOption) -> frozenset[str]:
-    """What the exact value of zeta * P claims by the way zeta is found.
-
-    A zeta that is given is right for one pair only; a function promises nothing but that it does not look at rewards.
-    """
-    if isinstance(ratio, TransitionRatio):
-        return OF_COUNTS | {"shift"} if ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
-    return NAMED[ratio] if isinstance(ratio, str) else frozenset({"scale"})
-
-
-def _exact(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
+def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
+    """J in zeta * P, moved towards the log where rows of zeta * P are probabilities."""
     model = reweight(problem.model, zeta)
-    diagnostics: dict[str, object] = {
-        "gap": zeta.gap,
-        "row_sum_error": zeta.row_sum_error,
-        "largest_weight": float(zeta.values.data.max()),
-    }
-    try:
-        found = evaluate_policy(model, policy, horizon=problem.horizon)
-    except DivergentKernelError as divergence:
-        return Estimate(float("nan"), diagnostics=diagnostics, status=str(divergence))
-    diagnostics |= {"error_bound": found.error_bound, "method": found.method}
-    told = (
-        *findings.row_sums(zeta.row_sum_error),
-        *findings.gap(zeta.gap),
-        *findings.linear_algebra(found.error_bound, found.value),
+    result = evaluate_policy(model, policy, horizon=problem.horizon)
+    exact = Estimate(
+        result.value,
+        diagnostics={
+            "gap": zeta.gap,
+            "row_sum_error": zeta.row_sum_error,
+            "largest_weight": float(zeta.values.data.max()),
+            "error_bound": result.error_bound,
+            "method": result.method,
+        },
+        findings=(
+            *findings.row_sums(zeta.row_sum_error),
+            *findings.gap(zeta.gap),
+            *findings.linear_algebra(result.error_bound, result.value),
+        ),
     )
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
-        return Estimate(found.value, diagnostics=diagnostics, findings=told)
-    time = time_in_pairs(model, policy, problem.horizon)
-    seen = coverage(problem, model, policy, zeta.counts, time)
-    diagnostics |= seen
-    diagnostics |= {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
-    diagnostics["standard_error_of"] = None
-    exact = Estimate(
-        found.value, diagnostics=diagnostics, findings=told, model_value=found.value, measured=seen["coverage"]
-    )
-    step = _moved(problem, zeta, policy, model, exact, found.values, time)
-    unseen = findings.unseen_time(seen["fallback_share"], judged=step is not exact, tied=zeta.tied)
-    return replace(step, findings=(*unseen, *step.findings))
-
-
-def _moved(
-    problem: Problem, zeta: TransitionRatio, policy: Array, model: Model, exact: Estimate, values: Array, time: Array
-) -> Estimate:
-    """The exact value, moved towards the log where that speaks against the prior; its standard error and interval."""
-    likeliest = _likeliest(problem, zeta, policy)  # before the gradient, which is as large as its model
-    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=values, time=time)
-    within, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
-    if within is None or step is None:
         return exact
-    known = [within, step.change, step.standard_error, step.change_error]
-    if not np.isfinite(known if likeliest is None else [*known, likeliest]).all():
+    time = time_in_pairs(model, policy, problem.horizon)
+    shares = coverage(problem, learnable_shares(problem, time), zeta.counts)
+    about = {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
+    exact = replace(
+        exact,
+        diagnostics=exact.diagnostics | shares | about | {"standard_error_of": None},
+        model_value=result.value,
+        measured=shares["coverage"],
+    )
+    likelihood = _maximum_likelihood_value(problem, zeta, policy)  # before the gradient, which is as large as its model
+    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
+    moved = _move(exact, likelihood, zeta, gradient)
+    unseen = findings.unseen_time(shares["fallback_share"], judged=moved is not exact, tied=zeta.tied)
+    return replace(moved, findings=(*unseen, *moved.findings))
+
+
+def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
+    """The exact value, moved towards the log where that speaks against the prior; its standard error and interval."""
+    se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
+    if se_fit is None or step is None:
+        return exact
+    known = (se_fit, step.change, step.standard_error, step.change_error, likelihood or 0.0)
+    if not np.isfinite(known).all():
         return exact  # rewards near the largest float
-    shared = min(within / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
-    apart = float(step.standard_error * np.sqrt(1.0 - shared**2))
-    change = 0.0 if likeliest is None else change_to_log(step.change, likeliest - exact.value, apart)
-    kept = min(abs(change), threshold(apart, within) * apart)
-    share = 1.0 - kept / abs(change) if change else 0.0
-    value, error = exact.value + share * change, float(np.hypot(step.standard_error, step.unseen))
-    diagnostics = exact.diagnostics | {
+    shared = min(se_fit / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
+    s = float(step.standard_error * np.sqrt(1.0 - shared**2))  # of the difference of the two values
+    change = 0.0 if likelihood is None else change_to_log(step.change, likelihood - exact.value, s)
+    rest = min(abs(change), threshold(s, se_fit) * s)
+    moved = 1.0 - rest / abs(change) if change else 0.0
+    value, error = exact.value + moved * change, float(np.hypot(step.standard_error, step.unseen))
+    diagnostics = {
         "standard_error_of": "log",
-        "standard_error_if_centre_fits": within,
+        "standard_error_if_centre_fits": se_fit,
         "interval_method": "one-step",
         "model_value": exact.value,
         "one_step_value": exact.value + step.change,
         "one_step_standard_error": error,
         "unseen_standard_error": step.unseen,
-        "one_step_distance": abs(change) / apart if apart > 0 else 0.0,
-        **({} if likeliest is None else {"maximum_likelihood_value": likeliest}),
-        "moved": share,
+        "one_step_distance": abs(change) / s if s > 0 else 0.0,
+        "moved": moved,
     }
-    told = error_or_none(error, gradient, problem.model.transitions.indptr)
-    interval = (value - NORMAL * error, value + NORMAL * error) if told is not None and np.isfinite(error) else None
+    told: findings.Findings = ()
+    if likelihood is not None:
+        diagnostics["maximum_likelihood_value"] = likelihood
+        if abs(value - likelihood) > CONTRADICTION * s > 0.0:
+            told = findings.conflict_with_centre(likelihood, abs(value - likelihood) / s)
+    certain = error_or_none(error, gradient, zeta.values.indptr)
+    has_interval = certain is not None and np.isfinite(error)
     return replace(
         exact,
         value=value,
-        standard_error=told,
-        interval=interval,
-        diagnostics=diagnostics,
-        findings=(*findings.no_variation(told), *_contradiction(value, likeliest, apart), *exact.findings),
+        standard_error=certain,
+        interval=(value - NORMAL * error, value + NORMAL * error) if has_interval else None,
+        diagnostics=exact.diagnostics | diagnostics,
+        findings=(*findings.no_variation(certain), *told, *exact.findings),
         is_normal=True,
     )
 
@@ -290,20 +276,13 @@ def threshold(apart: float, within: float) -> float:
     return float(np.interp(2.0 * np.log(max(apart, 1e-300) / within), logs, THRESHOLDS))
 
 
-def _contradiction(value: float, likeliest: float | None, apart: float) -> tuple[findings.Finding, ...]:
-    """The value rests on the tilt against the log."""
-    if likeliest is None or not abs(value - likeliest) > CONTRADICTION * apart > 0.0:
-        return ()
-    return findings.conflict_with_centre(likeliest, abs(value - likeliest) / apart)
-
-
-def _likeliest(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
-    """Maximum likelihood's value; None without one, or where at discount 1 states that pay keep the policy for ever."""
-    likeliest = zeta.likeliest
-    if likeliest is None:
+def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
+    """None without one, or where at discount 1 states that pay keep the policy for ever."""
+    rows = zeta.likeliest
+    if rows is None:
         return None
     try:
-        return policy_value(with_rows(problem.model, likeliest, own=True), policy, horizon=problem.horizon)
+        return policy_value(with_rows(problem.model, rows, own=True), policy, horizon=problem.horizon)
     except DivergentKernelError:
         return None
 
@@ -318,29 +297,3 @@ def change_to_log(one_step: float, likelihood: float, apart: float) -> float:
     nearer = min(one_step, likelihood, key=abs)
     distance = abs(nearer) / apart if apart > 0 else np.inf
     return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (likelihood - nearer)
-
-
-def coverage(problem: Problem, model: Model, policy: Array, counts: Array, time: Array | None = None) -> dict[str, Any]:
-    """How much of the policy's discounted time in ``model`` the log has seen, and how many of its transitions bear on it.
-
-    ``counts`` (S, A) are the log's, ``time`` the policy's where it is known. States that no action leaves in the simulator
-    are left out of the time: there is nothing to learn. The effective sample size is 1 / sum d^2 / n over visited (s, a),
-    scaled to the visited share: the number of transitions that would tell as much if recorded where the policy goes.
-    """
-    time = time_in_pairs(model, policy, problem.horizon) if time is None else time
-    alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
-    visited = counts > 0
-    total = float(alive.sum())
-    d: Array = alive[visited]
-    n: Array = counts[visited]
-    seen = float(d.sum())
-    share = 1.0 if total == 0.0 else min(seen / total, 1.0)
-    spread = float(np.sum(d * d / n)) if d.size else 0.0
-    missed = np.where(visited, 0.0, alive)
-    first = [divmod(int(k), model.n_actions) for k in np.argsort(-missed, axis=None, kind="stable")[:3]]
-    return {
-        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in first if missed[s, a] > 0),
-        "coverage": share,
-        "fallback_share": 1.0 - share,
-        "effective_sample_size": seen**2 / spread if spread > 0 else 0.0,
-    }

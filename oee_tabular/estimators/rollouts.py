@@ -11,23 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, Seed
-from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Estimate, effective_sample_size, mean_and_error
+from oee_tabular._checks import Array, IntArray
+from oee_tabular.estimators.base import mean_and_error
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.ratio import TransitionRatio
-from oee_tabular.simulate.sampler import Drawn, draw, entry_rewards
+from oee_tabular.simulate.sampler import Drawn, entry_rewards
 
 NEGLIGIBLE_DISCOUNT = 1e-12  # discount^t below which an infinite sum is cut
-OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
-
-
-def check_rollout_options(weighting: str, n_rollouts: int) -> None:
-    """Options that OffEnvironment and Oracle share."""
-    _checks.one_of(weighting, "weighting", ("per_decision", "trajectory"))
-    _checks.positive_integer(n_rollouts, "n_rollouts")
 
 
 def rollout_horizon(discount: float, horizon: int | None) -> int:
@@ -37,57 +26,6 @@ def rollout_horizon(discount: float, horizon: int | None) -> int:
     if discount == 1.0:
         raise ValueError("horizon must be given for rollouts at discount 1")
     return 1 if discount == 0.0 else int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
-
-
-def product_estimate(
-    model: FiniteMDP,
-    ratio: TransitionRatio,
-    policy: Array,
-    *,
-    horizon: int | None,
-    weighting: str,
-    self_normalized: bool,
-    n_rollouts: int,
-    seed: Seed,
-) -> Estimate:
-    """J by ``n_rollouts`` rollouts of ``model`` weighted by products of ``ratio``: the episodes of ``sample_returns``."""
-    ratio.on(model)  # or an error
-    n_steps = horizon_length(rollout_horizon(model.discount, horizon), model)
-    per_decision = weighting == "per_decision"
-    drawn = draw(
-        model, policy, n_rollouts, n_steps, seed=seed, zeta=ratio,
-        record=self_normalized and per_decision, name="n_rollouts",
-    )  # fmt: skip
-    if self_normalized and per_decision:
-        value, error = normalize_by_step(*_rewards_and_weights(model, drawn), drawn.starts, drawn.weights)
-    elif self_normalized:
-        value, error = normalize_by_episode(drawn.whole, drawn.weights)
-    else:
-        value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
-    effective = effective_sample_size(drawn.weights)
-    return Estimate(
-        value,
-        error,
-        status=weight_status(value) if np.isfinite(value) or np.isfinite(drawn.weights).all() else OVERFLOW,
-        diagnostics={
-            "standard_error_of": "rollouts",
-            "n_rollouts": n_rollouts,
-            "effective_sample_size": effective,
-            "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
-            "mean_weight": float(drawn.weights.mean()),
-            "row_sum_error": ratio.row_sum_error,
-        },
-        findings=(
-            *findings.no_variation(error),
-            *findings.row_sums(ratio.row_sum_error),
-            *findings.weights(effective, n_rollouts, "rollouts"),
-        ),
-    )
-
-
-def product_claims(known: frozenset[str], *, self_normalized: bool) -> frozenset[str]:
-    """What products of ratios claim: they move with the rewards where they are divided by the sum of their weights."""
-    return known | {"random", "shift"} if self_normalized else (known - {"shift"}) | {"random"}
 
 
 def weight_status(value: float) -> str:
@@ -146,7 +84,7 @@ def normalize_by_step(
     return float(value.sum()), mean_and_error(influence, float(np.abs(value).sum()))[1]
 
 
-def _rewards_and_weights(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
+def carried_rewards(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
     """gamma^t r_t of each step, and the weight that it carries: W_t, or W_{t+1} where rewards are r(s, a, s')."""
     path, starts = drawn.path, drawn.starts
     reward = mdp.discount ** step_numbers(starts).astype(np.float64) * entry_rewards(mdp)[path]

@@ -13,35 +13,32 @@ n - 1, since P is the frequency of these samples. A pair without two samples has
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
+from oee_tabular._checks import Array
 from oee_tabular._sparse import align
-from oee_tabular._threads import one_thread
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, ExactLimit, catch_divergence
-from oee_tabular.estimators.model_based import delta_error
-from oee_tabular.estimators.off_environment import OffEnvironment
-from oee_tabular.estimators.problem import Problem, require_policy
-from oee_tabular.estimators.rollouts import check_rollout_options, product_claims
-from oee_tabular.exact import evaluate_policy, occupancy, reweight, transition_gradient
+from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, TabularEstimator, delta_error
+from oee_tabular.estimators.off_environment import NORMAL, OffEnvironment
+from oee_tabular.estimators.problem import Problem
+from oee_tabular.estimators.ratio_option import RatioOption
+from oee_tabular.exact import evaluate_policy, occupancy, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
-from oee_tabular.ratio import TransitionRatio, true_ratio
+from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 
-NORMAL_QUANTILE = 1.959963984540054  # of a 95% interval
 MAX_UNKNOWN_SHARE = 0.1  # of the policy's time in pairs with one sample or none: above it there is no interval
 N_FEW = 10  # samples: with fewer, a normal interval is a guess
 MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentence
 
 
 @dataclass(frozen=True)
-class Simulator(ExactLimit):
+class Simulator(TabularEstimator):
     """J in the simulator as it stands, with its own rewards; the log is not used.
 
     Of a simulator that was made of samples the value has their standard error and a 95% interval.
@@ -56,40 +53,38 @@ class Simulator(ExactLimit):
     7.97
     """
 
-    @one_thread
-    @catch_divergence
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Exact; ``seed`` is not used."""
-        pi = require_policy(problem, policy)
+    claims = OF_COUNTS | {"identical", "shift"}
+
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """Exact."""
         simulator, sampling = problem.simulator, problem.simulator.sampling
-        result = evaluate_policy(simulator, pi, horizon=problem.horizon)
-        facts: dict[str, object] = {"error_bound": result.error_bound, "method": result.method}
-        told = findings.linear_algebra(result.error_bound, result.value)
-        known = Estimate(result.value, diagnostics=facts, findings=told, is_from_log=False)
-        if sampling is None or (problem.horizon is None and simulator.discount == 1.0):
-            return known
-        share = occupancy(simulator, pi, horizon=problem.horizon).reshape(-1)
-        unknown = float(share[sampling.pairs < 2.0].sum())
-        told += _few_samples(sampling.pairs, share, has_interval=unknown <= MAX_UNKNOWN_SHARE)
-        error = _sampling_error(simulator, pi, problem.horizon, result.values, share)
-        reach = NORMAL_QUANTILE * error
-        if not reach > ROUNDING * abs(result.value):  # the samples never varied
-            return Estimate(result.value, diagnostics=facts, findings=told, is_from_log=False)
-        return Estimate(
+        result = evaluate_policy(simulator, policy, horizon=problem.horizon)
+        exact = Estimate(
             result.value,
-            error,
-            (result.value - reach, result.value + reach) if unknown <= MAX_UNKNOWN_SHARE else None,
-            diagnostics=facts | {"standard_error_of": "simulator's samples", "interval_method": "simulator's samples"},
+            diagnostics={"error_bound": result.error_bound, "method": result.method},
+            findings=findings.linear_algebra(result.error_bound, result.value),
+            is_from_log=False,
+        )
+        if sampling is None or (problem.horizon is None and simulator.discount == 1.0):
+            return exact
+        share = occupancy(simulator, policy, horizon=problem.horizon).reshape(-1)
+        unknown = float(share[sampling.pairs < 2.0].sum())
+        has_interval = unknown <= MAX_UNKNOWN_SHARE
+        told = (*exact.findings, *_few_samples(sampling.pairs, share, has_interval=has_interval))
+        error = _sampling_error(simulator, policy, problem.horizon, result.values, share)
+        reach = NORMAL * error
+        if not reach > ROUNDING * abs(result.value):  # the samples never varied
+            return replace(exact, findings=told)
+        source = "simulator's samples"
+        return replace(
+            exact,
+            standard_error=error,
+            interval=(result.value - reach, result.value + reach) if has_interval else None,
+            diagnostics=exact.diagnostics | {"standard_error_of": source, "interval_method": source},
             findings=told,
             measured=1.0 - unknown,
             is_normal=True,
-            is_from_log=False,
         )
-
-    @property
-    def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``."""
-        return OF_COUNTS | {"identical", "shift"}
 
     def limit_of(self, population: Population) -> float:
         """J in the simulator."""
@@ -127,7 +122,7 @@ def _few_samples(n_samples: Array, share: Array, *, has_interval: bool) -> tuple
 
 
 @dataclass(frozen=True)
-class Oracle(ExactLimit):
+class Oracle(TabularEstimator):
     """The value under the true zeta, from a target that is known: exactly, or as in the paper by rollouts.
 
     Parameters
@@ -161,37 +156,22 @@ class Oracle(ExactLimit):
 
     def __post_init__(self) -> None:
         _checks.instance(self.target, FiniteMDP, "target")
-        _checks.one_of(self.evaluation, "evaluation", ("exact", "monte_carlo"))
-        check_rollout_options(self.weighting, self.n_rollouts)
-        _checks.boolean(self.self_normalized, "self_normalized")
+        self._evaluate_with("conditional")  # or an error
 
-    @one_thread
-    @catch_divergence
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """``seed`` is for "monte_carlo"."""
-        pi = require_policy(problem, policy)
-        ratio = true_ratio(self.target, problem.simulator)
-        if self.evaluation == "monte_carlo":
-            return self._off_environment(ratio)(problem, pi, seed=seed)
-        result = evaluate_policy(reweight(problem.model, ratio), pi, horizon=problem.horizon)
-        largest = float(ratio.values.data.max())
-        return Estimate(
-            result.value,
-            diagnostics={"error_bound": result.error_bound, "method": result.method, "largest_weight": largest},
-            findings=findings.linear_algebra(result.error_bound, result.value),
-        )
+    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+        """``generator`` is for "monte_carlo"."""
+        by_zeta = self._evaluate_with(true_ratio(self.target, problem.simulator))
+        return replace(by_zeta.estimate(problem, policy, generator), model_value=None)
 
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
-        if self.evaluation == "exact":
-            return OF_COUNTS | {"consistent", "unbiased", "shift"}
-        known = product_claims(OF_COUNTS | {"consistent"}, self_normalized=self.self_normalized)
+        known = self._evaluate_with("conditional").claims
         return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, population: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
-        return self._off_environment(true_ratio(self.target, population.simulator)).limit_of(population)
+        return self._evaluate_with(true_ratio(self.target, population.simulator)).limit_of(population)
 
-    def _off_environment(self, ratio: TransitionRatio) -> OffEnvironment:
+    def _evaluate_with(self, ratio: RatioOption) -> OffEnvironment:
         return OffEnvironment(ratio, self.evaluation, self.weighting, self.self_normalized, self.n_rollouts)

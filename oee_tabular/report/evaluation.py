@@ -280,7 +280,7 @@ def _told(
     sure: Sureness,
     results: Sequence[Result],
     problem: Problem,
-    policies: Mapping[str, object],
+    policies: Mapping[str, Array],
     chosen: Mapping[str, Estimator],
     scale: float,
 ) -> Sureness:

@@ -95,7 +95,7 @@ def test_a_horizon_cuts_episodes():
     decisions = np.array([0.5 * 1 + 1 * 0.5 * 2, 1.5 * 4, 0.5 * 1 + 1 / 3 * 0.5 * 3])
     found = ImportanceSampling()(problem, POLICY)
     assert_allclose(found.value, decisions.mean(), rtol=1e-14)
-    assert found.diagnostics["truncated_share"] == 0.0
+    assert found.diagnostics["truncation_bias_bound"] == 0.0
     last = np.array([1.0, 1.5, 1 / 3])
     returns = np.array([2.0, 4.0, 2.5])
     assert_allclose(ImportanceSampling("trajectory")(problem, POLICY).value, (last * returns).mean(), rtol=1e-14)
