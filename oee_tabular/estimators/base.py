@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular._sparse import row_variances
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators.findings import Finding
+from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -212,12 +212,16 @@ class TabularEstimator:
         """
         pi = require_policy(problem, policy)
         try:
-            return self.estimate(problem, pi, _checks.generator(seed))
+            found = self.estimate(problem, pi, _checks.generator(seed))
         except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
+        if WEIGHTLESS in found.findings:
+            return found
+        told = from_diagnostics(found.diagnostics, found.value, found.standard_error)
+        return replace(found, findings=(*told, *found.findings))
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        """The estimate of a checked policy."""
+        """The estimate of a checked policy, without the findings that its diagnostics make."""
         raise NotImplementedError
 
     def limit(

@@ -10,7 +10,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
-from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
     ROUNDING,
@@ -140,11 +139,6 @@ class DoublyRobust(RatioEstimator):
                 **({} if zeta is None else {"gap": zeta.gap}),
                 **time,
             },
-            findings=(
-                *findings.unseen_time(time["fallback_share"], bare=error is not None, judged=True),
-                *findings.no_variation(error),
-                *(() if zeta is None else findings.gap(zeta.gap)),
-            ),
             measured=time["coverage"],
         )
 
@@ -162,7 +156,6 @@ class DoublyRobust(RatioEstimator):
             value,
             error,
             diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
-            findings=(*findings.no_variation(error), *findings.gap(zeta.gap)),
         )
 
     def limit_of(self, population: Population) -> float:
@@ -338,11 +331,6 @@ class EpisodeTerms:
                 **more,
             },
             status=weight_status(value),
-            findings=(
-                *findings.no_variation(error),
-                *findings.weights(effective, n, "episodes"),
-                *findings.gap(zeta.gap),
-            ),
             is_from_episodes=True,
         )
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from oee_tabular._checks import Array
 
-MIN_SHARE = 0.02  # of the policy's discounted time: less is not worth a sentence
+# below, or above, these something is worth a sentence
+MIN_SHARE = 0.02  # of the policy's discounted time
+MAX_ROW_SUM_ERROR = 1e-3
+MIN_WEIGHTED, MIN_WEIGHTED_SHARE = 10.0, 0.05  # effective sample size, and its share of the episodes
+MAX_GAP = 1e-6  # nats
+MAX_ERROR_BOUND = 1e-6  # of the value
 
 
 @dataclass(frozen=True)
@@ -64,60 +71,52 @@ SAMPLED = Finding(
 )
 
 
-def no_variation(error: float | None) -> Findings:
-    """Whether the data vary: what does not has no standard error."""
-    return (NEVER_VARIED,) if error is None else ()
-
-
 def no_value(status: str, value: float) -> Finding:
     """Why a value is not to be used."""
     text = "do not rely on the value: {}." if math.isfinite(value) else "no value: {}."
     return Finding("status", 1.0, text, status)
 
 
-def unseen_time(share: float, *, bare: bool = False, judged: bool = False, tied: bool = False) -> Findings:
-    """``share`` of the policy's discounted time is where the log has nothing.
-
-    ``bare``: the standard error leaves it out; ``judged``: the value has an error or should have, so that the lack of an
-    interval is explained; ``tied``: transitions of the same kind speak for what was not seen.
-    """
-    if share <= MIN_SHARE:
-        return ()
-    text = "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
-    if tied:
-        text += "What is said of them comes from moves of the same kind elsewhere (the tie)"
-    else:
-        text += "Nothing there is learned from the target"
-        text += ", and the standard error does not cover it" if bare else ""
-    alone = f"{text}: there is no interval." if judged and not tied else None
-    return (Finding("coverage", share, f"{text}.", f"{share:.0%}", alone),)
-
-
-def single_moves(share: float, error: float | None) -> Findings:
-    """``share`` of the policy's discounted time is where the log has one transition, whose variance nobody knows."""
-    if share <= MIN_SHARE:
-        return no_variation(error)
-    alone = (
-        "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is not "
-        "known: there is no interval."
-    )
-    return (Finding("single", share, "", f"{share:.0%}", alone),)
-
-
-def row_sums(error: float) -> Findings:
-    """How far rows of zeta * P are from summing to 1."""
-    text = (
-        "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) does "
-        "not have them."
-    )
-    return (Finding("row sums", error, text, f"{error:.2g}"),) if error > 1e-3 else ()
-
-
-def weights(effective: float, samples: int, noun: str) -> Findings:
-    """How few of the samples carry the weight."""
-    text = f"the weights rest on about {{}} of {samples} {noun}: the value is largely chance, its standard error too small."
-    few = effective < max(10.0, 0.05 * samples)
-    return (Finding("weights", -effective, text, f"{effective:.1f}"),) if few else ()
+def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None) -> Findings:
+    """What the diagnostics of any estimate have to say, ``error`` its standard error."""
+    told: list[Finding] = []
+    has_source = facts.get("standard_error_of") is not None
+    unseen, single = facts.get("fallback_share", 0.0), facts.get("single_share", 0.0)
+    if unseen > MIN_SHARE:
+        is_tied = "n_keys" in facts
+        text = "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
+        if is_tied:
+            text += "What is said of them comes from moves of the same kind elsewhere (the tie)"
+        else:
+            text += "Nothing there is learned from the target"
+        if error is not None and "unseen_standard_error" not in facts:
+            text += ", and the standard error does not cover it"
+        alone = f"{text}: there is no interval." if has_source and not is_tied else None
+        told.append(Finding("coverage", unseen, f"{text}.", f"{unseen:.0%}", alone))
+    if single > MIN_SHARE:
+        alone = (
+            "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is "
+            "not known: there is no interval."
+        )
+        told.append(Finding("single", single, "", f"{single:.0%}", alone))
+    elif has_source and error is None:
+        told.append(NEVER_VARIED)
+    if (miss := facts.get("row_sum_error", 0.0)) > MAX_ROW_SUM_ERROR:
+        text = (
+            "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) "
+            "does not have them."
+        )
+        told.append(Finding("row sums", miss, text, f"{miss:.2g}"))
+    for noun in ("episodes", "rollouts"):
+        n, effective = facts.get(f"n_{noun}", 0), facts.get("effective_sample_size", math.inf)
+        if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
+            text = f"the weights rest on about {{}} of {n} {noun}: the value is largely chance, its standard error too small."
+            told.append(Finding("weights", -effective, text, f"{effective:.1f}"))
+    if (gap := facts.get("gap", 0.0)) > MAX_GAP:
+        told.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
+    if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(1.0, abs(value)):
+        told.append(Finding("linear algebra", bound, "the linear solve is accurate only to {}.", f"{bound:.1e}"))
+    return tuple(told)
 
 
 def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> Findings:
@@ -175,18 +174,6 @@ def missing_support(share: float, largest: float, nats: float) -> Findings:
         "would cover them."
     )
     return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()
-
-
-def gap(nats: float) -> Findings:
-    """How far the ratio's program is from its optimum."""
-    text = "the ratio's program is solved only to a gap of {} nats."
-    return (Finding("gap", nats, text, f"{nats:.1e}"),) if nats > 1e-6 else ()
-
-
-def linear_algebra(bound: float, value: float) -> Findings:
-    """What rounding can have done to the value."""
-    text = "the linear solve is accurate only to {}."
-    return (Finding("linear algebra", bound, text, f"{bound:.1e}"),) if bound > 1e-6 * max(1.0, abs(value)) else ()
 
 
 def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:

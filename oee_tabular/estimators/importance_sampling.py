@@ -185,12 +185,7 @@ class ImportanceSampling(TabularEstimator):
         foreign = float((problem.simulator.initial[log.state[rows[starts[:-1]]]] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
             error = None  # one episode decides: its value has no spread to show
-        told = (
-            *findings.no_variation(error),
-            *findings.weights(effective, n, "episodes"),
-            *findings.truncation(n_cut, n, bound, value, error),
-            *findings.foreign_starts(foreign),
-        )
+        told = (*findings.truncation(n_cut, n, bound, value, error), *findings.foreign_starts(foreign))
         return Estimate(
             value,
             error,

@@ -11,7 +11,6 @@ from scipy import linalg, sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_sums
-from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import OF_COUNTS, Estimate, TabularEstimator, coverage, learnable_shares
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.problem import Problem
@@ -108,7 +107,6 @@ class Marginalized(RatioEstimator):
                 "mean_weight": float(share @ weights),
                 **time,
             },
-            findings=(*findings.unseen_time(time["fallback_share"]), *findings.gap(gap)),
         )
 
     @property

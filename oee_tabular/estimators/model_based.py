@@ -11,7 +11,6 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
-from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     OF_COUNTS,
     ROUNDING,
@@ -86,11 +85,6 @@ class ModelBased(TabularEstimator):
                 "single_share": single,
                 "standard_error_of": "log",
             },
-            findings=(
-                *findings.unseen_time(seen["fallback_share"], bare=error is not None, judged=True),
-                *findings.single_moves(single, error),
-                *findings.linear_algebra(result.error_bound, result.value),
-            ),
             measured=seen["coverage"] - single,
         )
 

@@ -143,7 +143,6 @@ class OffEnvironment(RatioEstimator):
         else:
             value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
         overflows = not np.isfinite(value) and not np.isfinite(drawn.weights).all()
-        effective = effective_sample_size(drawn.weights)
         return Estimate(
             value,
             error,
@@ -151,18 +150,12 @@ class OffEnvironment(RatioEstimator):
             diagnostics={
                 "standard_error_of": "rollouts",
                 "n_rollouts": self.n_rollouts,
-                "effective_sample_size": effective,
+                "effective_sample_size": effective_sample_size(drawn.weights),
                 "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
                 "mean_weight": float(drawn.weights.mean()),
                 "row_sum_error": zeta.row_sum_error,
                 "gap": zeta.gap,
             },
-            findings=(
-                *findings.no_variation(error),
-                *findings.row_sums(zeta.row_sum_error),
-                *findings.weights(effective, self.n_rollouts, "rollouts"),
-                *findings.gap(zeta.gap),
-            ),
         )
 
     def limit_of(self, population: Population) -> float:
@@ -201,11 +194,6 @@ def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimat
             "error_bound": result.error_bound,
             "method": result.method,
         },
-        findings=(
-            *findings.row_sums(zeta.row_sum_error),
-            *findings.gap(zeta.gap),
-            *findings.linear_algebra(result.error_bound, result.value),
-        ),
     )
     if zeta.row_sum_error > _checks.SUM_TOLERANCE:
         return exact
@@ -220,9 +208,7 @@ def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimat
     )
     likelihood = _maximum_likelihood_value(problem, zeta, policy)  # before the gradient, which is as large as its model
     gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
-    moved = _move(exact, likelihood, zeta, gradient)
-    unseen = findings.unseen_time(shares["fallback_share"], judged=moved is not exact, tied=zeta.tied)
-    return replace(moved, findings=(*unseen, *moved.findings))
+    return _move(exact, likelihood, zeta, gradient)
 
 
 def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
@@ -263,7 +249,7 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
         standard_error=certain,
         interval=(value - NORMAL * error, value + NORMAL * error) if has_interval else None,
         diagnostics=exact.diagnostics | diagnostics,
-        findings=(*findings.no_variation(certain), *told, *exact.findings),
+        findings=told,
         is_normal=True,
     )
 

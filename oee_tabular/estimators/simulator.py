@@ -62,7 +62,6 @@ class Simulator(TabularEstimator):
         exact = Estimate(
             result.value,
             diagnostics={"error_bound": result.error_bound, "method": result.method},
-            findings=findings.linear_algebra(result.error_bound, result.value),
             is_from_log=False,
         )
         if sampling is None or (problem.horizon is None and simulator.discount == 1.0):
@@ -70,7 +69,7 @@ class Simulator(TabularEstimator):
         share = occupancy(simulator, policy, horizon=problem.horizon).reshape(-1)
         unknown = float(share[sampling.pairs < 2.0].sum())
         has_interval = unknown <= MAX_UNKNOWN_SHARE
-        told = (*exact.findings, *_few_samples(sampling.pairs, share, has_interval=has_interval))
+        told = _few_samples(sampling.pairs, share, has_interval=has_interval)
         error = _sampling_error(simulator, policy, problem.horizon, result.values, share)
         reach = NORMAL * error
         if not reach > ROUNDING * abs(result.value):  # the samples never varied

@@ -21,21 +21,25 @@ from oee_tabular.estimators import (
     findings,
 )
 
+
+def of(value=10.0, error=0.1, **facts):
+    return findings.from_diagnostics(facts, value, error)
+
+
 SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, and how it is said
-    "unseen": (findings.unseen_time, 0.02, 0.03, "3% of the policy's discounted time is spent in state-action pairs that"),
-    "row sums": (findings.row_sums, 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
+    "unseen": (lambda x: of(fallback_share=x), 0.02, 0.03, "3% of the policy's discounted time is spent in state-action"),
+    "row sums": (lambda x: of(row_sum_error=x), 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
     "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does; importance"),
-    "gap": (findings.gap, 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
-    "weights": (lambda n: findings.weights(-n, 400, "rollouts"), -20.0, -19.9,
+    "gap": (lambda x: of(gap=x), 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
+    "weights": (lambda n: of(effective_sample_size=-n, n_rollouts=400), -20.0, -19.9,
                 "the weights rest on about 19.9 of 400 rollouts: the value is largely chance"),
-    "few weights": (lambda n: findings.weights(-n, 12, "episodes"), -10.0, -9.5, "about 9.5 of 12 episodes"),
+    "few weights": (lambda n: of(effective_sample_size=-n, n_episodes=12), -10.0, -9.5, "about 9.5 of 12 episodes"),
     "support": (lambda x: findings.missing_support(x, 2.0, 0.69), 0.01, 0.011,
                 "1.1% of the log's moves have probability 0 in the "
                 "plain simulator, where no ratio exists; what is said of them rests on the defensive share (largest zeta 2, "
                 "D_inf 0.69 nats)."),
-    "linear algebra": (lambda x: findings.linear_algebra(x, 10.0), 9e-6, 2e-5,
-                       "the linear solve is accurate only to 2.0e-05."),
-    "small values": (lambda x: findings.linear_algebra(x, 0.1), 1e-6, 2e-6, "is accurate only to 2.0e-06."),
+    "linear algebra": (lambda x: of(error_bound=x), 9e-6, 2e-5, "the linear solve is accurate only to 2.0e-05."),
+    "small values": (lambda x: of(0.1, error_bound=x), 1e-6, 2e-6, "is accurate only to 2.0e-06."),
     "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
                    "over; what they lack can change the value by up to 0.02 (as a discounted sum)."),
     "truncation beside an error": (lambda x: findings.truncation(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
@@ -45,29 +49,29 @@ SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, 
 
 @pytest.mark.parametrize("name", SILENT_UP_TO)
 def test_from_which_size_on_something_is_said(name):
-    made, small, large, text = SILENT_UP_TO[name]
-    assert made(small) == ()
-    (finding,) = made(large)
+    make, small, large, text = SILENT_UP_TO[name]
+    assert make(small) == ()
+    (finding,) = make(large)
     assert text in str(finding)
     assert finding.alone is None
-    worse = made(large * 2 if large > 0 else large / 2)[0]
+    worse = make(large * 2 if large > 0 else large / 2)[0]
     assert worse.severity > finding.severity or name == "behaviour"
 
 
 def test_what_is_said_of_a_value_without_an_interval():
-    (single,) = findings.single_moves(0.05, 0.1)
+    (single,) = of(single_share=0.05)
     assert single.text == ""
     assert single.alone.endswith("one recorded move, whose variance is not known: there is no interval.")
-    assert findings.single_moves(0.02, 0.1) == ()
-    assert findings.single_moves(0.02, None) == findings.no_variation(None) == (findings.NEVER_VARIED,)
-    assert findings.no_variation(0.0) == ()
-    (unseen,) = findings.unseen_time(0.5, bare=True, judged=True)
+    assert of(single_share=0.02) == of(error=None) == of(standard_error_of="log") == ()
+    assert of(error=None, standard_error_of="log") == (findings.NEVER_VARIED,)
+    (unseen,) = of(fallback_share=0.5, standard_error_of="log")
     assert unseen.text.endswith("Nothing there is learned from the target, and the standard error does not cover it.")
     assert unseen.alone == f"{unseen.text[:-1]}: there is no interval."
-    (tied,) = findings.unseen_time(0.5, judged=True, tied=True)
+    (covered,) = of(fallback_share=0.5, standard_error_of="log", unseen_standard_error=0.1)
+    assert covered.text.endswith("Nothing there is learned from the target.")
+    (tied,) = of(error=None, fallback_share=0.5, n_keys=3)
     assert tied.text.endswith("What is said of them comes from moves of the same kind elsewhere (the tie).")
     assert tied.alone is None
-    assert findings.unseen_time(0.5)[0].alone is None
 
 
 def test_values_that_are_none():
