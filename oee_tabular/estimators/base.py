@@ -26,9 +26,10 @@ UNEXPLAINED = "the value is not finite: beyond the largest float, or not a numbe
 
 IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
     (
-        "simulator_value", "model_value", "one_step_value", "one_step_standard_error", "unseen_standard_error",
-        "maximum_likelihood_value", "standard_error_if_centre_fits", "replaced_value", "truncation_bias_bound", "error_bound",
-        "standard_error_of_the_log", "second_calibration_value", "refused_value",
+        "simulator_value", "model_value", "one_step_value", "maximum_likelihood_value", "replaced_value",
+        "refused_value", "second_calibration_value", "truncation_bias_bound", "error_bound",
+        "one_step_standard_error", "unseen_standard_error", "standard_error_if_centre_fits",
+        "standard_error_of_the_log",
     )
 )  # fmt: skip
 
@@ -41,21 +42,23 @@ class Estimate:
     ----------
     value : float (nan where status says why there is none)
     standard_error : float or None
-        None also where the data do not vary (one transition, equal returns): they do not say how much they might have.
-        What it covers is said by ``diagnostics["standard_error_of"]``: the log, the rollouts, or both.
-    interval : (lower, upper) or None: the estimator's own, at 95%; ``oee.evaluate`` puts the one to quote there, and its method
-        into ``diagnostics["interval_method"]``
-    diagnostics : plain numbers and words. Where they apply: ``effective_sample_size``, ``largest_weight``, ``coverage``
-        (share of the policy's discounted time in (s, a) that the log has seen), ``fallback_share`` (the rest),
-        ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs)
+        None also where the data do not vary: one transition, or equal returns.
+        ``diagnostics["standard_error_of"]`` says what it covers: the log or the rollouts.
+    interval : (lower, upper) or None
+        The estimator's own, at 95%; ``oee.evaluate`` puts the one to quote there, and its name in
+        ``diagnostics["interval_method"]``.
+    diagnostics : plain numbers and words
+        Where they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
+        policy's discounted time in recorded pairs), ``fallback_share`` (the rest), ``row_sum_error``,
+        ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).
     status : "ok", or what is wrong and what would help
     findings : what to know before the value is used; a report prints them
-    model_value : of what the log corrects, the exact value of zeta * P, whose rows sum to 1; None of any other value
-    measured : share of the policy's time in state-action pairs whose variance the standard error counts
-    is_normal : whether the interval is the value plus or minus a quantile times the standard error: it follows the level
+    model_value : the exact value of zeta * P where the log corrects that; else None
+    measured : share of the policy's time in pairs whose variance the standard error counts
+    is_normal : whether the interval is the value +- a quantile of standard errors
     is_from_log : False of what the simulator alone says
     is_from_episodes : whether the log's own episodes and rewards are averaged
-    is_headline : whether a report says it first: the simulator is corrected by the log before anything is cut into cells
+    is_headline : whether a report says it first
 
     Examples
     --------
@@ -139,7 +142,7 @@ ROUNDING = 1e-12  # of the largest number involved: what is smaller does not var
 
 
 def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | None]:
-    """Mean and standard error of independent values; no error from a single one, or from values that do not vary.
+    """Mean and standard error of independent values, without an error where they do not vary.
 
     ``size``: of the numbers that the values are differences of, where they are.
     """
@@ -161,28 +164,29 @@ def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradi
 
 
 def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | None:
-    """A delta-method error, or None where it is 0 though a row's next state matters: the log's transitions do not vary.
+    """A delta-method error; None where it is 0 though a row's next state matters.
 
     ``gradient`` of the value, on the entries of the simulator's rows.
     """
     starts = indptr[:-1]
     reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
     possible = float(reach.max())
-    return None if possible > ROUNDING * float(np.abs(gradient).max()) and error <= ROUNDING * possible else error
+    matters = possible > ROUNDING * float(np.abs(gradient).max())
+    return None if matters and error <= ROUNDING * possible else error
 
 
 def learnable_shares(problem: Problem, time: Array) -> Array:
-    """Shares of the policy's ``time`` (S, A) where the log has something to tell: not in states that no action leaves."""
+    """Shares of the policy's ``time`` (S, A), without states that no action leaves."""
     alive = np.where(problem.simulator.closed()[:, None], 0.0, time)
     return np.asarray(alive / (float(alive.sum()) or 1.0))
 
 
 def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
-    """How much of the policy's time the log has seen, and how many of its transitions bear on it.
+    """How much of the policy's time the log has seen, and how many transitions bear on it.
 
-    ``shares`` (S, A) of ``learnable_shares``, ``counts`` (S, A) of the log. The effective sample size is 1 / sum d^2 / n over
-    visited (s, a), scaled to the visited share: the number of transitions that would tell as much if recorded where the
-    policy goes.
+    ``shares`` (S, A) are those of ``learnable_shares``, ``counts`` (S, A) the log's. The effective sample
+    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions, recorded where the policy
+    goes, would tell as much.
     """
     visited = counts > 0
     d, n, missed = shares[visited], counts[visited], np.where(visited, 0.0, shares)
@@ -202,13 +206,14 @@ OF_COUNTS = frozenset({"relabelling", "scale", "padding", "after_end"})
 
 
 class TabularEstimator:
-    """An estimator of the package: calls and limits check their arguments here, and subclasses do the rest."""
+    """An estimator of the package: the arguments of calls and limits are checked here."""
 
     @one_thread
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Estimate J of ``policy`` in the target; ``seed`` is for what is sampled: rollouts, resamples, the simulator's data.
+        """Estimate J of ``policy`` in the target.
 
-        The value is nan, and the status says why, where the sum that it needs does not exist.
+        ``seed`` is for what is sampled: rollouts, resamples, the simulator's data. The value is nan, and
+        the status says why, where the sum that it needs does not exist.
         """
         pi = require_policy(problem, policy)
         try:
@@ -238,19 +243,19 @@ class TabularEstimator:
 
         Parameters
         ----------
-        simulator, target : FiniteMDP, the target inside the simulator's support where there are data
+        simulator, target : FiniteMDP
+            The target inside the simulator's support where there are data.
         policy : (S, A)
-        data_distribution : (S, A) how rows of the target are recorded; matters through its support alone but for the
-            quotient of two ratios; None: everywhere, evenly
+        data_distribution : (S, A) or None
+            How pairs are recorded (None: evenly). Its support alone matters but for the quotient of two
+            ratios, and with features.
         behavior_policy : (S, A) of the log's episodes; None: one with support
         horizon : positive int or None
         """
         require_pair(target, simulator)
-        shape = (simulator.n_states, simulator.n_actions)
-        if data_distribution is None:
-            share = np.full(shape, 1.0 / (shape[0] * shape[1]))
-        else:
-            share = _checks.distribution(data_distribution, "data_distribution", shape)
+        share = np.full((simulator.n_states, simulator.n_actions), 1.0 / simulator.transitions.shape[0])
+        if data_distribution is not None:
+            share = _checks.distribution(data_distribution, "data_distribution", share.shape)
         support = share.reshape(-1) > 0
         recorded = sparse.csr_array(sparse.diags_array(support.astype(np.float64), format="csr") @ target.transitions)
         refuse_unsupported(recorded, simulator, what="target")

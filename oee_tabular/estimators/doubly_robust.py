@@ -44,26 +44,25 @@ class DoublyRobust(RatioEstimator):
     Parameters
     ----------
     data : "transitions" | "rollouts" | "episodes"
-        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))], "the simulator, and the occupancy-
-        weighted sim-to-real residual"; exact given the log, for any horizon (time sums inside).
-        rollouts: on rollouts of the simulator, D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))], with
+        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))], the simulator and the
+        occupancy-weighted sim-to-real residual; exact given the log, for any horizon (time sums inside).
+        rollouts: on rollouts of the simulator, D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))],
         m_t = sum_s' zeta P V_sim: the paper's product with a control variate.
-        episodes: on the log's episodes (policy importance sampling), D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} -
-        Q(s_t, a_t)], V and Q of the model zeta * P; an episode that was truncated goes on as V.
+        episodes: on the log's episodes, D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} - Q(s_t, a_t)], V and Q of
+        zeta * P [1]; an episode that was truncated goes on as V.
     weights : "occupancy" | "beta", for transitions
-        w = d / d_log with d the occupancy in zeta * P, or only the simulator's: then the error is of second order in the
-        mismatch of the two environments, and no zeta is fitted
+        w = d / d_log with d the occupancy in zeta * P, or in the simulator: then the error is of second order
+        in the mismatch of the two environments, and no zeta is fitted
     ratio : as in ``OffEnvironment``: where zeta is from
     self_normalized : for episodes: the weights of each step divided by their sum (weighted doubly robust [2])
     n_rollouts : for rollouts
 
     Notes
     -----
-    Limits: ``limit``. On transitions with a zeta from the log the standard error is that of J(zeta * P): where zeta * P are the
-    log's frequencies the value is J there, since d is as uncertain as the residual. Under a zeta that is given, or with
-    "beta", d is known, and the error is the residual's. Sources:
-    [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and E. Brunskill, Data-efficient
-    off-policy policy evaluation, ICML 2016.
+    On transitions with a zeta from the log the standard error is that of J(zeta * P), since d is as uncertain
+    as the residual. Under a zeta that is given, or with "beta", d is known, and the error is the residual's.
+    Sources: [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and
+    E. Brunskill, Data-efficient off-policy policy evaluation, ICML 2016.
 
     Examples
     --------
@@ -90,7 +89,7 @@ class DoublyRobust(RatioEstimator):
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        """``generator`` is for rollouts and for ratios that sample the simulator."""
+        """As ``data`` says."""
         needs_zeta = self.data != "transitions" or self.weights == "occupancy"
         zeta = self.fit(problem, policy, generator) if needs_zeta else None
         if zeta is None or self.data == "transitions":
@@ -161,10 +160,9 @@ class DoublyRobust(RatioEstimator):
     def limit_of(self, population: Population) -> float:
         """The exact population limit.
 
-        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are, visits in the
-        limit of zeta * P or in the simulator; rollouts: J of the limit of zeta * P; episodes: J_target where the behaviour
-        policy takes every action of the policy (None: it does), else what the model makes of the rest (self-normalised:
-        an error that names an action).
+        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are;
+        rollouts: J of the limit of zeta * P; episodes: J_target where the behaviour policy takes every action of
+        the policy (None: it does), else what the model makes of the rest (self-normalised: an error).
         """
         simulator, target, policy = population.simulator, population.target, population.policy
         horizon, model = population.horizon, self.limit_model(population)
@@ -186,10 +184,10 @@ class DoublyRobust(RatioEstimator):
 class Magic(RatioEstimator):
     """Model and guided importance sampling combining [1], on the log's episodes.
 
-    g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model alone, j = T:
-    the whole of it). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
-    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T, the weights normalised again on
-    each resample (one without any weight at some step is left out).
+    g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model
+    alone). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
+    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T, the weights
+    normalised again on each resample (one without any weight at some step is left out).
 
     Parameters
     ----------
@@ -199,9 +197,9 @@ class Magic(RatioEstimator):
 
     Notes
     -----
-    Limit: that of weighted doubly robust. The standard error takes the model for known: where most of the weight is on it, that
-    is too small. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy evaluation
-    for reinforcement learning, ICML 2016.
+    Limit: that of weighted doubly robust. The standard error takes the model for known, and is too small where
+    most of the weight is on it. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy
+    evaluation for reinforcement learning, ICML 2016.
 
     Examples
     --------
@@ -222,7 +220,7 @@ class Magic(RatioEstimator):
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        """``generator`` is for the bootstrap and for ratios that sample the simulator."""
+        """The blend."""
         zeta = self.fit(problem, policy, generator)
         terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=True)
         n, columns = terms.partial.shape
@@ -250,7 +248,7 @@ class Magic(RatioEstimator):
         return self.model_claims - {"after_end"} | {"consistent", "random"}
 
     def limit_of(self, population: Population) -> float:
-        """J_target, that of weighted doubly robust; refused where the behaviour policy lacks support."""
+        """That of weighted doubly robust."""
         return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(population)
 
 
@@ -258,9 +256,9 @@ class Magic(RatioEstimator):
 class EpisodeTerms:
     """The doubly robust estimator on n episodes of at most T steps, V and Q of zeta * P as control variates.
 
-    The value is sum_t sum_i share_ti ``gains``_ti, where share_ti is ``weights``_ti = rho_0 ... rho_{t-1} over n, or over their
-    sum at t (both are (T + 1, n); an episode that has ended keeps its weight). ``partial`` (n, T + 1) are its parts where
-    the log is used for j = 0..T steps and the model's value after them.
+    The value is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti = rho_0 ... rho_{t-1} over n, or
+    over their sum at t (both (T + 1, n); an episode that has ended keeps its weight). ``partial`` (n, T + 1)
+    are its parts where the log is used for j = 0..T steps and the model's value after them.
     """
 
     weights: Array
@@ -344,7 +342,7 @@ def _model_values(model: Model, policy: Array, horizon: int | None, steps: int) 
 
 
 def _episode_limit(population: Population, model: Model) -> float:
-    """E[V(s_0) + sum rho ...], by the recursion of its mean; J_target where the behaviour policy has support."""
+    """The mean of D_0; J_target where the behaviour policy has support."""
     if population.behavior is None:
         return population.value(population.target)
     target = population.target
@@ -357,7 +355,7 @@ def _episode_limit(population: Population, model: Model) -> float:
 
 
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
-    """D_0 of each rollout, backward in time: D = m + zeta (gamma D' - gamma V(s')), m = sum_s' zeta P (r + gamma V(s')).
+    """D_0 of each rollout, backward: D = m + zeta gamma (D' - V(s')), m = sum_s' zeta P (r + gamma V(s')).
 
     ``values`` (T + 1, S) are V; those after the last step change no mean.
     """

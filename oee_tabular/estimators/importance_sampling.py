@@ -69,10 +69,7 @@ class Episodes(NamedTuple):
 
 
 def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> Array:
-    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is over.
-
-    ``is_estimated``: the behaviour is the log's action frequencies, and not what was recorded or given.
-    """
+    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is over."""
     log = problem.recorded
     if is_estimated:
         pairs = np.zeros((problem.simulator.n_states, problem.simulator.n_actions))
@@ -123,16 +120,16 @@ class ImportanceSampling(TabularEstimator):
     self_normalized : bool
         Divide by the sum of the weights (weighted importance sampling), per step for per_decision.
     ragged : "pad" | "zero"
-        In self-normalised per-decision sampling, what an ended episode does to the normaliser of later steps: it keeps
-        its last weight, or has weight 0 (which estimates E[r_t | still going], a different quantity).
+        In self-normalised per-decision sampling, what an ended episode does to the normaliser of later steps:
+        it keeps its last weight, or has weight 0 (which estimates E[r_t | still going], another quantity).
     behavior : "recorded" | "estimated"
         The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the log's action frequencies.
 
     Notes
     -----
-    Limit, plain: J(P_target) where the behaviour policy takes every action that the policy takes, from the starts of
-    the log's episodes. Episodes that were truncated before the horizon lack their later rewards: the bias that this can
-    make is bounded in ``truncation_bias_bound``.
+    Limit, plain: J(P_target) where the behaviour policy takes every action that the policy takes, from the
+    starts of the log's episodes. Episodes that were truncated before the horizon lack their later rewards:
+    ``truncation_bias_bound`` bounds the bias that this can make.
 
     Examples
     --------
@@ -222,8 +219,8 @@ class ImportanceSampling(TabularEstimator):
         """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
 
         J_target where that policy takes every action that the policy takes (None: it does); otherwise the
-        rewards of the paths that it can make, self-normalised those of what is left over their weight. Where ended episodes
-        are dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}].
+        rewards of the paths that it can make, self-normalised over their weight. Where ended episodes are
+        dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}].
         """
         target, behavior = population.target, population.behavior
         if not self._drops_ended and behavior is None:
@@ -247,7 +244,7 @@ class ImportanceSampling(TabularEstimator):
 def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool) -> tuple[int, float]:
     """How many episodes are cut before the horizon, and a bound on what their missing rewards can change.
 
-    A missing reward has at most the largest size that the log or the simulator's transitions have, and in expectation the
+    A missing reward is at most the largest of the log and the simulator, and carries in expectation the
     episode's last weight.
     """
     lengths, is_over = episodes.lengths, episodes.is_over

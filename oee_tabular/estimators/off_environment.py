@@ -55,36 +55,39 @@ class OffEnvironment(RatioEstimator):
 
     Parameters
     ----------
-    ratio : "conditional" | "ratio_of_ratios" | "joint"; a method of ``oee.ratio`` with its options (``Conditional(...)``,
-        ``Quotient(normalized=False)``, the paper's own); a TransitionRatio; or a function (log, simulator) -> TransitionRatio
-        (``functools.partial(oee.transition_ratio, strength=3.0)``); where the problem was given counts it gets those
-    evaluation : "exact" (dynamic programming in zeta * P: no product of ratios, no variance) or "monte_carlo" (the
-        paper's product of ratios on rollouts of the simulator)
+    ratio : "conditional" | "ratio_of_ratios" | "joint", a Method, a TransitionRatio, or a function
+        A method of ``oee.ratio`` with its options (``Conditional(...)``, ``Quotient(normalized=False)``, the
+        paper's own); or (log, simulator) -> TransitionRatio
+        (``functools.partial(oee.transition_ratio, strength=3.0)``), which gets the counts where the problem
+        was given counts.
+    evaluation : "exact" | "monte_carlo"
+        Dynamic programming in zeta * P (no product of ratios, no variance), or the paper's product of ratios
+        on rollouts of the simulator.
     weighting : "per_decision" | "trajectory", for "monte_carlo"
     self_normalized : bool, for "monte_carlo": divide by the sum of the weights
-    n_rollouts : int, for "monte_carlo": the episodes of ``sample_returns``, moments in ``weighted_return_moments``
+    n_rollouts : int, for "monte_carlo": the episodes of ``sample_returns``
 
     Notes
     -----
-    Limit with "conditional", as n grows: J(P_target) where the log's distribution covers the policy's; the prior's rows (the
+    Limit with "conditional", as n grows: J(P_target) where the log covers the policy; the prior's rows (the
     simulator's, tilted) stand in for rows never visited. ``Estimate.value`` is the exact value of zeta * P
     (``diagnostics["model_value"]``), moved towards the log by a soft threshold:
 
         value + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
 
-    change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they lie on two
-    sides): the first is linear in the log's frequencies and can overshoot, the second is not and is wild with few
-    transitions. Where the nearer of them is more than 2 s away the change leads further to maximum likelihood, and from 4 s
-    on all the way: what the first order misses is then larger than the noise. s is the standard error of the difference of
-    the two values, se that of the one-step value, se_fit that of zeta * P if its prior fits. lambda grows with s / se_fit:
-    the more the prior can gain, the more the log has to say against it. Its values make the largest regret over all biases
-    of the prior as small as a soft threshold can [1].
-    ``diagnostics`` has both ends and the share ``moved``.
+    change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they
+    lie on two sides): the first is linear in the log's frequencies and can overshoot, the second is not and
+    is wild with few transitions. Where the nearer of them is more than 2 s away the change leads further to
+    maximum likelihood, and from 4 s on all the way: what the first order misses is then larger than the
+    noise. s is the standard error of the difference of the two values, se that of the one-step value, se_fit
+    that of zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more the
+    log has to say against it. Its values make the largest regret over all biases of the prior as small as a
+    soft threshold can [1].
 
-    ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over rows never visited of Var(G)), G the
-    derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value plus or minus 1.96 of it. The narrower
-    ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard error is that of the
-    rollouts given zeta, which heavy tails make too small.
+    ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over the others of Var(G)),
+    G the derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value +- 1.96 of it. The
+    narrower ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard
+    error is that of the rollouts given zeta, which heavy tails make too small.
 
     Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification, arXiv 2305.14265.
 
@@ -111,7 +114,7 @@ class OffEnvironment(RatioEstimator):
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        """``generator`` samples the simulator's data for "ratio_of_ratios" and the rollouts for "monte_carlo"."""
+        """J in zeta * P, or the mean of weighted rollouts."""
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)
@@ -161,9 +164,9 @@ class OffEnvironment(RatioEstimator):
     def limit_of(self, population: Population) -> float:
         """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.
 
-        Exact rows of the target where the data are, the prior's elsewhere ("conditional"); the box-clipped quotient
-        ("ratio_of_ratios", "joint": data_distribution counts, against the simulator's exact occupancy under the
-        behaviour policy, which is that of the data where it is not given).
+        "conditional": the target's rows where the data are, the prior's elsewhere. "ratio_of_ratios", "joint":
+        the box-clipped quotient, against the simulator's exact occupancy under the behaviour policy (that of the
+        data where none is given).
         """
         model, simulator = self.limit_model(population), population.simulator
         if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
@@ -212,7 +215,7 @@ def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimat
 
 
 def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
-    """The exact value, moved towards the log where that speaks against the prior; its standard error and interval."""
+    """The exact value, moved towards the log; its standard error and interval."""
     se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if se_fit is None or step is None:
         return exact

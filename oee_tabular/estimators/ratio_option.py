@@ -38,10 +38,7 @@ class RatioEstimator(TabularEstimator):
             )
 
     def fit(self, problem: Problem, policy: Array, generator: np.random.Generator) -> TransitionRatio:
-        """zeta from the log, as ``ratio`` says.
-
-        V of ``policy`` is a direction of "conditional"; ``generator`` samples the simulator's data where a method needs them.
-        """
+        """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of "conditional"."""
         if isinstance(self.ratio, TransitionRatio):
             self.ratio.on(problem.simulator)  # or an error
             return self.ratio
@@ -74,10 +71,7 @@ class RatioEstimator(TabularEstimator):
 
     @property
     def model_claims(self) -> frozenset[str]:
-        """What the exact value of zeta * P claims (``testing.CLAIMS``).
-
-        A zeta that is given is right for one pair only; a function promises no more than not to look at rewards.
-        """
+        """What the exact value of zeta * P claims; a zeta that is given is right for one pair only."""
         if isinstance(self.ratio, TransitionRatio):
             return OF_COUNTS | {"shift"} if self.ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
         return NAMED[self.ratio] if isinstance(self.ratio, str) else frozenset({"scale"})

@@ -1,10 +1,8 @@
-"""Products of ratios on rollouts of the simulator (the paper's J in terms of zeta), and weighted sums over episodes.
+"""Weighted sums over episodes: the log's, or rollouts of the simulator (the paper's J in terms of zeta).
 
-W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward r(s, a, s') W_{t+1}. Per decision:
-sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole return. An episode that is over keeps its last weight.
-Exact values and variances exist by dynamic programming; this shows what sampling costs.
-
-Episodes of any lengths stand in flat arrays, one after the other: episode i in rows starts[i] to starts[i + 1].
+W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward r(s, a, s') W_{t+1}.
+Per decision: sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole return. An episode that
+is over keeps its last weight. Episodes stand in flat arrays, episode i in rows starts[i] to starts[i + 1].
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ def segment_products(values: Array, starts: IntArray) -> Array:
 
 
 def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
-    """sum_i X_i / sum_i W_i, with the error of that ratio, linearised; nan where the weights are all 0, or infinite."""
+    """sum_i X_i / sum_i W_i and its linearised error; nan where the weights are all 0, or infinite."""
     mass = float(weights.sum())
     if not 0.0 < mass < np.inf:
         return float("nan"), None
@@ -62,10 +60,10 @@ def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | 
 def normalize_by_step(
     reward: Array, weight: Array, starts: IntArray, last: Array, *, keep_last: bool = True
 ) -> tuple[float, float | None]:
-    """sum_t sum_i w_it r_it / sum_i w_it, with the error of those ratios, linearised.
+    """sum_t sum_i w_it r_it / sum_i w_it and its linearised error.
 
-    ``reward`` is discounted. An episode that has ended counts in the sums of weights with its ``last`` weight, or with 0
-    unless ``keep_last``. nan where the weights of a step are all 0, or infinite.
+    ``reward`` is discounted. An episode that has ended counts in the sums of weights with its ``last``
+    weight, or with 0 unless ``keep_last``. nan where the weights of a step are all 0, or infinite.
     """
     step, lengths = step_numbers(starts), np.diff(starts)
     n, horizon = len(lengths), int(lengths.max())
@@ -85,7 +83,7 @@ def normalize_by_step(
 
 
 def carried_rewards(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
-    """gamma^t r_t of each step, and the weight that it carries: W_t, or W_{t+1} where rewards are r(s, a, s')."""
+    """gamma^t r_t of each recorded step, and the weight that it carries."""
     path, starts = drawn.path, drawn.starts
     reward = mdp.discount ** step_numbers(starts).astype(np.float64) * entry_rewards(mdp)[path]
     with np.errstate(over="ignore", invalid="ignore"):

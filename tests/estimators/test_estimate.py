@@ -8,10 +8,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions
 from oee_tabular.estimators import (
-    DoublyRobust,
     Estimate,
-    Magic,
-    Marginalized,
     ModelBased,
     OffEnvironment,
     Oracle,
@@ -91,36 +88,12 @@ def test_sizes_and_errors_of_small_samples():
     assert mean_and_error(np.array([1.0, 3.0])) == (2.0, 1.0)
 
 
-def test_the_three_largest_gaps_of_the_log_are_named():
-    """By the policy's time in zeta * P, the absorbing state left out."""
-    simulator, _ = environments(3)
-    problem = Problem(simulator, Transitions([0, 1], [0, 1], [1, 2]))
-    facts = OffEnvironment(ratio=oee.true_ratio(simulator, simulator))(problem, POLICY).diagnostics
-    assert facts["coverage"] == 1.0  # the true ratio knows all rows
-    facts = ModelBased("simulator")(problem, POLICY).diagnostics
-    time = oee.occupancy(ModelBased("simulator").model(problem), POLICY)
-    missed = sorted((-time[s, a], s, a) for s in range(3) for a in range(2) if (s, a) not in {(0, 0), (1, 1)})
-    assert facts["unseen"] == "; ".join(f"s={s}, a={a}" for _, s, a in missed[:3])
-
-
 def test_nothing_to_learn_is_full_coverage():
     """The policy is over at once: its time is all where nothing can be learned."""
     mdp = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [0, 1], 0.9)
     facts = OffEnvironment()(Problem(mdp, Transitions([0], [0], [1])), np.ones((2, 1))).diagnostics
     assert (facts["coverage"], facts["fallback_share"], facts["effective_sample_size"]) == (1.0, 0.0, 0.0)
     assert facts["unseen"] == ""
-
-
-@pytest.mark.parametrize("estimator", [
-    OffEnvironment("ratio_of_ratios"), Marginalized("ratio_of_ratios"), Magic("ratio_of_ratios"),
-    DoublyRobust(ratio="ratio_of_ratios"), DoublyRobust(data="rollouts", ratio="ratio_of_ratios"),
-    DoublyRobust(data="episodes", ratio="ratio_of_ratios"), OffEnvironment(evaluation="monte_carlo"),
-], ids=repr)  # fmt: skip
-def test_the_seed_decides_what_is_sampled(estimator):
-    problem, _ = recorded_problem(3, horizon=4, n=60)
-    first, again, other = (estimator(problem, POLICY, seed=seed).value for seed in (1, 1, 2))
-    assert first == again
-    assert first != other
 
 
 def test_without_a_horizon_at_discount_one():

@@ -116,23 +116,6 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
         assert_allclose(limit, truth, rtol=1e-6, atol=1e-6, err_msg=repr(estimator))
 
 
-@given(rngs)
-def test_rows_without_data_keep_the_prior(rng):
-    """The limit of the default: the tilt's rows where the log has none; maximum likelihood keeps the simulator's."""
-    simulator, target, share, policy = case(rng)
-    share[share.sum(axis=1) == 0] = 0
-    options = {"data_distribution": share / share.sum()}
-    keep = (share > 0)[:, :, None]
-    mixed = simulator.with_transitions(np.where(keep, dense(target)[0], dense(simulator)[0]))
-    expected = oee.policy_value(mixed, policy)
-    for estimator in (OffEnvironment(ratio=LIKELIHOOD), ModelBased(fallback="simulator"), DualDice()):
-        assert_allclose(estimator.limit(simulator, target, policy, **options), expected, rtol=1e-8, atol=1e-9)
-    unfit = functools.partial(oee.transition_ratio, prior="simulator")
-    assert_allclose(
-        OffEnvironment(ratio=unfit).limit(simulator, target, policy, **options), expected, rtol=1e-6, atol=1e-7
-    )
-
-
 @given(rngs, st.sampled_from(["occupancy", "beta"]))
 def test_24_the_error_on_transitions_is_a_product_of_errors(rng, weights):
     """sum_x (visits_w - visits_target)(x) (T'Q_sim - Q_sim)(x), visits discounted sums."""
@@ -162,34 +145,6 @@ def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
     assert_allclose(np.array(errors[:-1]) / errors[1:], 4, atol=0.2)
     assert_allclose(np.array(naive[:-1]) / naive[1:], 2, atol=0.2)
     assert errors[0] < 0.2 * naive[0]
-
-
-@given(rngs)
-def test_importance_sampling_without_support_keeps_what_can_be_seen(rng):
-    """J(P', pi 1[b > 0]) per decision, by a kernel that loses what the behaviour policy never does."""
-    simulator, target = pair(rng)
-    policy, behavior = random_policy(rng, simulator, zeros=0), random_policy(rng, simulator, zeros=0.5)
-    kept = np.where(behavior > 0, policy, 0.0)
-    kept[target.absorbing()] = policy[target.absorbing()]
-    value, following = 0.0, np.zeros(4)
-    transitions, rewards = dense(target)
-    pay = (
-        rewards
-        if target.transition_rewards is not None
-        else np.broadcast_to(target.rewards[:, :, None], transitions.shape)
-    )
-    for _ in range(5):
-        following = np.einsum("sa,sat,sat->s", kept, transitions, pay + 0.9 * following[None, None])
-    value = target.initial @ following
-    limit = ImportanceSampling().limit(simulator, target, policy, behavior_policy=behavior, horizon=5)
-    assert_allclose(limit, value, rtol=1e-9, atol=1e-10)
-    lost = (kept == 0) & (policy > 0)
-    reached = oee.occupancy(target, policy, horizon=5)
-    if (reached[lost] > 0).any():
-        with pytest.raises(
-            ValueError, match=r"behavior_policy must take every action .* in state \d it never takes action"
-        ):
-            Magic().limit(simulator, target, policy, behavior_policy=behavior, horizon=5)
 
 
 def test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
@@ -224,17 +179,6 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
         if kind == "trajectory":
             returns = log.reward.reshape(20, 6) @ gamma
             assert returns.min() - 1e-9 <= plain <= returns.max() + 1e-9
-
-
-def test_the_quotients_limit_is_clipped():
-    """A target far outside the box: beta is clipped, the limit is not the truth and is what the population program gives."""
-    simulator, target = oee.tasks.gridworld(3, 0.9, discount=0.9), oee.tasks.gridworld(3, 0.01, discount=0.9)
-    policy = oee.uniform_policy(simulator)
-    estimator = OffEnvironment(ratio=functools.partial(oee.transition_ratio, method="joint", lower=0.9, upper=1.1,
-                                                       simulator_data="exact", behavior_policy=policy))  # fmt: skip
-    limit = estimator.limit(simulator, target, policy)
-    truth, naive = (oee.policy_value(m, policy) for m in (target, simulator))
-    assert abs(limit - truth) > 0.05 * abs(truth - naive)
 
 
 def test_doubly_robust_on_episodes_with_the_truth_needs_no_luck():
@@ -278,30 +222,6 @@ def test_a_ratio_that_diverges_is_a_status():
         assert "spectral radius" in found.status
 
 
-def test_weights_stand_still_in_absorbing_states():
-    """Rows recorded after the end change nothing, whatever is done there."""
-    simulator = oee.tasks.gridworld(3, 0.3, discount=0.9)
-    behavior, policy = oee.uniform_policy(simulator), oee.tasks.gridworld_policy(3, 0.7)
-    log = oee.sample_episodes(simulator, behavior, 40, 12, seed=0)
-    starts = log.episode_starts
-    columns = {name: [] for name in ("state", "action", "next_state", "reward", "episode")}
-    for k, (low, high) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
-        over = bool(log.terminated[high - 1])
-        rest = 12 - (high - low) if over else 0
-        for name, last in (("state", 8), ("action", k % 4), ("next_state", 8), ("reward", 0.0)):
-            columns[name] += [*getattr(log, name)[low:high], *[last] * rest]
-        columns["episode"] += [k] * (high - low + rest)
-    padded = oee.Transitions(**columns)
-    assert len(padded) > len(log)
-    for estimator in (ImportanceSampling("trajectory"), ImportanceSampling(self_normalized=True)):
-        values = (
-            estimator(oee.Problem(simulator, each, horizon=12, behavior_policy=behavior), policy).value
-            for each in (log, padded)
-        )
-        one, two = values
-        assert_allclose(two, one, rtol=1e-12)
-
-
 BAD = {
     "a horizon for DualDICE": (
         lambda: DualDice()(oee.Problem(GRID, LOG, horizon=3), UNIFORM),
@@ -313,6 +233,10 @@ BAD = {
     "a bag for episodes": (
         lambda: DoublyRobust(data="episodes")(oee.Problem(GRID, oee.Transitions([0], [0], [0])), UNIFORM),
         "importance sampling needs whole episodes",
+    ),
+    "a blend without support": (
+        lambda: Magic().limit(SIMULATOR, TARGET, POLICY, behavior_policy=np.tile([1.0, 0.0], (4, 1)), horizon=5),
+        r"behavior_policy must take every action .* in state \d it never takes action",
     ),
     "a limit outside the simulator": (
         lambda: ModelBased().limit(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM),
@@ -334,13 +258,6 @@ def test_bad_calls(name):
         call()
 
 
-EVERY = [
-    Simulator(), OffEnvironment(), OffEnvironment(evaluation="monte_carlo"), ModelBased(), ModelBased("simulator"),
-    ImportanceSampling(), DoublyRobust(), DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"), Magic(),
-    Marginalized(), DualDice(),
-]  # fmt: skip
-
-
 ARGUMENTS = {
     "simulator": ({"simulator": 3}, r"^simulator must be a FiniteMDP; got int$"),
     "target": ({"target": 3}, r"^target must be a FiniteMDP; got int$"),
@@ -354,11 +271,8 @@ ARGUMENTS = {
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
-@pytest.mark.parametrize("estimator", EVERY, ids=repr)
-def test_bad_arguments_of_limits(estimator, name):
+def test_bad_arguments_of_limits(name):
     changed, text = ARGUMENTS[name]
-    if isinstance(estimator, DualDice) and name == "horizon":
-        return  # it has none
     arguments = {"simulator": SIMULATOR, "target": TARGET, "policy": POLICY} | changed
     with pytest.raises(ValueError, match=text):
-        estimator.limit(**arguments)
+        OffEnvironment().limit(**arguments)
