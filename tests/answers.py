@@ -1,15 +1,117 @@
-"""The right answers to the exercises of notebooks 00 and 06 to 10, by the package: the checks are held to them."""
+"""The right answers to the exercises of the notebooks, by the package: the checks are held to them."""
+
+import math
 
 import numpy as np
+from helpers import rows_of
+from scipy import sparse
+from scipy.optimize import brentq
 
 import oee_tabular as oee
 from oee_tabular import estimators, exact, inference, testing
+from oee_tabular.ratio.prior.strength import score
 from oee_tabular.tasks import CartPole, GridInterpolation, kinova
+
+ROW = np.array([0.7, 0.1, 0.1, 0.1])
 
 
 def sure_arrival():
     lake = oee.tasks.toy_text("FrozenLake-v1", map_name="8x8", success_rate=1.0, discount=0.99)
     return oee.policy_value(lake, oee.optimal_policy(lake))
+
+
+def slow_motor():
+    transitions = np.array([[[0.5, 0.5], [0.9, 0.1]], [[0.1, 0.9], [0.1, 0.9]]])
+    motor = oee.FiniteMDP(transitions, np.array([[2.0, 1.0], [0.0, 0.0]]), [1.0, 0.0], 0.9)
+    return oee.policy_value(motor, [[0.0, 1.0], [0.0, 1.0]])
+
+
+def horizon_for_the_rest():
+    return next(t for t in range(1, 2000) if 0.99**t / 0.01 <= 0.5)
+
+
+def episodes_for_a_tenth():
+    floor = oee.tasks.gridworld(10, slip=0.1)
+    variance = oee.return_moments(floor, oee.tasks.gridworld_policy(10, 0.5), horizon=200).variance
+    return int(np.ceil(variance / 0.1**2))
+
+
+def boxed_pair():
+    return oee.density_ratio([0.8, 0.2], [0.5, 0.5], upper=1.2).ratio
+
+
+def gap_of_ones():
+    p, q = [0.10, 0.20, 0.20, 0.10, 0.25, 0.15], [0.30, 0.25, 0.20, 0.10, 0.10, 0.05]
+    return 1.0 - oee.density_ratio(p, q, lower=0.5, upper=2.0).objective
+
+
+def samples_for_a_tenth():
+    return next(n for n in range(1000, 10_000) if np.sqrt(2 * (0.95 / 0.05) / n) <= 0.1 + 1e-12)
+
+
+def grids(simulated=0.3, real=0.1):
+    simulator, target = oee.tasks.gridworld(10, simulated), oee.tasks.gridworld(10, real)
+    return simulator, oee.true_ratio(target, simulator)
+
+
+def corner():
+    _, zeta = grids()
+    return zeta.values[90 * 4, 90]
+
+
+def largest_slip():
+    slips = np.arange(0.01, 0.9, 0.01)
+    return max(e for e in slips if grids(e)[1].values.data.max() <= 1.2 + 1e-9)
+
+
+def mass_after_200():
+    mdp = oee.FiniteMDP(np.full((4, 1, 4), [0.7, 0.1, 0.1, 0.1]), np.zeros(4), [1.0, 0.0, 0.0, 0.0], 0.9)
+    zeta = mdp.transitions.copy()
+    zeta.data = np.where(zeta.indices == 0, 1.3, 0.4)
+    return exact.weight_moments(mdp, zeta, oee.uniform_policy(mdp), horizon=200)[0][-1]
+
+
+def one_move(simulated, real):
+    """E[W_1^2] from a cell without walls."""
+    simulator, zeta = grids(simulated, real)
+    start = np.zeros(100)
+    start[44] = 1.0
+    inside = oee.FiniteMDP(simulator.transitions, simulator.transition_rewards, start, 0.99)
+    return exact.weight_moments(inside, zeta, oee.uniform_policy(inside), horizon=1)[1][1]
+
+
+def paths_for_one():
+    simulator, zeta = grids()
+    return oee.weighted_return_moments(simulator, zeta, oee.tasks.gridworld_policy(10, 0.5), horizon=100).variance
+
+
+def one_row():
+    """One state with a row of four next states, which are all absorbing."""
+    rows = np.zeros((5, 1, 5))
+    rows[0, 0, 1:] = ROW
+    rows[1:, 0, 1:] = np.eye(4)
+    return oee.FiniteMDP(rows, np.zeros(5), np.eye(5)[0], 0.9)
+
+
+def shrunk_ratio():
+    counts = sparse.csr_array(([9.0, 1.0], ([0, 0], [1, 2])), shape=(5, 5))
+    return oee.transition_ratio(counts, one_row(), prior="simulator", strength=30.0).values.toarray()[0, 1]
+
+
+def tilt_to(slip):
+    def excess(theta):
+        tilted = ROW ** (1 + theta)
+        return tilted[0] / tilted.sum() - (1 - slip)
+
+    return brentq(excess, -5, 5, xtol=1e-12)
+
+
+def evidence_gained():
+    observed, prior = np.array([2.0, 0.0]), np.array([0.5, 0.5])
+    rows = rows_of(prior, [0, 2])
+    certain = 2 * math.log(0.5)
+    np.testing.assert_allclose(score(1e9, observed, prior, rows), certain, atol=1e-8)
+    return score(1.0, observed, prior, rows) - certain
 
 
 def distance_of_one():
@@ -119,22 +221,39 @@ def leaving():
     return values[0] - values[1], 2 * change / (1 - 0.9)
 
 
-# check -> (the right answer, answers that readers are likely to give instead, a word of the hint)
+# exercise -> (the right answer, answers that readers are likely to give instead, a word of the hint)
 CASES = {
-    "check_00_a": (sure_arrival, [1.0, 0.99**14, 14, 0.99], "7 moves down"),
-    "check_06_a": (distance_of_one, [0.0, 16 / 21, 0.2857, 1.0], "four distances"),
-    "check_06_b": (falls_with_the_fortieth, [0.634, 0.4, 40, 0.669, 33.1], "40 rewards"),
-    "check_06_c": (theorem_2, [[0.01, 0.0716], [0.0961, 0.0358], [0.31, 0.0716], 0.0961], "both errors"),
-    "check_07_a": (ends_in_the_box, [[0.175, 1.12], [0.175, 1.0], [0.925, 0.52], [0.52]], "add up to 1"),
-    "check_07_b": (two_rows, [[60, 240], [150, 150], [200, 100], [75, 225]], "1 to 2"),
-    "check_07_c": (moves_for_a_twentieth, [5652, 11_304, 1130, 56.5], "variance is bound / n"),
-    "check_08_a": (corners, [[0.25] * 4, [0.5, 0.25, 0.125, 0.125], [0.125, 0.125, 0.375, 0.375]], "the product"),
-    "check_08_b": (moves_a_row, [[8.0, 0.076], [4.0, 39.1], [4.0, 0.0], 4.0], "2 * 32^4"),
-    "check_08_c": (calibrated, [0.45, 0.46, 0.441, 0.51], "same factor"),
-    "check_09_a": (largest_of_five, [5, 10, 1000, 0.02], "0.1 / 5"),
-    "check_09_b": (moves_a_command, [50, 1250, 9.26, 41.7], "different commands"),
-    "check_09_c": (one_and_two_boxes, [[0.6, 0.4], [0.67, 16], [0.63, 8.0], 1.4], "shared by two"),
-    "check_10_a": (survival, [[2.71, 2.0269], [2.19, 2.71], [2.0269, 3.0], 2.0269], "drops out"),
-    "check_10_b": (logs_that_show_it, [25, 100, 20, 5], "standard error"),
-    "check_10_c": (leaving, [[0.2, 0.8257], [0.8257, 0.1], [0.0826, 0.2], 0.8257], "allows"),
+    "00_a": (sure_arrival, [1.0, 0.99**14, 14, 0.99], "7 moves down"),
+    "01_a": (slow_motor, [5.9375, 10.0, 0.67857], "V(1)"),
+    "01_b": (horizon_for_the_rest, [527, 529, 69, 527.2], "left out"),
+    "01_c": (episodes_for_a_tenth, [2782, 279, 278.2, 1668], "variance"),
+    "02_a": (boxed_pair, [[1.6, 0.4], [1.2, 0.4], [0.8, 1.2], [1.2], 1.2], "bound"),
+    "02_b": (gap_of_ones, [0.0, 1.0, 0.789, 0.2394], "risk"),
+    "02_c": (samples_for_a_tenth, [1900, 380, 38, 7600], "twice"),
+    "03_a": (corner, [9 / 7, 1 / 3, 0.9333, 0.8571], "two directions"),
+    "03_b": (largest_slip, [0.0833, 0.0, 0.1, 0.3], "grows"),
+    "03_c": (mass_after_200, [1.03, 206, 7.0, 3.0], "sum"),
+    "04_a": (lambda: one_move(0.3, 0.1), [1.0, 1.1571, 0.1905, 1.4444], "four directions"),
+    "04_b": (lambda: one_move(0.1, 0.3), [1.1905, 0.4444, 1.0], "exchanged"),
+    "04_c": (paths_for_one, [624, 6.6e6, 63, 3890], "horizons[7]"),
+    "05_a": (shrunk_ratio, [0.75, 9 / 7, 1.2, 0, -1.071, math.nan, math.inf], "30 pretended moves"),
+    "05_b": (lambda: tilt_to(0.1), [1.694, 0.9, 0.68, -0.435], "the target's are 27"),
+    "05_c": (evidence_gained, [1.5, 0.585, 0.176, -0.405], "second move has probability"),
+    "05_d": (lambda: tilt_to(0.5), [0.435, 0.565, 0.694, -0.45], "theta is negative"),
+    "05_e": (lambda: False, [0, 1], "two equal values of P"),
+    "06_a": (distance_of_one, [0.0, 16 / 21, 0.2857, 1.0], "four distances"),
+    "06_b": (falls_with_the_fortieth, [0.634, 0.4, 40, 0.669, 33.1], "40 rewards"),
+    "06_c": (theorem_2, [[0.01, 0.0716], [0.0961, 0.0358], [0.31, 0.0716], 0.0961], "both errors"),
+    "07_a": (ends_in_the_box, [[0.175, 1.12], [0.175, 1.0], [0.925, 0.52], [0.52]], "add up to 1"),
+    "07_b": (two_rows, [[60, 240], [150, 150], [200, 100], [75, 225]], "1 to 2"),
+    "07_c": (moves_for_a_twentieth, [5652, 11_304, 1130, 56.5], "variance is bound / n"),
+    "08_a": (corners, [[0.25] * 4, [0.5, 0.25, 0.125, 0.125], [0.125, 0.125, 0.375, 0.375]], "the product"),
+    "08_b": (moves_a_row, [[8.0, 0.076], [4.0, 39.1], [4.0, 0.0], 4.0], "2 * 32^4"),
+    "08_c": (calibrated, [0.45, 0.46, 0.441, 0.51], "same factor"),
+    "09_a": (largest_of_five, [5, 10, 1000, 0.02], "0.1 / 5"),
+    "09_b": (moves_a_command, [50, 1250, 9.26, 41.7], "different commands"),
+    "09_c": (one_and_two_boxes, [[0.6, 0.4], [0.67, 16], [0.63, 8.0], 1.4], "shared by two"),
+    "10_a": (survival, [[2.71, 2.0269], [2.19, 2.71], [2.0269, 3.0], 2.0269], "drops out"),
+    "10_b": (logs_that_show_it, [25, 100, 20, 5], "standard error"),
+    "10_c": (leaving, [[0.2, 0.8257], [0.8257, 0.1], [0.0826, 0.2], 0.8257], "allows"),
 }

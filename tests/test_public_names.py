@@ -32,7 +32,7 @@ NAMES = {
         weighted_return_moments
     """,
     "oee_tabular.experiments": """
-        Embedded embedded_default published table
+        Embedded embedded_default load_saved_table published table
     """,
     "oee_tabular.inference": """
         Comparison Decision EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
@@ -73,6 +73,9 @@ NAMES = {
     "oee_tabular.testing": """
         CASES CLAIMS Case Comparison DEFAULT LAWS Verdict Verdicts case check_estimator claims_of compare_with_oracle
         horizons logs mdp_pairs mdps padded_log policies relabelled_log
+    """,
+    "oee_tabular.testing.exercises": """
+        check
     """,
     "oee_tabular.paper": """
         J J_of_products algorithm_1 beta d d_moves lemma risk theorem_1 theorem_2 zeta zeta_of

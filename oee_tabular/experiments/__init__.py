@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oee_tabular.experiments.common import Embedded, embedded_default
@@ -10,7 +11,36 @@ from oee_tabular.experiments.paper import curve as published
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Embedded", "embedded_default", "published", "table"]
+__all__ = ["Embedded", "embedded_default", "load_saved_table", "published", "table"]
+
+
+def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
+    """Load the saved table of an experiment that a notebook shows.
+
+    Parameters
+    ----------
+    name : the experiment's id: fig2, fig3, networks or table1; in a clone, any in ``notebooks/results``
+    table : "table", every seed, or "summary", their means
+
+    Raises
+    ------
+    ValueError
+        No such table is installed.
+
+    Examples
+    --------
+    >>> load_saved_table("networks").n.unique().tolist()
+    [1000, 3162, 10000, 31623, 100000, 316228]
+    """
+    import pandas as pd
+
+    file = Path(__file__)
+    folders = file.parent / "saved", file.parents[2] / "notebooks" / "results"  # of a wheel, of a clone
+    paths = [folder / name / f"{table}.csv" for folder in folders]
+    for path in paths:
+        if path.is_file():
+            return pd.read_csv(path)
+    raise ValueError(f"name and table must be those of a saved table; there is no {paths[0]} and no {paths[1]}")
 
 
 def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
