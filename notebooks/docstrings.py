@@ -1,5 +1,6 @@
 """Docstrings are plain text with formulas, not markup: what would be markup is escaped before napoleon reads it."""
 
+import itertools
 import re
 
 SECTIONS = {
@@ -7,6 +8,8 @@ SECTIONS = {
 }  # fmt: skip
 RULE = re.compile(r"^-{3,}$")
 NAMED = re.compile(r"(\*{0,2}\w+)((?: \(.*\))?)")
+CODE = re.compile(r"(``[^`]+``|(?<![\w*])\*\w+\*(?![\w*]))")  # and *emphasis* of a word
+FULL = 95  # a shorter first line of an entry is broken on purpose: it has the type, and the text follows
 OUTSIDE = re.compile(r", (?![^(]*\))")  # commas that are not inside of parentheses
 
 
@@ -21,10 +24,11 @@ def plain(lines):
         elif RULE.match(stripped) or stripped.startswith(">>>") or (section == "Examples" and stripped):
             out.append(line)
         elif section in ("Attributes", "Parameters") and (entry := entries(line)):
-            last = entry.pop()
-            for name, said in entry:  # all but the last: what is said goes on in the lines that follow
-                out += [name, f"    {escaped(f'{said} {continued(lines, k)}'.strip())}"]
-            out += [last[0], *([f"    {escaped(last[1])}"] if last[1] else [])]
+            more = continued(lines, k)
+            gap = [""] if more and " : " in line and len(line) < FULL else []
+            for name, said in entry:  # names that share a line share the lines that follow it
+                out += [name, *([f"    {escaped(said)}"] if said else []), *gap]
+                out += [escaped(text) for text in more if name != entry[-1][0]]
         else:
             out.append(escaped(line))
     return out
@@ -42,19 +46,14 @@ def entries(line):
 
 
 def continued(lines, k):
-    """What the indented lines after the k-th say, in one."""
-    said = []
-    for line in lines[k + 1 :]:
-        if not line.startswith(" "):
-            break
-        said.append(line.strip())
-    return " ".join(said)
+    """The indented lines after the k-th."""
+    return list(itertools.takewhile(lambda line: line.startswith(" "), lines[k + 1 :]))
 
 
 def escaped(line):
-    """The line with what is markup in reStructuredText escaped, outside ``code``."""
-    parts = re.split(r"(``[^`]+``)", line)
+    """The line with what is markup in reStructuredText escaped, outside ``code`` and *emphasis*."""
+    parts = CODE.split(line)
     return "".join(
-        part if part.startswith("``") else re.sub(r"([\\*|`])|(?<=\w)_(?=\W|$)", lambda m: "\\" + m[0], part)
+        part if CODE.fullmatch(part) else re.sub(r"([\\*|`])|(?<=\w)_(?=\W|$)", lambda m: "\\" + m[0], part)
         for part in parts
     )

@@ -61,9 +61,10 @@ def test_every_attribute_has_an_entry_of_its_own(site):
 
 
 def test_names_that_share_a_line_share_what_is_said(site):
-    lines = "Attributes\n----------\na, b (S, c) : text of x*y\n    goes on\nd (or None), e_f\n".splitlines()
+    lines = "Attributes\n----------\na, b (S, c) : type of x*y\n    *Its* text\nd (or None), e_f\n".splitlines()
     assert site["docstrings"].plain(lines)[2:] == [
-        "a", "    text of x\\*y goes on", "b", "    (S, c) text of x\\*y", "    goes on", "d", "    (or None)", "e_f",
+        "a", "    type of x\\*y", "", "    *Its* text", "b", "    (S, c) type of x\\*y", "", "    *Its* text",
+        "d", "    (or None)", "e_f",
     ]  # fmt: skip
     assert site["docstrings"].entries("two words : text") == []
 
