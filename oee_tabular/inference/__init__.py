@@ -4,7 +4,7 @@ Given are the simulator P (S, A, S), counts n (S, A, S) of the target's transiti
 and phat_x = n(x, .) / n_x, a policy pi (S, A), and J of eq. 3.1. Rewards are taken as known. With V the values and d the
 policy's discounted time in the pairs, unnormalised, the gradient of J is G(x, s') = d(x) (r(x, s') + gamma V(s')).
 
-*The quoted interval* (``likelihood``, kernels in ``_likelihood``, the rows that a policy takes in ``policy_rows``):
+*The quoted interval* (``likelihood``, kernels in ``_likelihood``):
 
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},   rows without data anything that simulator or box allow,
 

@@ -1,11 +1,10 @@
-"""Compiled parts of the likelihood interval, on the rows that a policy takes.
+"""Compiled parts of the likelihood interval: one ascent, on the rows that a policy takes (``likelihood.PolicyRows``).
 
-State s has the rows first[s] .. first[s+1], row r the entries indptr[r] .. indptr[r+1]; entry i leads to column[i] and pays
-pay[i]. Those that the log has (all, in rows without data) come before observed[r]. weight[i] is pi(a | s), edge[i] the place of
-(state, column) among the edges of the graph of states. Arrays of probabilities have a line for each ascent.
+Row r of state state[r] has the entries indptr[r] .. indptr[r+1]; entry i leads to column[i], pays pay[i], has weight[i] =
+pi(a | s), and edge[i] is the place of (state, column) among the edges of the graph of states. With u_i = tau v_i / n_r, v
+centred so that sum phat v = 0, the rows that are best for v are
 
-    P_i  = phat_i / (1 + e_r - u_i),   u_i = tau v_i / n_r (sum phat v = 0),   e_r: sum_i P_i = 1
-    KL_r = sum_i phat_i log(1 + e_r - u_i)
+    P_i = phat_i / (1 + e_r - u_i),   e_r: sum_i P_i = 1,   KL_r = sum_i phat_i log(1 + e_r - u_i).
 """
 
 from math import log1p
@@ -15,92 +14,183 @@ from numba import njit
 
 from oee_tabular.inference._robust import greedy_row
 
+# an ascent's numbers; ``value`` is J of its rows and ``base`` that of the frequencies, ``change`` the last step's
+NAMES = "sign limit base settled value step tau change divergence slack quiet iterations reached"
+NUMBERS = np.dtype([(name, "f8") for name in NAMES.split()])
+N_ITERATIONS = 200  # at most; ten are usual
+N_QUIET = 4  # iterations that move the end by less than a share ``settled`` of the way from ``base`` are the last
+EXACT = 1e-8  # of the limit: how closely it is met in the end
+SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
+GROWTH = 1.2  # of the step, after one that was no worse; doubling it is refused every other time
+LEAST_STEP = 1e-3  # from which on steps are taken as they are
+TINY = 1e-300
+
 
 @njit(cache=True, error_model="numpy")
-def evaluate_steps(rows, p, gamma, n_steps, values, visits, gradient):
-    """With a horizon: V, d and the gradient of J, of each ascent.
+def ascend(rows, ascent):
+    """Propose rows, evaluate and accept or refuse them until the end stays where it is."""
+    is_over = False
+    while not is_over:
+        propose(rows, ascent)
+        value = evaluate(rows, ascent.trial, ascent.values, ascent.visits, ascent.slope)
+        is_over = accept(ascent, value)
+
+
+@njit(cache=True, error_model="numpy")
+def propose(rows, ascent):
+    """Fill ``trial`` with the rows P(x) that are best for x, the limit met as closely as the last step was long."""
+    s = ascent.numbers[0]
+    width = abs(s.value - s.base) + TINY
+    s.slack = SOLVED * min(s.change, width)
+    ascent.trial[:] = ascent.p
+    share = s.step if rows.n_steps > 0 else 1.0
+    room = min(max(s.slack / width, EXACT), 1e-3)
+    s.tau, s.reached = best_rows(rows, ascent.x, share, s.limit, room, s.tau, ascent.trial)
+
+
+@njit(cache=True, error_model="numpy")
+def accept(ascent, value):
+    """Take the trial rows, of this J and gradient ``slope``, or halve the step; set the next x. Whether that was the last."""
+    s = ascent.numbers[0]
+    gain = s.sign * (value - s.value)
+    is_first, is_last = s.iterations == 0, s.iterations == N_ITERATIONS - 1
+    is_worse = gain < -max(2.0 * s.slack, 1e-12 * max(1.0, abs(s.value))) and s.step >= LEAST_STEP and not is_first
+    s.iterations += 1
+    if is_worse:
+        s.step *= 0.5
+    else:
+        s.change = s.change if is_first else abs(gain)
+        is_still = abs(gain) <= s.settled * abs(value - s.base) + 1e-14 * abs(s.base)
+        s.quiet = s.quiet + 1 if is_still else 0
+        is_last = is_last or s.quiet >= N_QUIET or (is_still and np.abs(ascent.trial - ascent.p).max() <= 1e-9)
+        if is_first:  # drawn directions get the gradient's size, so that they can be mixed
+            ascent.x[:] *= np.abs(ascent.slope).sum() / max(np.abs(ascent.x).sum(), TINY)
+        s.value, s.divergence, s.step = value, s.reached, min(1.0, GROWTH * s.step)
+        ascent.p[:], ascent.last_x[:], ascent.gradient[:] = ascent.trial, ascent.x, s.sign * ascent.slope
+    ascent.x[:] = ascent.last_x + s.step * (ascent.gradient - ascent.last_x)
+    return is_last
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(rows, p, values, visits, gradient):
+    """J, V, d and the gradient of J, of few states or with a horizon."""
+    if rows.n_steps > 0:
+        evaluate_steps(rows, p, values, visits, gradient)
+    else:
+        n = len(values)
+        matrix, paid = np.eye(n), np.zeros(n)
+        for i in range(len(p)):
+            matrix[rows.state[i], rows.column[i]] -= rows.discount * rows.weight[i] * p[i]
+            paid[rows.state[i]] += rows.weight[i] * p[i] * rows.pay[i]
+        values[:] = np.linalg.solve(matrix, paid)
+        visits[:] = np.linalg.solve(matrix.T.copy(), rows.initial)
+        fill_gradient(rows, values, visits, gradient)
+    return (rows.initial * values).sum()
+
+
+@njit(cache=True, error_model="numpy")
+def fill_gradient(rows, values, visits, gradient):
+    """d(s) pi(a | s) (r + gamma V(s')) less its row's mean, which counts for nothing.
+
+    In rows without data r + gamma V alone, which does not vanish where they are never reached.
+    """
+    for r in range(len(rows.n)):
+        mean, weight = 0.0, 1.0
+        for i in range(rows.indptr[r], rows.indptr[r + 1]):
+            gradient[i] = rows.pay[i] + rows.discount * values[rows.column[i]]
+            mean += rows.phat[i] * gradient[i]
+            if rows.n[r] > 0.0:
+                weight = max(visits[rows.state[i]], 0.0) * rows.weight[i]
+        for i in range(rows.indptr[r], rows.indptr[r + 1]):
+            gradient[i] = weight * (gradient[i] - mean)
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate_steps(rows, p, values, visits, gradient):
+    """With a horizon T.
 
     V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1})
     """
-    n = len(rows.initial)
-    to_go, worth, share = np.empty((n_steps + 1, n)), np.empty(len(rows.columns)), np.empty(len(rows.columns))
-    paid = np.empty(n)
-    for k in range(len(p)):
-        paid[:], share[:], worth[:], to_go[n_steps], visits[k] = 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(len(rows.edge)):
-            share[rows.edge[i]] += rows.weight[i] * p[k, i]
-            paid[rows.state[i]] += rows.weight[i] * p[k, i] * rows.pay[i]
-        for t in range(n_steps - 1, -1, -1):
-            for s in range(n):
-                total = 0.0
+    n, gamma = len(rows.initial), rows.discount
+    to_go, worth, share = np.zeros((rows.n_steps + 1, n)), np.zeros(len(rows.columns)), np.zeros(len(rows.columns))
+    paid = np.zeros(n)
+    for i in range(len(p)):
+        share[rows.edge[i]] += rows.weight[i] * p[i]
+        paid[rows.state[i]] += rows.weight[i] * p[i] * rows.pay[i]
+    for t in range(rows.n_steps - 1, -1, -1):
+        for s in range(n):
+            total = 0.0
+            for j in range(rows.edges[s], rows.edges[s + 1]):
+                total += share[j] * to_go[t + 1, rows.columns[j]]
+            to_go[t, s] = paid[s] + gamma * total
+    values[:], visits[:] = to_go[0], 0.0
+    now, ahead = rows.initial.copy(), np.zeros(n)
+    for t in range(rows.n_steps):
+        for s in range(n):
+            if now[s] != 0.0:
+                visits[s] += now[s]
                 for j in range(rows.edges[s], rows.edges[s + 1]):
-                    total += share[j] * to_go[t + 1, rows.columns[j]]
-                to_go[t, s] = paid[s] + gamma * total
-        now, ahead = rows.initial.copy(), np.zeros(n)
-        for t in range(n_steps):
-            for s in range(n):
-                if now[s] != 0.0:
-                    visits[k, s] += now[s]
-                    for j in range(rows.edges[s], rows.edges[s + 1]):
-                        worth[j] += gamma * now[s] * to_go[t + 1, rows.columns[j]]
-                        ahead[rows.columns[j]] += gamma * now[s] * share[j]
-                    now[s] = 0.0
-            now, ahead = ahead, now
-        values[k] = to_go[0]
-        for i in range(len(rows.edge)):
-            gradient[k, i] = rows.weight[i] * (visits[k, rows.state[i]] * rows.pay[i] + worth[rows.edge[i]])
+                    worth[j] += gamma * now[s] * to_go[t + 1, rows.columns[j]]
+                    ahead[rows.columns[j]] += gamma * now[s] * share[j]
+                now[s] = 0.0
+        now, ahead = ahead, now
+    for r in range(len(rows.n)):
+        smallest, largest = np.inf, -np.inf
+        for i in range(rows.indptr[r], rows.indptr[r + 1]):
+            gradient[i] = rows.weight[i] * (visits[rows.state[i]] * rows.pay[i] + worth[rows.edge[i]])
+            smallest, largest = min(smallest, gradient[i]), max(largest, gradient[i])
+        if rows.n[r] == 0.0 and smallest == largest:
+            for i in range(rows.indptr[r], rows.indptr[r + 1]):
+                gradient[i] = rows.pay[i] + gamma * values[rows.column[i]]
 
 
 @njit(cache=True, error_model="numpy")
-def best_rows(rows, low, high, x, share, limit, room, tau, p):
-    """The rows that are best for each direction ``x``, over those in ``p``: max sum x P subject to sum n KL <= limit.
+def best_rows(rows, x, share, limit, room, tau, p):
+    """The rows that are best for ``x``, over those in ``p``: max sum x P subject to sum n KL <= limit; tau and that sum.
 
-    The limit is met to a share ``room``, from inside. ``tau`` (of each ascent) holds guesses and gets the multipliers. Of mass
-    that goes all to one next state (rows without data; states that the log never reached) only ``share`` moves.
+    The limit is met to a share ``room``, from inside; ``tau`` is a guess, or 0. Of mass that goes all to one next state (rows
+    without data; states that the log never reached) only ``share`` moves.
     """
     n_rows = len(rows.n)
-    spread, bent, best = np.zeros(n_rows), np.zeros(n_rows), np.empty(n_rows, np.int64)
-    new, spare, reached = np.empty(p.shape[1]), np.empty(p.shape[1]), np.zeros(len(p))
-    for k in range(len(p)):
-        v, total = x[k].copy(), 0.0
-        for r in range(n_rows):
-            start, stop = rows.indptr[r], rows.indptr[r + 1]
-            if rows.n[r] == 0.0:
-                greedy_row(v, low, high, start, stop, new, spare)
-                continue
-            for _ in range(2):  # once more for the rounding, which is all where v hardly varies
-                mean = 0.0
-                for i in range(start, stop):
-                    mean += rows.phat[i] * v[i]
-                for i in range(start, stop):
-                    v[i] -= mean
-            best[r], bent[r], least = start, 0.0, np.inf
+    spread, curvature, best = np.zeros(n_rows), np.zeros(n_rows), np.zeros(n_rows, np.int64)
+    v, new, total, reached = x.copy(), rows.phat.copy(), 0.0, 0.0
+    for r in range(n_rows):
+        start, stop, n = rows.indptr[r], rows.indptr[r + 1], rows.n[r]
+        if n == 0.0:
+            greedy_row(v, rows.low, rows.high, start, stop, new)
+            continue
+        for _ in range(2):  # once more for the rounding, which is all where v hardly varies
+            mean = 0.0
             for i in range(start, stop):
-                best[r] = i if v[i] > v[best[r]] else best[r]
-                least = min(least, v[i])
-                bent[r] += rows.phat[i] * (v[i] / rows.n[r]) ** 2
-                new[i] = rows.phat[i]
-            spread[r] = (v[best[r]] - least) / rows.n[r]
-            total += rows.n[r] * bent[r]
-        size = spread.max()
-        if size > 0.0:
-            moves = spread > 1e-14 * size
-            if tau[k] == 0.0:
-                tau[k] = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / size
-            tau[k], reached[k] = meet_limit(tau[k], moves, rows, v, best, bent, limit, room, new)
-        blend(rows, share[k], new, p[k])
-    return reached
+                mean += rows.phat[i] * v[i]
+            for i in range(start, stop):
+                v[i] -= mean
+        best[r], least = start, np.inf
+        for i in range(start, stop):
+            best[r] = i if v[i] > v[best[r]] else best[r]
+            least = min(least, v[i])
+            curvature[r] += rows.phat[i] * (v[i] / n) ** 2
+        spread[r] = (v[best[r]] - least) / n
+        total += n * curvature[r]
+    size = spread.max()
+    if size > 0.0:
+        moving = np.flatnonzero(spread > 1e-14 * size)
+        if tau == 0.0:
+            tau = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / size
+        tau, reached = meet_limit(tau, moving, rows, v, best, curvature, limit, room, new)
+    blend(rows, share, new, p)
+    return tau, reached
 
 
 @njit(cache=True, error_model="numpy")
-def meet_limit(tau, moves, rows, v, best, bent, limit, room, p):
+def meet_limit(tau, moving, rows, v, best, curvature, limit, room, p):
     """tau with sum n KL at the limit, from inside, and the sum; Newton's steps in logarithms.
 
     Steps that leave the bracket, or find nothing to go by, become bisections (doublings while there is no bracket).
     """
     near, far, reached = 0.0, np.inf, 0.0
     for _ in range(200):
-        reached, growth = tilt(tau, moves, rows, v, best, bent, p)
+        reached, growth = tilt(tau, moving, rows, v, best, curvature, p)
         if reached <= limit:
             near = tau
             if reached >= limit * (1.0 - room):
@@ -115,39 +205,39 @@ def meet_limit(tau, moves, rows, v, best, bent, limit, room, p):
         if far <= near * (1.0 + 1e-14) or trial == np.inf:
             break
         tau = trial
-    reached, _ = tilt(near, moves, rows, v, best, bent, p)
+    reached, _ = tilt(near, moving, rows, v, best, curvature, p)
     return near, reached
 
 
 @njit(cache=True, error_model="numpy")
-def tilt(tau, moves, rows, v, best, bent, p):
+def tilt(tau, moving, rows, v, best, curvature, p):
     """P of the rows that move into p; sum n KL, and its derivative in log tau.
 
-    ``bent`` is e / tau^2, by which e of one tau is near that of the next; for a small tau the variance of v / n. Mass goes to a
-    next state that was never observed where its u is at least 1 + e: then 1 + e = u there, and it gets what the others leave.
+    ``curvature`` is e / tau^2, by which e of one tau is near that of the next; for a small tau the variance of v / n. Mass goes
+    to a next state that was never observed where its u is at least 1 + e: then 1 + e = u there, and it gets what is left.
     """
-    total, growth = 0.0, 0.0
-    phat = rows.phat
-    for r in np.flatnonzero(moves):
-        start, stop, slope, top = rows.indptr[r], rows.observed[r], tau / rows.n[r], best[r]
-        e = find_root(start, stop, phat, v, slope, tau * tau * bent[r]) if stop > start + 1 else 0.0
-        if stop > start + 1 and tau > 0.0:
-            bent[r] = e / (tau * tau)
+    total, growth, phat = 0.0, 0.0, rows.phat
+    for r in moving:
+        start, stop, slope, top = rows.indptr[r], rows.indptr[r + 1], tau / rows.n[r], best[r]
+        e = find_root(start, stop, phat, v, slope, tau * tau * curvature[r])
+        if e > 0.0:
+            curvature[r] = e / (tau * tau)
         excess = slope * v[top] - 1.0
-        is_new = top >= stop and excess > e
+        is_new = phat[top] == 0.0 and excess > e
         if is_new:
             e = excess
         kl, mass, along, square, across = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(start, stop):
-            u = slope * v[i]
-            x = max(e - u, phat[i] - 1.0)
-            p[i] = phat[i] / (1.0 + x)
-            kl += phat[i] * log1p(x)
-            mass += p[i]
-            along += p[i] * u
-            square += p[i] / (1.0 + x)
-            across += p[i] / (1.0 + x) * u
-        if top >= stop:
+            if phat[i] > 0.0:
+                u = slope * v[i]
+                x = max(e - u, phat[i] - 1.0)
+                p[i] = phat[i] / (1.0 + x)
+                kl += phat[i] * log1p(x)
+                mass += p[i]
+                along += p[i] * u
+                square += p[i] / (1.0 + x)
+                across += p[i] / (1.0 + x) * u
+        if phat[top] == 0.0:
             p[top] = max(1.0 - mass, 0.0) if is_new else 0.0
         growth += rows.n[r] if is_new else rows.n[r] * (across / square - along)
         total += rows.n[r] * kl
@@ -159,16 +249,18 @@ def find_root(start, stop, phat, v, slope, e):
     """e with sum phat / (1 + e - u) = 1, from one near by: 1 / sum is concave in e, so that Newton's steps end below it."""
     low = 0.0
     for i in range(start, stop):
-        low = max(low, slope * v[i] + phat[i] - 1.0)
+        if phat[i] > 0.0:
+            low = max(low, slope * v[i] + phat[i] - 1.0)
     e = max(e, low)
     for _ in range(100):
         excess, square, least = 0.0, 0.0, 1.0
         for i in range(start, stop):
-            x = max(e - slope * v[i], phat[i] - 1.0)  # no p is above 1, which 1 + e - u loses where u is huge
-            share = phat[i] / (1.0 + x)
-            excess -= share * x
-            square += share / (1.0 + x)
-            least = min(least, 1.0 + x)
+            if phat[i] > 0.0:
+                x = max(e - slope * v[i], phat[i] - 1.0)  # no p is above 1, which 1 + e - u loses where u is huge
+                share = phat[i] / (1.0 + x)
+                excess -= share * x
+                square += share / (1.0 + x)
+                least = min(least, 1.0 + x)
         step = (1.0 + excess) * excess / square
         e = max(e + step, low)
         if not abs(step) > max(1e-15 * e, 1e-9 * least * min(e, 1.0), 1e-17):  # what is left is as its square / least
@@ -180,14 +272,14 @@ def find_root(start, stop, phat, v, slope, e):
 def blend(rows, share, new, p):
     """``new`` into ``p``; of mass that goes all to one next state only ``share``, the rest where it was."""
     for r in range(len(rows.n)):
-        start, stop = rows.indptr[r], rows.indptr[r + 1]
-        middle = rows.observed[r] if rows.n[r] > 0.0 else start
         mass, had = 0.0, 0.0
-        for i in range(middle, stop):
-            mass += new[i]
-            had += p[i]
+        for i in range(rows.indptr[r], rows.indptr[r + 1]):
+            if rows.n[r] == 0.0 or rows.phat[i] == 0.0:
+                mass += new[i]
+                had += p[i]
         kept = (1.0 - share) * mass / had if mass > 0.0 and had > 0.0 else 0.0
-        for i in range(start, middle):
-            p[i] = new[i]
-        for i in range(middle, stop):
-            p[i] = (share if kept > 0.0 else 1.0) * new[i] + kept * p[i]
+        for i in range(rows.indptr[r], rows.indptr[r + 1]):
+            if rows.n[r] == 0.0 or rows.phat[i] == 0.0:
+                p[i] = (share if kept > 0.0 else 1.0) * new[i] + kept * p[i]
+            else:
+                p[i] = new[i]

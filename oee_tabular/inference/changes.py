@@ -93,29 +93,24 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     _checks.instance(problem, Problem, "problem")
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     evidence = gather(problem, uniform_policy(problem.simulator))
-    matrix, starts, rows = evidence.model.transitions, evidence.indptr[:-1], evidence.rows
-    simulator = matrix.data / np.add.reduceat(matrix.data, starts)[rows]
-    tested = (evidence.n > 0) & evidence.open_rows
+    n, phat, rows, simulated = evidence.n, evidence.phat, evidence.rows, evidence.rows.weights
+    tested, have, shape = (n > 0) & evidence.open_rows, n > 0, evidence.policy.shape
     number = int(tested.sum())
     radius = anytime_radius if problem.log.by_episodes else independent_radius
-    epsilon = radius(evidence.n, np.diff(evidence.indptr), (1.0 - level) / max(number, 1))
-    more = evidence.phat > simulator
-    seen_mass = np.minimum(np.add.reduceat(np.where(more, evidence.phat, 0.0), starts), 1.0)
-    own_mass = np.add.reduceat(np.where(more, simulator, 0.0), starts)
-    least = np.where(tested, lower_mass(seen_mass, epsilon) - own_mass, 0.0)
-    shape = (evidence.model.n_states, evidence.model.n_actions)
-    apart = np.abs(evidence.phat - simulator)
-    biggest = apart == np.maximum.reduceat(apart, starts)[rows]
-    entry = np.minimum.reduceat(np.where(biggest, np.arange(len(apart)), len(apart)), starts)
-    have = evidence.n > 0
+    epsilon = radius(n, np.diff(rows.indptr), (1.0 - level) / max(number, 1))
+    more, moved = phat > simulated, np.abs(phat - simulated)
+    seen_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
+    least = lower_mass(seen_mass, epsilon) - rows.sums(np.where(more, simulated, 0.0))
+    is_largest = moved == rows.spread(rows.largest(moved))
+    entry = np.minimum.reduceat(np.where(is_largest, np.arange(len(moved)), len(moved)), rows.indptr[:-1])
     return RowChanges(
-        np.maximum(least, 0.0).reshape(shape),
-        np.where(have, 0.5 * np.add.reduceat(apart, starts), 0.0).reshape(shape),
-        evidence.n.reshape(shape),
-        (evidence.n * np.add.reduceat(rel_entr(evidence.phat, simulator), starts)).reshape(shape),
-        np.where(have, matrix.indices[entry], -1).astype(np.int64).reshape(shape),
-        np.where(have, simulator[entry], np.nan).reshape(shape),
-        np.where(have, evidence.phat[entry], np.nan).reshape(shape),
+        np.where(tested, np.maximum(least, 0.0), 0.0).reshape(shape),
+        np.where(have, 0.5 * rows.sums(moved), 0.0).reshape(shape),
+        n.reshape(shape),
+        (n * rows.sums(rel_entr(phat, simulated))).reshape(shape),
+        np.where(have, rows.arrival[entry], -1).astype(np.int64).reshape(shape),
+        np.where(have, simulated[entry], np.nan).reshape(shape),
+        np.where(have, phat[entry], np.nan).reshape(shape),
         level,
         number,
     )

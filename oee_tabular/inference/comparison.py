@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.inference.asymptotic import bootstrap_values
-from oee_tabular.inference.evidence import Evidence, gather, require_squares, simulator_rows
+from oee_tabular.inference.asymptotic import bootstrap_values, value_covariances
+from oee_tabular.inference.evidence import Evidence, gather, require_squares
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
@@ -110,53 +110,48 @@ class Comparison:
         intervals : policy -> likelihood interval, where there is one
         """
         shown = dict(zip(self.names, self.values.tolist(), strict=True)) if values is None else values
+        known, place = intervals or {}, self.names.index
         order = sorted(shown, key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf)
-        known = intervals or {}
-        candidates = [a for a in order if a == order[0] or not any(self._is_better(b, a, known) for b in order)]
-        rows = np.ix_(*[[self.names.index(name) for name in candidates]] * 2)
+
+        def is_better(one: str, other: str, *, by_difference: bool = False) -> bool:
+            i, j = place(one), place(other)
+            if self.lower[i, j] > 0 and max(self.unseen_share[[i, j]]) <= 1.0 - ENOUGH:
+                return True
+            return not by_difference and {one, other} <= set(known) and known[one].lower > known[other].upper
+
+        candidates = [a for a in order if a == order[0] or not any(is_better(b, a) for b in order)]
+        rows = np.ix_(*[[place(name) for name in candidates]] * 2)
         scale = max((abs(x) for x in shown.values() if math.isfinite(x)), default=0.0)
-        are_equal = len(candidates) > 1 and np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale
+        is_one = len(candidates) == 1
+        are_equal = not is_one and bool(np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale)
         level = 1.0 - (len(order) - 1) * (1.0 - self.confidence)
-        is_open = len(candidates) > 1 and not are_equal and self.probability_best.max() > level
-        told = self.unseen_share.max() <= 1.0 - ENOUGH and not is_open
-        best = {name: float(self.probability_best[self.names.index(name)]) if told else None for name in order}
-        margin = self._margin(order[0], order[1], shown, known) if len(candidates) == 1 else None
-        return Decision(tuple(candidates), bool(are_equal), best, margin)
-
-    def _is_better(self, one: str, other: str, intervals: Mapping[str, Interval]) -> bool:
-        if one in intervals and other in intervals and intervals[one].lower > intervals[other].upper:
-            return True
-        pair = self.names.index(one), self.names.index(other)
-        return bool(self.lower[pair] > 0 and max(self.unseen_share[[*pair]]) <= 1.0 - ENOUGH)
-
-    def _margin(
-        self, one: str, other: str, shown: Mapping[str, float], intervals: Mapping[str, Interval]
-    ) -> tuple[float, float, float]:
-        """The difference of the values that are shown, in the paired interval, or in what likelihood intervals leave."""
-        difference, pair = shown[one] - shown[other], (self.names.index(one), self.names.index(other))
+        is_open = not (is_one or are_equal) and self.probability_best.max() > level
+        says = self.unseen_share.max() <= 1.0 - ENOUGH and not is_open
+        best = {name: float(self.probability_best[place(name)]) if says else None for name in order}
+        if not is_one:
+            return Decision(tuple(candidates), are_equal, best, None)
+        # the difference of the values that are shown, in the paired interval, or in what likelihood intervals leave
+        one, other = order[:2]
+        difference, pair = shown[one] - shown[other], (place(one), place(other))
         lower, upper = float(self.lower[pair]), float(self.upper[pair])
-        if not self._is_better(one, other, {}):
-            lower = intervals[one].lower - intervals[other].upper
-            upper = intervals[one].upper - intervals[other].lower
-        return difference, min(lower, difference), max(upper, difference)
+        if not is_better(one, other, by_difference=True):
+            lower, upper = known[one].lower - known[other].upper, known[one].upper - known[other].lower
+        return Decision((one,), False, best, (difference, min(lower, difference), max(upper, difference)))
 
     def __str__(self) -> str:
-        header, *rows = self._rows()
         width = max(len(name) for name in self.names)
-        lines = [f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip() for row in rows]
-        head = f"{header[0]:<{width}}  {header[1]:>10}  {header[2]:>10}  {header[3]:>7}  {header[4]}"
-        return "\n".join([head, *lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
+        lines = [
+            f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip() for row in self._rows()
+        ]
+        return "\n".join([*lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
 
     def _rows(self) -> list[list[str]]:
         """The header, then a row each policy; P(best) is left out where the log cannot say."""
-        rows, best = (
-            [["policy", "value", "std. error", "P(best)", "difference from the best"]],
-            self.decide().probability_best,
-        )
+        rows = [["policy", "value", "std. error", "P(best)", "difference from the best"]]
+        best = self.decide().probability_best
         for i, name in enumerate(self.names):
-            difference, share = "", best[name]
+            difference, share, ends = "", best[name], (self.lower[i, 0], self.upper[i, 0])
             if i:
-                ends = self.lower[i, 0], self.upper[i, 0]
                 difference = f"{self.differences[i, 0]:{_printing.spec(*ends)}} {_printing.interval(*ends)}"
             numbers = f"{self.values[i]:.5g}", f"{self.standard_errors[i]:.2g}"
             rows.append([name, *numbers, "-" if share is None else f"{share:.1%}", difference])
@@ -224,18 +219,17 @@ def compare_policies(
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     named = several_policies(policies, problem.simulator)
     require_squares(problem.model)
-    _checks.require_memory(4.0 * _checks.positive_integer(n_draws, "n_draws") * len(named), "n_draws", n_draws)
-    parts = {name: gather(problem, policy, lower_ratio, upper_ratio) for name, policy in named.items()}
-    names, evidences = list(parts), list(parts.values())
-    values = np.array([policy_value(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences])
-    recorded, never = _covariances(evidences)
+    number = _checks.positive_integer(n_draws, "n_draws")
+    _checks.require_memory(4.0 * number * len(named), "n_draws", n_draws)
+    evidences = [gather(problem, policy, lower_ratio, upper_ratio) for policy in named.values()]
+    values = np.array([policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences])
+    recorded, never = value_covariances(evidences, prior=1.0)
     room = (1.0 - (lower_ratio or 0.0)) * ((np.inf if upper_ratio is None else upper_ratio) - 1.0)
     never = never * min(1.0, room)
     generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never
-        noise = generator.standard_normal((_checks.positive_integer(n_draws, "n_draws"), len(names)))
-        draws = values + noise @ _root(covariance).T
+        draws = values + generator.standard_normal((number, len(values))) @ _root(covariance).T
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         fixed = int(generator.integers(1 << 62))  # the same resamples for every policy
@@ -244,38 +238,30 @@ def compare_policies(
         )
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
-    top = (
+    is_top = (
         draws >= draws.max(axis=1, keepdims=True) - 1e-12 * np.abs(draws).max()
     )  # equals but for rounding share a draw
-    best = np.sum(top / top.sum(axis=1, keepdims=True), axis=0) / len(draws)
+    best = np.sum(is_top / is_top.sum(axis=1, keepdims=True), axis=0) / len(draws)
     order = np.argsort(-values, kind="stable")
-    values, best, covariance = values[order], best[order], covariance[np.ix_(order, order)]
-    unseen = np.array([_unknown_time(problem, evidences[i]) for i in order])
-    variance = np.diag(covariance)
+    values, covariance = values[order], covariance[np.ix_(order, order)]
+    variance = np.maximum(np.diag(covariance), 0.0)
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    half = z * np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
+    down, up = np.array([_outside_changes(problem, evidences[i], z) for i in order]).T
+    outside = (down[:, None] + up[None, :]) * (1.0 - np.eye(len(values)))
     difference = values[:, None] - values[None, :]
-    spread = np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
-    z = float(ndtri(0.5 + level / 2.0))
-    down, up = np.array([_swing(problem, evidences[i], z) for i in order]).T
     return Comparison(
-        tuple(names[i] for i in order),
+        tuple(list(named)[i] for i in order),
         values,
-        np.sqrt(np.maximum(variance, 0.0)),
+        np.sqrt(variance),
         difference,
-        difference - z * spread - _differs(down, up),
-        difference + z * spread + _differs(up, down),
-        best,
+        difference - half - outside,
+        difference + half + outside.T,
+        best[order],
         covariance,
-        unseen,
+        np.array([_unseen_share(problem, evidences[i]) for i in order]),
         level,
     )
-
-
-def _unknown_time(problem: Problem, evidence: Evidence) -> float:
-    time = time_in_pairs(evidence.with_rows(evidence.phat), evidence.policy, evidence.horizon)
-    dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
-    unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
-    left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
-    return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
 
 
 def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
@@ -286,7 +272,15 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     return named
 
 
-def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
+def _unseen_share(problem: Problem, evidence: Evidence) -> float:
+    time = time_in_pairs(evidence.fitted, evidence.policy, evidence.horizon)
+    dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
+    unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
+    left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
+    return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
+
+
+def _outside_changes(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
     """By how much dropped transitions, and the simulator's own sampling, may change a value: down, up."""
     margin = outside_margin(problem, evidence)
     if margin is None:
@@ -295,30 +289,11 @@ def _swing(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float
     return margin.down + half, margin.up + half
 
 
-def _differs(one: Array, other: Array) -> Array:
-    """(k, k) by how much dropped moves may change a difference: that of the row's policy and that of the column's, at worst."""
-    both = one[:, None] + other[None, :]
-    np.fill_diagonal(both, 0.0)
-    return np.asarray(both)
-
-
-def _covariances(evidences: list[Evidence]) -> tuple[Array, Array]:
-    """Of the values, (k, k) each: from the rows that the log has, and from those that it has not, as of one move."""
-    first = evidences[0]
-    rows, n = first.rows, first.n[first.rows]
-    law = (n * first.phat + simulator_rows(first)) / (n + 1.0)
-    gradients = [transition_gradient(e.with_rows(e.phat), e.policy, horizon=e.horizon) for e in evidences]
-    centred = np.array([g - np.add.reduceat(law * g, first.indptr[:-1])[rows] for g in gradients])
-    weight = law / np.maximum(n, 1.0)
-    recorded, never = ((centred * np.where(chosen, weight, 0.0)) @ centred.T for chosen in (n > 0, n == 0))
-    return np.asarray(recorded), np.asarray(never)
-
-
 def _root(covariance: Array) -> Array:
     """B with B B^T = covariance; what of it is rounding, whose root is not, is left out: equal rows stay equal."""
     values, vectors = np.linalg.eigh(covariance)
-    real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
-    return np.asarray(vectors * np.sqrt(np.where(real, values, 0.0)))
+    is_real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(vectors * np.sqrt(np.where(is_real, values, 0.0)))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,13 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
-from oee_tabular._sparse import align, row_of_entry
+from oee_tabular._checks import Array, BoolArray, PolicyLike
+from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.mdp.naming import names_of
+from oee_tabular.mdp.rows import Rows
 
 LARGEST_REWARD = 1e140
 
@@ -26,24 +27,39 @@ class Evidence:
     """A problem as the sets of distributions read it, on the entries of the simulator's transitions.
 
     ``phat`` (entries,) frequencies (the simulator's rows where there are none), ``n`` (S*A,) counts, ``low`` and ``high`` the
-    box lower_ratio * P and upper_ratio * P (at most 1), ``open_rows`` those with more than one next state.
+    box lower_ratio * P and upper_ratio * P (at most 1).
     """
 
     model: FiniteMDP
     policy: Array
     horizon: int | None
-    indptr: IntArray
+    rows: Rows
     phat: Array
     n: Array
     low: Array
     high: Array
-    open_rows: BoolArray
     has_box: bool
 
-    @property
-    def rows(self) -> IntArray:
-        """The row of each entry."""
-        return row_of_entry(self.model.transitions)
+    @cached_property
+    def open_rows(self) -> BoolArray:
+        """(S*A,) the rows with more than one next state."""
+        return np.diff(self.rows.indptr) > 1
+
+    @cached_property
+    def pay(self) -> Array:
+        """(entries,) r(s, a, s')."""
+        data = self.model.reward_data
+        return self.rows.spread(self.model.rewards.reshape(-1)) if data is None else data
+
+    @cached_property
+    def reachable(self) -> BoolArray:
+        """(S*A,) the rows that the policy can reach in some model on the simulator's support."""
+        return reachable_rows(self)
+
+    @cached_property
+    def fitted(self) -> ReweightedModel:
+        """The maximum-likelihood model."""
+        return self.with_rows(self.phat)
 
     def with_rows(self, probabilities: Array) -> ReweightedModel:
         """The model with these probabilities on the simulator's entries, zeros kept."""
@@ -54,37 +70,28 @@ def gather(
     problem: Problem, policy: PolicyLike, lower_ratio: float | None = None, upper_ratio: float | None = None
 ) -> Evidence:
     """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
-    return evidence_of(problem.model, problem.counts, problem.horizon, policy, lower_ratio, upper_ratio)
+    pi, counts = check_policy(policy, problem.model), problem.counts
+    return evidence_of(problem.model, pi, problem.horizon, counts, lower_ratio, upper_ratio)
 
 
 def evidence_of(
-    model: FiniteMDP, counts: sparse.csr_array, horizon: int | None, policy: PolicyLike, lower_ratio: float | None = None,
-    upper_ratio: float | None = None,
-) -> Evidence:  # fmt: skip
-    """The same of a model and counts on its support."""
-    pi = check_policy(policy, model)
-    low = 0.0 if lower_ratio is None else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
-    high = np.inf if upper_ratio is None else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
-    matrix = model.transitions
-    indptr = matrix.indptr.astype(np.int64)
-    rows = row_of_entry(matrix)
-    observed, _ = align(counts, matrix)
-    n = np.add.reduceat(observed, indptr[:-1])
-    probability = matrix.data / np.add.reduceat(matrix.data, indptr[:-1])[rows]
-    phat = np.where(n[rows] > 0, observed / np.maximum(n[rows], 1.0), probability)
-    above = np.minimum(high * probability, 1.0) if np.isfinite(high) else np.ones(len(phat))
-    return Evidence(
-        model,
-        pi,
-        horizon,
-        indptr,
-        phat,
-        n,
-        low * probability,
-        above,
-        np.diff(indptr) > 1,
-        lower_ratio is not None or upper_ratio is not None,
-    )
+    model: FiniteMDP,
+    policy: Array,
+    horizon: int | None,
+    counts: sparse.csr_array | None,
+    lower_ratio: float | None,
+    upper_ratio: float | None,
+) -> Evidence:
+    """The same of a model and counts on its support, or None, for a policy that was checked."""
+    nu = 0.0 if lower_ratio is None else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
+    mu = np.inf if upper_ratio is None else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    rows = Rows.of(model)
+    observed = np.zeros(len(rows.weights)) if counts is None else align(counts, model.transitions)[0]
+    n = rows.sums(observed)
+    phat = np.where(rows.spread(n) > 0, rows.frequencies(observed), rows.weights)
+    high = np.minimum(mu * rows.weights, 1.0) if np.isfinite(mu) else np.ones(len(phat))
+    has_box = lower_ratio is not None or upper_ratio is not None
+    return Evidence(model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box)
 
 
 def require_squares(model: FiniteMDP) -> None:
@@ -97,28 +104,18 @@ def require_squares(model: FiniteMDP) -> None:
         )
 
 
-def simulator_rows(evidence: Evidence) -> Array:
-    """(entries,) the simulator's probabilities, rows summing to 1."""
-    data = evidence.model.transitions.data
-    return np.asarray(data / np.add.reduceat(data, evidence.indptr[:-1])[evidence.rows])
-
-
 def unseen_time(evidence: Evidence) -> float:
     """Of the policy's discounted time, the share in open rows without data, which are the simulator's."""
-    time = occupancy(evidence.with_rows(evidence.phat), evidence.policy, horizon=evidence.horizon)
+    time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 
 
 def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
-    """(S*A,) rows that the policy can reach in some model on the simulator's support; with ``steps``, as one of its first."""
-    model = evidence.model
-    taken = evidence.policy > 0
-    rows, columns = row_of_entry(model.transitions), model.transitions.indices
-    used = taken.reshape(-1)[rows]
-    size = model.n_states
-    starts = np.flatnonzero(model.initial > 0)  # a node of its own leads to every start
-    tail = np.concatenate([rows[used] // model.n_actions, np.full(len(starts), size)])
-    head = np.concatenate([columns[used], starts])
+    """``reachable``; with ``steps``, as one of the policy's first."""
+    taken, size = evidence.policy > 0, evidence.model.n_states
+    state, _, following = evidence.rows.select(taken.reshape(-1)).transitions
+    starts = np.flatnonzero(evidence.model.initial > 0)  # a node of its own leads to every start
+    tail, head = np.append(state, np.full(len(starts), size)), np.append(following, starts)
     graph = sparse.csr_array((np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1))
     seen = np.zeros(size + 1, dtype=np.bool_)
     if steps is None or steps >= size:
@@ -130,6 +127,6 @@ def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
 
 def describe_rows(evidence: Evidence, rows: Any) -> str:
     """The first rows, as (s, a) with their counts."""
-    n_actions, names = evidence.model.n_actions, names_of(evidence.model)
+    n_actions, names = evidence.model.n_actions, evidence.model.names
     named = ", ".join(f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})" for r in rows[:5])
     return named + ("" if len(rows) <= 5 else f" and {len(rows) - 5} more")

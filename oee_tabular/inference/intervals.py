@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -12,7 +12,8 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
-from oee_tabular.inference.asymptotic import bootstrap_values, delta_ends
+from oee_tabular.exact import policy_value
+from oee_tabular.inference.asymptotic import bootstrap_values, value_covariances
 from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
@@ -29,6 +30,9 @@ from oee_tabular.mdp import check_policy
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
+NO_VARIATION = (
+    "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
+)
 
 
 @dataclass(frozen=True)
@@ -180,58 +184,57 @@ def interval(
             "lower_ratio and upper_ratio must be None where impossible moves were dropped: no box holds those"
         )
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
-    diagnostics, margin = _describe_unobserved(evidence), outside_margin(problem, evidence)
-    if margin is not None:
-        diagnostics |= margin.diagnostics
-
-    def finish(lower: float, upper: float, added: dict[str, Any]) -> Interval:
-        if margin is not None:
-            lower, upper = margin.widen(lower, upper, NormalDist().inv_cdf(0.5 + level / 2.0))
-        return Interval(lower, upper, level, method, diagnostics | added)
-
-    if evidence.has_box:
-        wrong = find_contradictions(evidence, level, kind)
-        if wrong.size:
-            status = (
-                f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
-                f"{wrong.size} rows, with confidence {level:g}: {describe_rows(evidence, wrong)}; widen it"
-            )
-            return Interval(np.nan, np.nan, level, method, diagnostics | {"contradicted_rows": wrong}, status)
-    if method == "delta":
-        lower, upper, error = delta_ends(evidence, level)
-        return _require_variation(finish(lower, upper, {"standard_error": error}), evidence)
-    if method == "bootstrap":
-        number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-        values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
-        tail = (1.0 - level) / 2.0
-        low, high = (float(x) for x in np.quantile(values, [tail, 1.0 - tail]))
-        return _require_variation(finish(low, high, {"standard_error": float(values.std(ddof=1))}), evidence)
+    z, margin = NormalDist().inv_cdf(0.5 + level / 2.0), outside_margin(problem, evidence)
+    unvisited = _count_unvisited(evidence)
+    facts: dict[str, Any] = {"unvisited_share": unseen_time(evidence), "unvisited_rows": unvisited}
+    facts |= {} if margin is None else margin.diagnostics
+    wrong = find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
+    if wrong.size:
+        status = (
+            f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
+            f"{wrong.size} rows, with confidence {level:g}: {describe_rows(evidence, wrong)}; widen it"
+        )
+        return Interval(np.nan, np.nan, level, method, facts | {"contradicted_rows": wrong}, status)
+    sampling: tuple[float, float] | None = None
     if method == "likelihood":
-        ends = likelihood_ends(evidence, level)
+        low, high = likelihood_ends(evidence, level)
+        lower, upper = low.value, high.value
         names = {
             "divergence": "divergence",
             "iterations": "iterations",
             "change": "last_change",
             "promised": "promised",
         }
-        added: dict[str, Any] = {told: max(getattr(end, name) for end in ends) for name, told in names.items()}
-        sampling: tuple[float, float] | None = ends[0].value, ends[1].value
-        if has_dropped or diagnostics["unvisited_rows"]:
-            sampling = _interval_as_estimated(problem, evidence, level, (ends[0].value, ends[1].value))
-            added["sampling_method"] = "value ± quantile x standard error"
-        return replace(finish(ends[0].value, ends[1].value, added), sampling=sampling)
-    require_squares(problem.model)
-    radius_of_row = radii(evidence, level, kind)
-    lowest, highest = (extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0))
-    if lowest.contradicted.size:
-        status = f"the counts and the box contradict each other in rows {describe_rows(evidence, lowest.contradicted)}"
-        return Interval(np.nan, np.nan, level, "robust", diagnostics, status)
-    certified: dict[str, object] = {
-        "radius": kind,
-        "sweeps": max(lowest.sweeps, highest.sweeps),
-        "certified_beyond": max(abs(end.bound - end.value) for end in (lowest, highest)),
-    }
-    return finish(lowest.bound, highest.bound, certified)
+        facts |= {shown: max(getattr(low, name), getattr(high, name)) for name, shown in names.items()}
+        sampling = lower, upper
+        if has_dropped or unvisited:
+            sampling = _interval_as_estimated(problem, evidence, z, sampling)
+            facts["sampling_method"] = "value ± quantile x standard error"
+    elif method == "robust":
+        require_squares(problem.model)
+        radius_of_row = radii(evidence, level, kind)
+        ends = [extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0)]
+        lower, upper = (end.bound for end in ends)
+        beyond = max(abs(end.bound - end.value) for end in ends)
+        facts |= {"radius": kind, "sweeps": max(end.sweeps for end in ends), "certified_beyond": beyond}
+    else:
+        if method == "delta":
+            value = policy_value(evidence.fitted, evidence.policy, horizon=evidence.horizon)
+            error = float(np.sqrt(value_covariances([evidence], prior=0.0)[0][0, 0]))
+            lower, upper = value - z * error, value + z * error
+        else:
+            number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
+            values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
+            lower, upper = (float(x) for x in np.quantile(values, [(1.0 - level) / 2.0, (1.0 + level) / 2.0]))
+            error = float(values.std(ddof=1))
+        facts["standard_error"] = error
+    if margin is not None:
+        lower, upper = margin.widen(lower, upper, z)
+    varies = upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & evidence.reachable).any()
+    if method in ("delta", "bootstrap") and not varies:
+        facts["standard_error"] = np.nan
+        return Interval(np.nan, np.nan, level, method, facts, NO_VARIATION)
+    return Interval(lower, upper, level, method, facts, sampling=sampling)
 
 
 def _interval_under(
@@ -253,33 +256,20 @@ def _interval_under(
 
 
 def _interval_as_estimated(
-    problem: Problem, evidence: Evidence, level: float, quoted: tuple[float, float]
+    problem: Problem, evidence: Evidence, z: float, quoted: tuple[float, float]
 ) -> tuple[float, float] | None:
     """The default's value, plus or minus a normal quantile times its standard error; within the quoted ends under a box."""
     estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None
-    half = NormalDist().inv_cdf(0.5 + level / 2.0) * estimate.standard_error
-    ends = estimate.value - half, estimate.value + half
+    ends = estimate.value - z * estimate.standard_error, estimate.value + z * estimate.standard_error
     return tuple(np.clip(ends, *quoted).tolist()) if evidence.has_box else ends
 
 
-def _require_variation(found: Interval, evidence: Evidence) -> Interval:
-    """An interval from the log's own variation; without any there is none, and neither error nor interval."""
-    lower, upper = found.lower, found.upper
-    if upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & reachable_rows(evidence)).any():
-        return found
-    status = (
-        "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
-    )
-    unknown = found.diagnostics | {"standard_error": np.nan}
-    return Interval(np.nan, np.nan, found.confidence, found.method, unknown, status)
-
-
-def _describe_unobserved(evidence: Evidence) -> dict[str, Any]:
-    """How much of what the policy does the log has never seen."""
+def _count_unvisited(evidence: Evidence) -> int:
+    """How many rows bear on the value and were never recorded."""
     steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
     if steps is not None and evidence.model.reward_data is None:
         steps -= 1  # where the last step leads pays nothing more
-    reached = (evidence.n == 0) & evidence.open_rows & reachable_rows(evidence, steps)
-    return {"unvisited_share": unseen_time(evidence), "unvisited_rows": int(reached.sum())}
+    reached = evidence.reachable if steps is None else reachable_rows(evidence, steps)
+    return int(((evidence.n == 0) & evidence.open_rows & reached).sum())

@@ -26,150 +26,220 @@ NeurIPS 2020.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
 
-from oee_tabular._checks import Array
-from oee_tabular.exact import policy_value
-from oee_tabular.inference.evidence import Evidence, simulator_rows
-from oee_tabular.inference.policy_rows import FINE, Points, PolicyRows
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.exact import policy_value, solvers
+from oee_tabular.exact.system import Kernel, System, as_readonly
+from oee_tabular.inference import _likelihood as kernels
+from oee_tabular.inference.evidence import Evidence
+from oee_tabular.mdp.horizons import optional_horizon_length
 
-N_DRAWS = 16  # ascents from drawn directions, of small problems
+N_DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms)
+N_DRAWS = 16  # ascents from drawn directions, at most, of small problems
+DRAWS_EACH = 4  # such ascents for each transition that the log lacks; without any 0 of 800 ends needed one
 AFFORDED = 10**6  # transitions of the simulator, times the steps of a value, that share such ascents among them
 N_SWEEPS = 15  # steps of a value without a horizon, in time
-N_ITERATIONS = 200  # at most; ten are usual
-N_QUIET = 4  # iterations that move the end by less than a share of the way from the frequencies' value are the last
-SETTLED = 3e-8  # that share
+SETTLED = 3e-8  # of the way from the frequencies' value: by how much the last iterations may move an end
 SCOUTED = 1e-3  # the same of all ascents of large problems, of which the best is continued
-EXACT = 1e-8  # of the limit: how closely it is met in the end
-SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
-GROWTH = 1.2  # of a, after a step that was no worse; doubling it is refused every other time
-LEAST_STEP = 1e-3  # a, from which on steps are taken as they are
-TINY = 1e-300
+ROUGH = 1e-3  # of what V and d of the rows before miss in new rows: what is left of it, in large problems
+FINE = 1e-9  # the same, where nothing is near
 
 
-@dataclass(frozen=True, eq=False)
-class LikelihoodEnd:
+class End(NamedTuple):
     """An end of the interval.
 
-    ``rows`` are the probabilities of the model that has it, best for ``direction``; ``divergence`` its sum of n KL (c where
-    the set binds), ``change`` the last iteration's; ``promised`` is the most that rows of the set have beyond it to first
-    order, max G (P'' - P'): 0 at a stationary point.
+    ``rows`` are the probabilities of the model that has it, ``divergence`` their sum of n KL (c where the set binds),
+    ``change`` the last iteration's; ``promised`` is the most that rows of the set have beyond it to first order, max G (P'' -
+    P'): 0 at a stationary point.
     """
 
     value: float
     rows: Array
-    direction: Array
-    divergence: float
+    promised: float
     iterations: int
+    divergence: float
     change: float
-    promised: float = np.nan
 
 
-def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[LikelihoodEnd, LikelihoodEnd]:
+class PolicyRows(NamedTuple):
+    """An Evidence cut down to the rows that the policy reaches in any model on the simulator's support, as kernels read it.
+
+    ``entries`` are those of the evidence; states are numbered anew; ``n_steps`` is 0 without a horizon; rewards are
+    given in their largest one as ``unit``, so that floats hold the squares of values.
+    """
+
+    entries: Any
+    indptr: IntArray
+    state: IntArray
+    column: IntArray
+    weight: Array
+    pay: Array
+    phat: Array
+    n: Array
+    low: Array
+    high: Array
+    initial: Array
+    edges: Any
+    columns: Any
+    edge: IntArray
+    discount: float
+    n_steps: int
+    unit: float
+
+    @classmethod
+    def from_evidence(cls, evidence: Evidence) -> PolicyRows:
+        """Cut and number them."""
+        model, rows = evidence.model, evidence.rows.select(evidence.reachable)
+        states, place = np.unique(rows.state, return_inverse=True)
+        n, number = len(states), np.zeros(model.n_states, dtype=np.int64)
+        number[states] = np.arange(n)
+        state, column = rows.spread(place), number[rows.arrival]
+        unit = float(np.abs(evidence.pay).max()) or 1.0
+        edges, edge = np.unique(state * n + column, return_inverse=True)
+        return cls(
+            rows.entries,
+            rows.indptr,
+            state,
+            column,
+            rows.spread(evidence.policy.reshape(-1)[rows.number]),
+            evidence.pay[rows.entries] / unit,
+            evidence.phat[rows.entries],
+            evidence.n[rows.number],
+            evidence.low[rows.entries],
+            evidence.high[rows.entries],
+            model.initial[states],
+            as_readonly(np.searchsorted(edges, np.arange(n + 1) * n).astype(np.uint32)),
+            as_readonly((edges % n).astype(np.uint32)),
+            edge,
+            model.discount,
+            optional_horizon_length(evidence.horizon, model, kept=model.n_states) or 0,
+            unit,
+        )
+
+    @property
+    def has_data(self) -> BoolArray:
+        """(entries,) whether the log has the row."""
+        return np.repeat(self.n > 0, np.diff(self.indptr))
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether V and d are solved for by the solvers of ``exact``."""
+        return len(self.initial) > N_DENSE and not self.n_steps
+
+
+class Ascent(NamedTuple):
+    """Where an ascent is: rows p, found for ``last_x``, with the gradient of J there (negative on the way down).
+
+    Then x and the rows on ``trial``, with their V, d and gradient of J (``slope``).
+    """
+
+    numbers: Any
+    p: Array
+    last_x: Array
+    gradient: Array
+    x: Array
+    trial: Array
+    values: Array
+    visits: Array
+    slope: Array
+
+
+def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
     """Find the smallest and the largest value in the set."""
-    limit = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile
     rows = PolicyRows.from_evidence(evidence)
-    base = rows.evaluate(rows.arrays.phat[None], None, FINE)
-    starts = [(sign, x[None]) for sign in (-1.0, 1.0) for x in _start_directions(rows, evidence, base, sign)]
-    groups, settled = ([starts], SETTLED) if rows.is_small else ([[start] for start in starts], SCOUTED)
-    ends: dict[float, LikelihoodEnd] = {}
-    for group in groups:
-        signs, x = np.array([sign for sign, _ in group]), np.concatenate([x for _, x in group])
-        for sign, end in zip(signs.tolist(), ascend(rows, x, signs, limit, base, settled), strict=True):
-            if sign not in ends or sign * (end.value - ends[sign].value) > 0.0:
-                ends[sign] = end
-    if not rows.is_small:
-        for sign, end in ends.items():
-            (ends[sign],) = ascend(rows, end.direction[None], np.array([sign]), limit, base, SETTLED)
-    low, high = (_finish(rows, evidence, base, limit, sign, ends[sign]) for sign in (-1.0, 1.0))
+    base, own = _begin(rows, rows.phat), _begin(rows, evidence.rows.weights[rows.entries])
+    base.numbers["limit"] = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile
+    ahead = rows.pay + rows.discount * own.values[rows.column]
+    low, high = (_find_end(rows, evidence, base, ahead, sign) for sign in (-1.0, 1.0))
     return low, high
 
 
-def _finish(
-    rows: PolicyRows, evidence: Evidence, base: Points, limit: float, sign: float, end: LikelihoodEnd
-) -> LikelihoodEnd:
-    """The value to rounding, the rows among all, and what is promised."""
-    point = rows.evaluate(end.rows[None], base, FINE)
-    ahead, _ = rows.best_rows(sign * point.gradient, point.p, np.ones(1), limit, EXACT, np.zeros(1))
-    promised = np.where(rows.has_data, sign * point.gradient * (ahead - point.p), 0.0).sum()
+def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, ahead: Array, sign: float) -> End:
+    """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised.
+
+    Directions are the gradient at the frequencies, r + gamma V of the simulator (``ahead``), and those that are drawn.
+    """
+    is_large = len(rows.initial) > N_DENSE
+    settled, end = SCOUTED if is_large else SETTLED, base
+    for x in itertools.chain([sign * base.slope, sign * ahead], _draw_directions(rows)):
+        ascent = _ascend(rows, base, x, sign, settled)
+        if end is base or sign * (ascent.numbers["value"] - end.numbers["value"]) > 0.0:
+            end = ascent
+    if is_large:
+        end = _ascend(rows, base, end.last_x, sign, SETTLED)
+    _evaluate(rows, end.p, end, FINE)
+    end.trial[:] = end.p
+    numbers = end.numbers[0]
+    kernels.best_rows(rows, sign * end.slope, 1.0, numbers["limit"], kernels.EXACT, 0.0, end.trial)
+    promised = np.where(rows.has_data, sign * end.slope * (end.trial - end.p), 0.0).sum()
     whole = evidence.phat.copy()
-    whole[rows.entries] = end.rows
+    whole[rows.entries] = end.p
     value = policy_value(evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon)
-    return replace(end, value=value, rows=whole, promised=float(promised))
+    promised, change = rows.unit * float(promised), rows.unit * float(numbers["change"])
+    return End(value, whole, promised, int(numbers["iterations"]), float(numbers["divergence"]), change)
 
 
-def _start_directions(rows: PolicyRows, evidence: Evidence, base: Points, sign: float) -> Iterator[Array]:
-    """The gradient at the frequencies; r + gamma V of the simulator; drawn V, every other time each row's best state alone."""
-    arrays, rng = rows.arrays, np.random.default_rng(5)
-    yield sign * base.gradient[0]
-    own = rows.evaluate(simulator_rows(evidence)[rows.entries][None], base, FINE)
-    yield sign * (arrays.pay + evidence.model.discount * own.values[0][arrays.column])
-    work = len(arrays.phat) * (N_SWEEPS if rows.n_steps is None else rows.n_steps)
-    for k in range(min(max(AFFORDED // max(work, 1), 1), N_DRAWS)):
-        drawn = rng.random(len(arrays.initial))[arrays.column]
-        largest = np.repeat(np.maximum.reduceat(drawn, arrays.indptr[:-1]), np.diff(arrays.indptr))
+def _draw_directions(rows: PolicyRows) -> Iterator[Array]:
+    """Drawn V, every other time each row's best state alone."""
+    rng, is_observed = np.random.default_rng(5), (rows.phat > 0.0) & rows.has_data
+    affordable = AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS))
+    for k in range(min(DRAWS_EACH * int((~is_observed).sum()), max(affordable, 1), N_DRAWS)):
+        drawn = rng.random(len(rows.initial))[rows.column]
+        largest = np.repeat(np.maximum.reduceat(drawn, rows.indptr[:-1]), np.diff(rows.indptr))
         yield (drawn == largest).astype(np.float64) if k % 2 else drawn
 
 
-def ascend(rows: PolicyRows, x: Array, sign: Array, limit: float, base: Points, settled: float) -> list[LikelihoodEnd]:
-    """Run the loop above for several ascents at once, from directions x (k, entries), upwards (sign 1) or downwards (-1).
+def _begin(rows: PolicyRows, p: Array) -> Ascent:
+    """At rows p, whose J is the base."""
+    n, k = len(rows.initial), len(p)
+    start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
+    last_x, gradient, x, trial, slope = np.zeros((5, k))
+    ascent = Ascent(np.zeros(1, dtype=kernels.NUMBERS), p, last_x, gradient, x, trial, np.zeros(n), start, slope)
+    ascent.numbers["value"] = ascent.numbers["base"] = _evaluate(rows, p, ascent, FINE)
+    ascent.numbers["step"], ascent.numbers["change"] = 1.0, np.inf
+    return ascent
 
-    All arrays have a line for each ascent that goes on, ``lane`` its place among the ends.
+
+def _ascend(rows: PolicyRows, base: Ascent, x: Array, sign: float, settled: float) -> Ascent:
+    """Run the loop above from a direction x (entries,), upwards (sign 1) or downwards (-1)."""
+    ascent = Ascent(*(part.copy() for part in base))
+    ascent.x[:], ascent.numbers["sign"], ascent.numbers["settled"] = x, sign, settled
+    if not rows.is_sparse:
+        kernels.ascend(rows, ascent)
+        return ascent
+    is_over = False
+    while not is_over:
+        kernels.propose(rows, ascent)
+        is_over = kernels.accept(ascent, _evaluate(rows, ascent.trial, ascent, ROUGH))
+    return ascent
+
+
+def evaluate_rows(rows: PolicyRows, p: Array) -> float:
+    """J at rows p."""
+    return rows.unit * float(_begin(rows, p).numbers["value"][0])
+
+
+def _evaluate(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
+    """J at rows p, whose V, d and gradient go into the ascent.
+
+    In large problems V and d are corrected from those of the rows before, to a share ``left`` of what these miss, and J = mu V
+    + d (what V misses) is then far closer.
     """
-    k, base_value = len(x), float(base.value[0])
-    ends: dict[int, LikelihoodEnd] = {}
-    lane = np.arange(k)
-    point = Points(*(np.repeat(part, k, axis=0) for part in base))
-    last_x, gradient, divergence = x, np.zeros_like(x), np.zeros(k)
-    step, tau, change, quiet = np.ones(k), np.zeros(k), np.full(k, np.inf), np.zeros(k, dtype=np.int64)
-    for iteration in range(N_ITERATIONS):
-        width = np.abs(point.value - base_value) + TINY
-        slack = SOLVED * np.minimum(change, width)
-        room = float(np.clip(slack / width, EXACT, 1e-3).min())
-        p, reached = rows.best_rows(x, point.p, step, limit, room, tau)
-        new = rows.evaluate(p, point)
-        gain = sign * (new.value - point.value)
-        is_worse = gain < -np.maximum(2.0 * slack, 1e-12 * np.maximum(1.0, np.abs(point.value)))
-        is_worse &= (step >= LEAST_STEP) & (iteration > 0)
-        if iteration == 0:  # drawn directions get the gradient's size, so that they can be mixed
-            sizes = [np.abs(part).sum(axis=1, keepdims=True) for part in (new.gradient, x)]
-            x = x * (sizes[0] / np.maximum(sizes[1], TINY))
-        else:
-            change = np.where(is_worse, change, np.abs(gain))
-        is_still = ~is_worse & (np.abs(gain) <= settled * np.abs(new.value - base_value) + 1e-14 * abs(base_value))
-        quiet = np.where(is_worse, quiet, np.where(is_still, quiet + 1, 0))
-        ended = (
-            (quiet >= N_QUIET)
-            | (is_still & (np.abs(p - point.p).max(axis=1) <= 1e-9))
-            | (iteration == N_ITERATIONS - 1)
-        )
-        point = Points(*_choose(is_worse, point, new))
-        last_x, gradient, divergence = _choose(
-            is_worse, (last_x, gradient, divergence), (x, sign[:, None] * new.gradient, reached)
-        )
-        step = np.where(is_worse, 0.5 * step, np.minimum(1.0, GROWTH * step))
-        for i in np.flatnonzero(ended):
-            numbers = float(divergence[i]), iteration + 1, float(change[i])
-            ends[int(lane[i])] = LikelihoodEnd(float(point.value[i]), point.p[i], last_x[i], *numbers)
-        if ended.all():
-            break
-        if ended.any():
-            point = Points(*(part[~ended] for part in point))
-            kept = (part[~ended] for part in (last_x, gradient, divergence, step, tau, change, quiet, sign, lane))
-            last_x, gradient, divergence, step, tau, change, quiet, sign, lane = kept
-        x = last_x + step[:, None] * (gradient - last_x)
-    return [ends[i] for i in range(k)]
-
-
-def _choose(is_first: Array, first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Line by line."""
-    if not is_first.any():
-        return second
-    return tuple(
-        np.where(is_first.reshape(-1, *[1] * (one.ndim - 1)), one, other)
-        for one, other in zip(first, second, strict=True)
-    )
+    values, visits = ascent.values, ascent.visits
+    if not rows.is_sparse:
+        return float(kernels.evaluate(rows, p, values, visits, ascent.slope))
+    weights = rows.weight * p
+    share, paid = np.bincount(rows.edge, weights), np.bincount(rows.state, weights * rows.pay).astype(np.float64)
+    system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
+    found = solvers.answer(System(system), paid, values, left)
+    value = rows.initial @ found.x + visits @ found.missed
+    values[:] = found.x
+    visits[:] = solvers.answer(System(system, True), rows.initial, visits, left).x
+    kernels.fill_gradient(rows, values, visits, ascent.slope)
+    return float(value)

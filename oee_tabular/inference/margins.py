@@ -28,35 +28,19 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import ReweightedModel, occupancy, policy_value, state_values
+from oee_tabular.exact import occupancy, policy_value, state_values
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import horizon_length, total_discount
 
 
 class Margin(NamedTuple):
-    """J of the frequencies, the variance that the simulator's sampling adds, and what the band takes and adds.
-
-    ``unmet_share`` (None where the simulator is known) and ``dropped_share`` are shares of the policy's discounted time,
-    ``dropped`` a number of transitions.
-    """
+    """J of the frequencies, the variance that the simulator's sampling adds, and what the band takes and adds."""
 
     value: float
     variance: float
     down: float
     up: float
-    unmet_share: float | None
-    dropped_share: float
-    dropped: float
-
-    @property
-    def diagnostics(self) -> dict[str, float]:
-        """For ``Interval``; without those of what is not there."""
-        facts = {} if self.unmet_share is None else {"unmet_share": self.unmet_share}
-        if self.unmet_share is not None:
-            facts["sampling_error"] = float(np.sqrt(self.variance))
-        if self.dropped:
-            facts |= {"dropped_moves": self.dropped, "dropped_share": self.dropped_share}
-        return facts
+    diagnostics: dict[str, float]
 
     def widen(self, lower: float, upper: float, z: float) -> tuple[float, float]:
         """The ends for this simulator, from those for one that is known and rules nothing out wrongly."""
@@ -70,65 +54,57 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     sampling = problem.simulator.sampling
     if sampling is None and not problem.dropped.any():
         return None
-    model, policy, horizon = evidence.model, evidence.policy, evidence.horizon
-    fitted = evidence.with_rows(evidence.phat)
+    policy, horizon, fitted, rows = evidence.policy, evidence.horizon, evidence.fitted, evidence.rows
     share = occupancy(fitted, policy, horizon=horizon).reshape(-1)
-    total = total_discount(model.discount, horizon)
     unmet, variance = np.zeros(len(share)), 0.0
     if sampling is not None:
-        values = state_values(fitted, policy, horizon=horizon)
+        initial, values = evidence.model.initial, state_values(fitted, policy, horizon=horizon)
         unmet = _unmet_share(evidence, sampling.pairs)
-        variance = max(float(model.initial @ values**2) - float(model.initial @ values) ** 2, 0.0) / sampling.starts
+        variance = max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0) / sampling.starts
         if sampling.reward_error is not None:
-            each, _ = align(sampling.reward_error, model.transitions)
-            variance += float((total * share[evidence.rows] * evidence.phat) ** 2 @ each)
+            time = total_discount(fitted.discount, horizon) * share
+            each, _ = align(sampling.reward_error, evidence.model.transitions)
+            variance += float((rows.spread(time) * evidence.phat) ** 2 @ each)
     dropped = problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0)
-    down, up = _band(evidence, fitted, np.minimum(unmet + dropped, 1.0))
-    return Margin(
-        policy_value(fitted, policy, horizon=horizon),
-        variance,
-        down,
-        up,
-        None if sampling is None else float(share @ unmet),
-        float(share @ dropped),
-        float(problem.dropped.sum()),
-    )
+    down, up = _band(evidence, np.minimum(unmet + dropped, 1.0))
+    facts: dict[str, float] = {}
+    if sampling is not None:
+        facts = {"unmet_share": float(share @ unmet), "sampling_error": float(np.sqrt(variance))}
+    if problem.dropped.any():
+        facts |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": float(share @ dropped)}
+    return Margin(policy_value(fitted, policy, horizon=horizon), variance, down, up, facts)
 
 
 def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
     """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's samples, inf where it is known."""
-    known = ~np.isfinite(pairs)
-    simulator = evidence.model.transitions.data * np.where(known, 0.0, pairs)[evidence.rows]
-    number = np.rint(simulator) + np.where(evidence.n > 0, evidence.n, 0.0)[evidence.rows] * evidence.phat
-    once = np.bincount(evidence.rows, np.abs(number - 1.0) < 0.5, len(pairs))
-    total = np.where(known, 1.0, pairs) + evidence.n
-    return np.where(known, 0.0, np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0))
+    rows, known, samples = evidence.rows, ~np.isfinite(pairs), np.where(np.isfinite(pairs), pairs, 0.0)
+    simulated = rows.spread(samples) * evidence.model.transitions.data
+    number = np.rint(simulated) + rows.spread(evidence.n) * evidence.phat
+    once, total = rows.sums((np.abs(number - 1.0) < 0.5).astype(float)), samples + evidence.n
+    share = np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0)
+    return np.where(known, 0.0, share)
 
 
-def _band(evidence: Evidence, fitted: ReweightedModel, q: Array) -> tuple[float, float]:
+def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
     """What a share q (S*A,) of transitions to any state takes and adds, to first order."""
-    policy, gamma = evidence.policy, fitted.discount
+    policy, fitted, gamma = evidence.policy, evidence.fitted, evidence.fitted.discount
     if evidence.horizon is None:
-        values = state_values(fitted, policy)
         time = occupancy(fitted, policy).reshape(-1) / (1.0 - gamma)
-        return float(time @ (q * _reach(evidence, values, -1.0))), float(time @ (q * _reach(evidence, values, 1.0)))
+        down, up = time @ (q[:, None] * _reach(evidence, state_values(fitted, policy)))
+        return float(down), float(up)
     values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
     for _ in range(horizon_length(evidence.horizon, fitted)):
-        each = np.column_stack([q * _reach(evidence, values, sign) for sign in (-1.0, 1.0)])
-        ahead = (each + gamma * (fitted.transitions @ beyond)).reshape(*policy.shape, 2)
-        beyond = np.einsum("sa,sak->sk", policy, ahead)
-        worth = fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape)
-        values = (policy * worth).sum(axis=1)
-    down, up = evidence.model.initial @ beyond
+        ahead = q[:, None] * _reach(evidence, values) + gamma * (fitted.transitions @ beyond)
+        beyond = np.einsum("sa,sak->sk", policy, ahead.reshape(*policy.shape, 2))
+        values = (policy * (fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape))).sum(axis=1)
+    down, up = fitted.initial @ beyond
     return float(down), float(up)
 
 
-def _reach(evidence: Evidence, values: Array, sign: float) -> Array:
-    """(S*A,) by how much the best (sign 1) or worst r + gamma V of any transition differs from the row's own mean."""
-    model, gamma = evidence.model, evidence.model.discount
-    extreme = gamma * sign * float((sign * values).max())
-    mean = gamma * np.bincount(evidence.rows, evidence.phat * values[model.transitions.indices], len(evidence.n))
-    if model.reward_data is not None:
-        mean += np.bincount(evidence.rows, evidence.phat * model.reward_data, len(evidence.n))
-        extreme += sign * float((sign * model.reward_data).max())
-    return np.asarray(np.maximum(sign * (extreme - mean), 0.0))
+def _reach(evidence: Evidence, values: Array) -> Array:
+    """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ from the row's own mean."""
+    rewards, gamma = evidence.model.reward_data, evidence.model.discount
+    paid = np.zeros(1) if rewards is None else rewards  # r(s, a) is the row's own wherever the transition leads
+    mean = evidence.rows.mean(evidence.phat, gamma * values[evidence.rows.arrival] + paid)
+    worst, best = gamma * values.min() + paid.min(), gamma * values.max() + paid.max()
+    return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

@@ -17,19 +17,16 @@ Research 30, 2005.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
+from oee_tabular._checks import PolicyLike
 from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import policy_system, recurrent_states
 from oee_tabular.inference.evidence import Evidence, evidence_of
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.inference.robust import extreme_value
-from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
+from oee_tabular.mdp import FiniteMDP, check_policy
 
 
 @one_thread
@@ -79,17 +76,13 @@ def value_range(
     _checks.instance(simulator, FiniteMDP, "simulator")
     horizon = _checks.optional_horizon(horizon)
     pi = check_policy(policy, simulator, horizon=horizon)
-    nothing = sparse.csr_array(simulator.transitions.shape)
-    evidence = evidence_of(simulator, nothing, None, uniform_policy(simulator), lower_ratio, upper_ratio)
-    evidence = replace(evidence, policy=pi, horizon=horizon)
+    evidence = evidence_of(simulator, pi, horizon, None, lower_ratio, upper_ratio)
     if simulator.discount == 1.0 and horizon is None:
         _require_end(evidence)
     free = np.full(len(evidence.n), np.inf)
     low, high = (extreme_value(evidence, free, sign) for sign in (-1.0, 1.0))
-    facts = {
-        "sweeps": max(low.sweeps, high.sweeps),
-        "certified_beyond": max(abs(end.bound - end.value) for end in (low, high)),
-    }
+    beyond = max(abs(end.bound - end.value) for end in (low, high))
+    facts = {"sweeps": max(low.sweeps, high.sweeps), "certified_beyond": beyond}
     return Interval(low.bound, high.bound, 1.0, "range", facts)
 
 
@@ -99,14 +92,14 @@ def _require_end(evidence: Evidence) -> None:
     The largest set X of such states: of each of its rows nothing has to leave X (nu = 0 or no successor outside), and X can
     take all mass (mu P(X) >= 1).
     """
-    model = evidence.model
+    model, rows = evidence.model, evidence.rows
     system, rewards = policy_system(model, evidence.policy), (evidence.policy * model.rewards).sum(axis=1)
     inside = ~recurrent_states(system, rewards, model.names)  # which refuses a simulator whose own sum diverges
     taken = evidence.policy.reshape(-1) > 0
     while inside.any():
-        kept = inside[model.transitions.indices]
-        leaving = _row_totals(evidence, np.where(kept, 0.0, evidence.low))
-        room = _row_totals(evidence, np.where(kept, evidence.high, 0.0))
+        kept = inside[rows.arrival]
+        leaving = rows.sums(np.where(kept, 0.0, evidence.low))
+        room = rows.sums(np.where(kept, evidence.high, 0.0))
         closed = ~taken | ((leaving <= 0.0) & (room >= 1.0 - _checks.SUM_TOLERANCE))
         smaller = inside & closed.reshape(-1, model.n_actions).all(axis=1)
         if (smaller == inside).all():
@@ -116,7 +109,3 @@ def _require_end(evidence: Evidence) -> None:
                 f"model of the box; with lower_ratio 0 it may stay for ever among states of which s={state} is one"
             )
         inside = smaller
-
-
-def _row_totals(evidence: Evidence, entries: Array) -> Array:
-    return np.asarray(np.add.reduceat(entries, evidence.indptr[:-1]))

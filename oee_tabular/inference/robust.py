@@ -15,15 +15,16 @@ Markov decision processes, Operations Research 53, 2005.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import dot
 from oee_tabular.exact import evaluate_policy, state_values
-from oee_tabular.inference.evidence import Evidence, reachable_rows
+from oee_tabular.inference import _robust as kernels
+from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
 
 N_SWEEPS = 100  # at most; five to ten are usual
@@ -50,105 +51,64 @@ def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
 
 def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
     """(S*A,) radius of each row, the failure probability shared evenly by the rows that are reached and open."""
-    counted = int((evidence.open_rows & reachable_rows(evidence)).sum())
-    level = (1.0 - confidence) / max(counted, 1)
+    level = (1.0 - confidence) / max(int((evidence.open_rows & evidence.reachable).sum()), 1)
     radius = independent_radius if kind == "independent" else anytime_radius
-    return radius(evidence.n, np.diff(evidence.indptr), level)
+    return radius(evidence.n, np.diff(evidence.rows.indptr), level)
 
 
-@dataclass(frozen=True, eq=False)
-class Extreme:
-    """The largest value (``sign`` 1) or the smallest (-1), a bound beyond it, and the model that has it.
-
-    ``contradicted`` are rows whose counts no distribution in the box can explain; then there is no value.
-    """
+class Extreme(NamedTuple):
+    """The largest value or the smallest, a bound beyond it, the Bellman residual that is left, and how many sweeps it took."""
 
     value: float
     bound: float
-    rows: Array
-    sweeps: int
     residual: float
-    contradicted: IntArray
+    sweeps: int
 
 
 def extreme_value(evidence: Evidence, radius: Array, sign: float, *, most: int = N_SWEEPS) -> Extreme:
-    """The extreme of J over the rectangular set, certified (at discount 1 without a horizon, to rounding only)."""
-    model = evidence.model
-    rows = _RowProblems(evidence, radius, sign)
-    steps = optional_horizon_length(evidence.horizon, model, evidence.policy)
+    """The extreme of J over the rectangular set, largest for sign 1, certified (at discount 1 to rounding)."""
+    model, policy = evidence.model, evidence.policy
+    p, guesses = evidence.phat.copy(), np.zeros(len(radius))
+
+    def back_up(values: Array, pi: Array) -> Array:
+        """(S,) sum_a pi max P (r + gamma V), bounds from outside."""
+        ahead = evidence.pay + model.discount * values[evidence.rows.arrival]
+        bound, _ = _solve_rows(evidence, radius, sign * ahead, guesses, p)
+        return np.asarray((pi * (sign * bound).reshape(pi.shape)).sum(axis=1))
+
+    steps = optional_horizon_length(evidence.horizon, model, policy)
     if steps is not None:
         values = np.zeros(model.n_states)
         for t in range(steps - 1, -1, -1):
-            values = rows.back_up(values, t)
-            if rows.contradicted.any():
-                return rows.refuse()
+            values = back_up(values, policy if policy.ndim == 2 else policy[t])
         value = dot(model.initial, values)
-        return Extreme(value, value, rows.p, steps, 0.0, np.zeros(0, dtype=np.int64))
-    values = state_values(evidence.with_rows(evidence.phat), evidence.policy)
+        return Extreme(value, value, 0.0, steps)
+    values = state_values(evidence.fitted, policy)
     residual, rise, sweeps, stalled = np.inf, 0.0, 0, 0
     while sweeps < most:
         sweeps += 1
-        backed = rows.back_up(values)
-        if rows.contradicted.any():
-            return rows.refuse()
+        backed = back_up(values, policy)
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last, residual = residual, float(np.abs(backed - values).max())
         stalled = stalled + 1 if residual >= 0.5 * last else 0
         if residual <= 1e-12 * max(1.0, float(np.abs(values).max())) or stalled >= N_STALLED:
             break
-        values = evaluate_policy(evidence.with_rows(rows.p), evidence.policy).values
+        values = evaluate_policy(evidence.with_rows(p), policy).values
     value = dot(model.initial, values)
     beyond = rise / (1.0 - model.discount) if model.discount < 1.0 else 0.0
-    return Extreme(value, value + sign * beyond, rows.p, sweeps, residual, np.zeros(0, dtype=np.int64))
-
-
-class _RowProblems:
-    """The row problems of one extreme, with multipliers kept as guesses from sweep to sweep."""
-
-    def __init__(self, evidence: Evidence, radius: Array, sign: float) -> None:
-        model = evidence.model
-        self._evidence, self._radius, self._sign = evidence, radius, sign
-        by_move = model.reward_data is not None
-        self._move_rewards = model.reward_data if by_move else 0.0
-        self._row_rewards = 0.0 if by_move else model.rewards.reshape(-1)
-        self._multipliers = np.zeros(len(radius))
-        self.p = evidence.phat.copy()
-        self.contradicted: BoolArray = np.zeros(len(radius), dtype=np.bool_)
-
-    def back_up(self, values: Array, t: int = 0) -> Array:
-        """(S,) sum_a pi max P (r + gamma V), of the policy's step t."""
-        model, policy = self._evidence.model, self._evidence.policy
-        best = self._row_rewards + self.solve(self._move_rewards + model.discount * values[model.transitions.indices])
-        pi = policy if policy.ndim == 2 else policy[t]
-        return np.asarray((pi * best.reshape(pi.shape)).sum(axis=1))
-
-    def solve(self, v: Array) -> Array:
-        """(S*A,) certified bounds on sign * max sum P (sign * v), times sign; the maximisers are in ``p``."""
-        from oee_tabular.inference import _robust as kernel
-
-        part, bound, kl = self._evidence, np.empty(len(self._radius)), np.empty(len(self._radius))
-        kernel.worst_rows(
-            self._radius,
-            part.phat,
-            self._sign * v,
-            part.low,
-            part.high,
-            part.indptr,
-            self._multipliers,
-            self.p,
-            bound,
-            kl,
-        )
-        self.contradicted = np.isfinite(self._radius) & (kl > self._radius * (1.0 + 1e-9) + 1e-15)
-        return self._sign * bound
-
-    def refuse(self) -> Extreme:
-        """No value: the contradicted rows."""
-        return Extreme(np.nan, np.nan, self.p, 0, np.nan, np.flatnonzero(self.contradicted))
+    return Extreme(value, value + sign * beyond, residual, sweeps)
 
 
 def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> IntArray:
     """Rows in which the KL ball of the counts misses the box: the box is wrong there, with the confidence given."""
-    rows = _RowProblems(evidence, radii(evidence, confidence, kind), 1.0)
-    rows.solve(np.zeros(len(evidence.phat)))
-    return np.flatnonzero(rows.contradicted)
+    radius, p = radii(evidence, confidence, kind), evidence.phat.copy()
+    _, kl = _solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
+    return np.flatnonzero(np.isfinite(radius) & (kl > radius * (1.0 + 1e-9) + 1e-15))
+
+
+def _solve_rows(evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array) -> tuple[Array, Array]:
+    """(S*A,) certified bounds on max sum P v, and the KL of the maximisers, which go into p."""
+    bound, kl = np.empty((2, len(radius)))
+    part = evidence
+    kernels.worst_rows(radius, part.phat, v, part.low, part.high, part.rows.indptr, guesses, p, bound, kl)
+    return bound, kl

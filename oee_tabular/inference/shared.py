@@ -17,15 +17,15 @@ need not cover, however many transitions there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.optimize import brentq
+from scipy.special import gammaincinv
 
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact import ReweightedModel, policy_value, transition_gradient
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
@@ -38,54 +38,7 @@ from oee_tabular.ratio.ties import tie_keys
 
 N_LINEARISATIONS = 30
 TOLERANCE = 1e-7  # of the width, by which the last linearisation may still have moved an end
-
-
-@dataclass(frozen=True, eq=False)
-class _Set:
-    """The directions' model on a problem's counts: f, J and its gradient in theta (d,)."""
-
-    problem: Problem
-    policy: Array
-    fit: Ridge
-    whole: Rows
-    risk: tuple[Array, Array]
-    visited: Rows
-
-    def value(self, theta: Array) -> float:
-        """J(P_theta)."""
-        model = with_rows(self.problem.model, self._tilt(theta).at(self.whole))
-        return policy_value(model, self.policy, horizon=self.problem.horizon)
-
-    def gradient(self, theta: Array) -> Array:
-        """dJ / dtheta."""
-        tilt = self._tilt(theta)
-        rows = tilt.at(self.whole)
-        model = with_rows(self.problem.model, rows)
-        slope = transition_gradient(model, self.policy, horizon=self.problem.horizon)
-        return np.asarray(tilt.pull(self.whole, slope * rows).sum(axis=0))
-
-    def risk_of(self, theta: Array) -> float:
-        """f."""
-        columns = self.fit.directions.columns(self.visited)
-        return float(evaluate(columns, self.risk, self._padded(theta), self.fit.penalty)[0])
-
-    def pulled_by(self, force: Array, start: Array) -> Array:
-        """argmin f(theta) - force . theta."""
-        mass, pulled = self.risk
-        moved = pulled.copy()
-        moved[0] += force
-        columns = self.fit.directions.columns(self.visited)
-        theta, _, _ = minimise(columns, (mass, moved), self._padded(start), self.fit.penalty, 1e-22)
-        return np.asarray(theta[0])
-
-    def _padded(self, theta: Array) -> Array:
-        """With no parameters of an action alone."""
-        full = np.zeros(self.fit.theta.shape)
-        full[0] = theta
-        return full
-
-    def _tilt(self, theta: Array) -> Ridge:
-        return replace(self.fit, theta=self._padded(theta))
+LARGEST_LOG_FORCE = 60.0  # of c: beyond it rounding is all that the set has to give
 
 
 def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Directions:
@@ -116,23 +69,68 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
     observed = counts[visited.entries]
     fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
     risk = visited.sums(observed), sum_columns(directions.columns(visited), observed, visited.n_actions)
-    model = _Set(problem, policy, fit, whole, risk, visited)
-    best = fit.theta[0]
-    rise = 0.5 * float(chi2.ppf(level, 1))
-    middle = model.value(best)
-    lower, upper = (_end(model, best, rise, sign, middle) for sign in (-1.0, 1.0))
+    model = _SharedModel(problem, policy, fit, whole, risk, visited)
+    middle = model.value(fit.theta[0])
+    rise = float(gammaincinv(0.5, level))  # half of chi-square's quantile
+    lower, upper = (_end(model, rise, sign, middle) for sign in (-1.0, 1.0))
     return lower, upper, middle
 
 
-def _end(model: _Set, best: Array, rise: float, sign: float, middle: float) -> float:
+@dataclass(frozen=True, eq=False)
+class _SharedModel:
+    """The directions' model on a problem's counts: f, J and its gradient in theta (d,)."""
+
+    problem: Problem
+    policy: Array
+    fit: Ridge
+    whole: Rows
+    risk: tuple[Array, Array]
+    visited: Rows
+
+    def value(self, theta: Array) -> float:
+        """J(P_theta)."""
+        return policy_value(self._target(self._tilt(theta)), self.policy, horizon=self.problem.horizon)
+
+    def gradient(self, theta: Array) -> Array:
+        """dJ / dtheta."""
+        tilt = self._tilt(theta)
+        target = self._target(tilt)
+        slope = transition_gradient(target, self.policy, horizon=self.problem.horizon)
+        return np.asarray(tilt.pull(self.whole, slope * target.transitions.data).sum(axis=0))
+
+    def rise(self, theta: Array) -> float:
+        """f(theta) - f(theta_hat)."""
+        columns = self.fit.directions.columns(self.visited)
+        here, best = (self._tilt(theta).theta, self.fit.theta)
+        return float(np.subtract(*(evaluate(columns, self.risk, x, self.fit.penalty)[0] for x in (here, best))))
+
+    def minimise(self, force: Array) -> Array:
+        """argmin f(theta) - force . theta."""
+        mass, pulled = self.risk
+        moved = pulled.copy()
+        moved[0] += force
+        columns = self.fit.directions.columns(self.visited)
+        theta, _, _ = minimise(columns, (mass, moved), self.fit.theta, self.fit.penalty, 1e-22)
+        return np.asarray(theta[0])
+
+    def _tilt(self, theta: Array) -> Ridge:
+        """With no parameters of an action alone."""
+        full = np.zeros(self.fit.theta.shape)
+        full[0] = theta
+        return replace(self.fit, theta=full)
+
+    def _target(self, tilt: Ridge) -> ReweightedModel:
+        return with_rows(self.problem.model, tilt.at(self.whole))
+
+
+def _end(model: _SharedModel, rise: float, sign: float, middle: float) -> float:
     """The farthest J in the direction ``sign``."""
-    theta, end = best, middle
-    least = model.risk_of(best)
+    theta, end = model.fit.theta[0], middle
     for _ in range(N_LINEARISATIONS):
         force = sign * model.gradient(theta)
         if not np.abs(force).max() > 0:
             break
-        step = _on_boundary(model, best, force, least + rise) - theta
+        step = _maximise_on_boundary(model, force, rise) - theta
         length, last = 1.0, end
         while length > 1e-3 and sign * (end := model.value(theta + length * step)) <= sign * last:
             length *= 0.5  # what lies between two members is one: the set is convex
@@ -142,37 +140,17 @@ def _end(model: _Set, best: Array, rise: float, sign: float, middle: float) -> f
     return end
 
 
-def _on_boundary(model: _Set, best: Array, force: Array, limit: float) -> Array:
-    """argmax force . theta where f <= ``limit``."""
-    size = 1.0 / max(float(np.abs(force).max()), 1e-300)
+def _maximise_on_boundary(model: _SharedModel, force: Array, rise: float) -> Array:
+    """argmax force . theta where f is at most ``rise`` above its minimum."""
 
-    def excess(log_c: float) -> tuple[float, Array]:
-        theta = model.pulled_by(np.exp(log_c) * size * force, best)
-        return model.risk_of(theta) - limit, theta
+    def excess(log_c: float) -> float:
+        return model.rise(model.minimise(np.exp(log_c) / np.abs(force).max() * force)) - rise
 
-    return _root(excess, 0.0)
-
-
-def _root(excess: Callable[[float], tuple[float, Array]], start: float) -> Array:
-    """The argument where an increasing function is 0: bracketed, then by the secant or the middle."""
-    low = high = start
-    below = above = excess(start)
-    while above[0] < 0 and high < 60.0:
-        low, below = high, above
-        high += 2.0
-        above = excess(high)
-    while below[0] > 0 and low > -60.0:
-        high, above = low, below
-        low -= 2.0
-        below = excess(low)
-    for step in range(40):
-        if above[0] - below[0] <= 1e-10 or high - low <= 1e-12:
-            break
-        share = -below[0] / (above[0] - below[0]) if step % 2 == 0 else 0.5
-        middle = low + min(max(share, 0.02), 0.98) * (high - low)
-        new = excess(middle)
-        if new[0] > 0:
-            high, above = middle, new
-        else:
-            low, below = middle, new
-    return below[1]
+    low = high = 0.0
+    while excess(high) < 0 and high < LARGEST_LOG_FORCE:
+        low, high = high, high + 2.0
+    while excess(low) > 0 and low > -LARGEST_LOG_FORCE:
+        low, high = low - 2.0, low
+    if excess(low) < 0.0 < excess(high):
+        low = brentq(excess, low, high, xtol=1e-10)
+    return model.minimise(np.exp(low) / np.abs(force).max() * force)

@@ -241,7 +241,7 @@ def is_best_in_log(problem: Problem, policy: Array) -> bool:
     if problem.simulator.discount == 1.0:
         return False
     evidence = gather(problem, policy)
-    return _is_optimal(evidence.with_rows(evidence.phat), policy) and not _is_optimal(problem.model, policy)
+    return _is_optimal(evidence.fitted, policy) and not _is_optimal(problem.model, policy)
 
 
 def _is_optimal(model: Model, policy: Array) -> bool:

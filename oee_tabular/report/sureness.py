@@ -16,9 +16,8 @@ from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Problem
 from oee_tabular.inference import Comparison, Decision, Interval, compare_policies
-from oee_tabular.inference.evidence import Evidence, gather, reachable_rows
+from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import independent_radius
-from oee_tabular.mdp.rows import Rows
 from oee_tabular.report.assumptions import Assumptions
 
 LARGEST = 10_000_000  # reachable moves beyond which the likelihood interval is left out: it takes many minutes
@@ -94,7 +93,7 @@ def how_sure(
         lacking = "quick was asked for"
     elif (
         len(evidence.phat) > LARGEST
-        and (moves := int(np.diff(evidence.indptr)[reachable_rows(evidence)].sum())) > LARGEST
+        and (moves := int(np.diff(evidence.rows.indptr)[evidence.reachable].sum())) > LARGEST
     ):
         lacking = f"the reachable moves are {moves}, more than {LARGEST}"
     if lacking and guaranteed:
@@ -169,7 +168,7 @@ def _distance(evidence: Evidence) -> str:
     number = int(tested.sum())
     if number == 0:
         return "The log has no move that could tell the target from the simulator."
-    rows = Rows.of(evidence.model).select(tested)
+    rows = evidence.rows.select(tested)
     n, phat, moves = evidence.n[tested], evidence.phat[rows.entries], np.diff(rows.indptr)
     kl = rows.sums(special.rel_entr(phat, rows.weights))
     apart = kl > independent_radius(n, moves, 0.05 / number)

@@ -17,7 +17,7 @@ def rectangular_program(evidence, radius, sign):
     jointly convex, since X log(X / x) is; an exponential cone an entry.
     """
     model, gamma = evidence.model, evidence.model.discount
-    rows, columns = evidence.rows, model.transitions.indices
+    rows, columns = evidence.rows.spread(np.arange(len(evidence.n))), evidence.rows.arrival
     n_states, n_rows, entries = model.n_states, len(evidence.n), len(rows)
     d, x = cp.Variable(n_states), cp.Variable(entries)
     start = np.arange(n_rows) // model.n_actions
@@ -40,7 +40,6 @@ def rectangular_program(evidence, radius, sign):
         constraints.append(
             owner[used] @ cp.rel_entr(mass, x[seen]) <= sparse.diags_array(radius[used]) @ share[used] @ d
         )
-    pay = model.reward_data if model.reward_data is not None else model.rewards.reshape(-1)[rows]
-    problem = cp.Problem(cp.Maximize(sign * (pay @ x)), constraints)
+    problem = cp.Problem(cp.Maximize(sign * (evidence.pay @ x)), constraints)
     assert run(problem, "CLARABEL", (1e-10, 1e-8)) == "optimal"
     return sign * float(problem.value) / (1.0 - gamma)

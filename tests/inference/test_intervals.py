@@ -47,7 +47,6 @@ def test_37_the_worst_row_is_feasible_and_certified(rng, box):
     assert (p >= low - 1e-12).all()
     assert (p <= high + 1e-12).all()
     if kl > epsilon * (1 + 1e-9):  # the ball misses the box: no point of the box is nearer
-        assert np.isinf(above) or np.ptp(v) == 0
         return
     assert_allclose(kl, sum(a * np.log(a / b) for a, b in zip(phat, p, strict=True) if a > 0), atol=1e-9)
     assert above >= p @ v - 1e-12
@@ -81,6 +80,8 @@ def test_43_the_radii_hold_by_enumeration(n, k):
         one, count = np.array([float(n)]), np.array([k])
         epsilon = robust.independent_radius(one, count, level)[0]
         anytime = robust.anytime_radius(one, count, level)[0]
+        published = np.log(1 / level) + (k - 1) * np.log(np.e * (1 + n / (k - 1)))  # Jonsson et al. 2020: n r
+        assert_allclose(n * anytime, published, rtol=1e-13)
         c = n * epsilon
         assert_allclose(np.exp(-c) * (np.e * c / (k - 1)) ** (k - 1), level, rtol=1e-8)
         for p in (np.full(k, 1 / k), np.append(np.full(k - 1, 0.05), 1 - 0.05 * (k - 1))):
@@ -104,7 +105,7 @@ def test_43_the_rows_share_the_probability_of_failure():
     log = oee.sample_transitions(simulator, np.full((16, 4), 1 / 64), 5000, seed=0)
     evidence = evidences.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator))
     size = robust.radii(evidence, 0.9, "independent")
-    k = np.diff(evidence.indptr)
+    k = np.diff(evidence.rows.indptr)
     c = (evidence.n * size)[k > 1]
     bounds = np.exp(-c) * (np.e * c / (k[k > 1] - 1)) ** (k[k > 1] - 1)
     assert_allclose(bounds.sum(), 0.1, rtol=1e-9)
@@ -134,7 +135,7 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
     for _ in range(5):  # members: a step from the counts towards a random row, as far as the ball allows
         p = evidence.phat.copy()
         for k in range(len(evidence.n)):
-            row = slice(evidence.indptr[k], evidence.indptr[k + 1])
+            row = slice(*evidence.rows.indptr[k : k + 2])
             aim = rng.dirichlet(np.ones(row.stop - row.start))
             low, high = 0.0, 1.0 - 1e-9
             for _ in range(40):
@@ -186,10 +187,10 @@ def test_the_rectangular_set_as_one_conic_program():
         box = {"lower_ratio": 0.2, "upper_ratio": 4.0} if trial % 2 else {}
         evidence = evidences.gather(problem, policy, **box)
         size = robust.radii(evidence, 0.9, "independent")
+        if robust.find_contradictions(evidence, 0.9, "independent").size:
+            continue
         for sign in (1.0, -1.0):
             end = robust.extreme_value(evidence, size, sign)
-            if end.contradicted.size:
-                continue
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 peer = rectangular_program(evidence, size, sign)
@@ -290,21 +291,6 @@ def test_rows_that_only_an_unseen_move_reaches_are_set_to_their_extreme(horizon)
     assert_allclose((found.lower, found.upper), (-0.81 * 10 * q, 0.81 * 10 * q), rtol=1e-6)
 
 
-def test_the_profile_is_the_likelihoods():
-    """A bandit: max p . v under n KL <= c, in closed form by a fine grid; the divergence meets its limit."""
-    simulator = oee.FiniteMDP(
-        np.array([[[0, 0.5, 0.5]], [[0, 1, 0]], [[0, 0, 1]]]), np.array([0.0, 1.0, 0.0]), [1, 0, 0], 0.5
-    )
-    log = oee.Transitions([0] * 30, [0] * 30, [1] * 12 + [2] * 18)
-    found = oee.interval(oee.Problem(simulator, log), np.ones((3, 1)))
-    grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
-    kl = 30 * (0.4 * np.log(0.4 / grid) + 0.6 * np.log(0.6 / (1 - grid)))
-    inside = grid[kl <= stats.chi2.ppf(0.95, 1) / 2]  # J = 0.5 * p * 2
-    assert_allclose((found.lower, found.upper), (inside.min(), inside.max()), rtol=1e-4)
-    assert_allclose(found.diagnostics["divergence"], stats.chi2.ppf(0.95, 1) / 2, rtol=1e-6)
-    assert found.diagnostics["last_change"] < 1e-9
-
-
 def test_with_much_data_the_methods_agree():
     simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
     policy = oee.tasks.gridworld_policy(3, 0.5)
@@ -319,16 +305,6 @@ def test_with_much_data_the_methods_agree():
     assert again == oee.interval(problem, policy, method="bootstrap", seed=0)
     guaranteed = oee.interval(problem, policy, method="robust")
     assert guaranteed.lower < delta.lower < delta.upper < guaranteed.upper
-
-
-@given(rngs)
-def test_the_bootstraps_quick_value_is_the_value(rng):
-    from oee_tabular.inference.asymptotic import _quick_value
-
-    _, _, problem, policy = case(rng)
-    evidence = evidences.gather(problem, policy)
-    slow = oee.policy_value(evidence.with_rows(evidence.phat), policy)
-    assert_allclose(_quick_value(evidence, evidence.phat), slow, rtol=1e-9, atol=1e-9)
 
 
 def test_the_bootstrap_draws_each_resample_anew_from_the_users_seed():
@@ -370,15 +346,6 @@ def test_bootstrap_by_episodes():
         oee.interval(bag, policy, method="bootstrap", resample="episodes")
 
 
-@pytest.mark.parametrize(("n", "k", "level"), [(1, 2, 0.05), (10, 2, 0.05), (10, 4, 0.01), (500, 3, 1e-6)])
-def test_the_anytime_radius_is_the_published_one(n, k, level):
-    """Jonsson et al. 2020: n r = log(1/level) + (k - 1) log(e (1 + n / (k - 1)))."""
-    expected = (np.log(1 / level) + (k - 1) * np.log(np.e * (1 + n / (k - 1)))) / n
-    found = robust.anytime_radius(np.array([n, 0.0]), np.array([k, k]), level)
-    assert_allclose(found[0], expected, rtol=1e-13)
-    assert found[1] == np.inf
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_robust_value_that_stops_early_is_still_a_bound(sign, monkeypatch):
     """Values that the sweep did not improve: the Bellman residual counts 1 / (1 - discount) times, less would not do here."""
@@ -387,7 +354,7 @@ def test_a_robust_value_that_stops_early_is_still_a_bound(sign, monkeypatch):
     evidence = evidences.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator), 0.3, 3.0)
     radius = robust.radii(evidence, 0.95, "independent")
     exact = robust.extreme_value(evidence, radius, sign)
-    start = evaluate_policy(evidence.with_rows(evidence.phat), evidence.policy)
+    start = evaluate_policy(evidence.fitted, evidence.policy)
     monkeypatch.setattr(robust, "evaluate_policy", lambda *_: start)
     early = robust.extreme_value(evidence, radius, sign, most=1)
     assert early.sweeps == 1
@@ -482,45 +449,18 @@ def test_no_member_of_the_profile_set_is_outside(rng):
     found = oee.interval(oee.Problem(simulator, log), policy)
     evidence = evidences.gather(oee.Problem(simulator, log), policy)
     limit = stats.chi2.ppf(0.95, 1) / 2
-    held = (evidence.n[evidence.rows] > 0) & (evidence.phat > 0)
-    weight, phat = (evidence.n[evidence.rows] * evidence.phat)[held], evidence.phat[held]
+    n = evidence.rows.spread(evidence.n)
+    held = (n > 0) & (evidence.phat > 0)
+    weight, phat = (n * evidence.phat)[held], evidence.phat[held]
     for _ in range(10):
         weights = rng.exponential(size=len(evidence.phat)) ** 4
-        q = weights / np.add.reduceat(weights, evidence.indptr[:-1])[evidence.rows]
-        q = np.where(evidence.n[evidence.rows] > 0, q, np.where(q > 0.5, 1.0, q))
-        q /= np.add.reduceat(q, evidence.indptr[:-1])[evidence.rows]
+        q = evidence.rows.frequencies(weights)
+        q = evidence.rows.frequencies(np.where((n == 0) & (q > 0.5), 1.0, q))
         near, far = 0.0, 1.0
         for _ in range(50):  # as far towards q as the limit allows, and all the way in rows without data
             share = 0.5 * (near + far)
             inside = -weight @ np.log1p(share * (q[held] / phat - 1.0)) <= limit
             near, far = (share, far) if inside else (near, share)
-        rows = np.where(evidence.n[evidence.rows] > 0, (1 - near) * evidence.phat + near * q, q)
+        rows = np.where(n > 0, (1 - near) * evidence.phat + near * q, q)
         value = oee.policy_value(evidence.with_rows(rows), policy)
         assert found.lower - 1e-9 <= value <= found.upper + 1e-9
-
-
-def test_rows_that_must_move_together_move_together():
-    """The lower end needs an unseen row at its extreme and two seen rows that are flat alone (found by trial)."""
-    supports = {0: [0, 4, 6], 1: [0, 3], 2: [0, 2, 4], 3: [2], 4: [0, 1], 5: [4], 6: [6]}
-    kernel = np.zeros((7, 1, 7))
-    for s, arrivals in supports.items():
-        kernel[s, 0, arrivals] = 1 / len(arrivals)
-    reward = np.array([0.0, 0, -1, 1, 0, 0, 0])
-    simulator = oee.FiniteMDP(kernel, reward, np.eye(7)[0], 0.9)
-    problem = oee.Problem(simulator, oee.Transitions([0, 0, 1], [0, 0, 0], [6, 6, 0]))
-    found = oee.interval(problem, np.ones((7, 1)))
-    evidence = evidences.gather(problem, np.ones((7, 1)))
-    limit = stats.chi2.ppf(0.95, 1) / 2
-    rows = evidence.phat.copy().reshape(-1)
-    entries = {(s, t): k for k, (s, t) in enumerate((s, t) for s, ts in supports.items() for t in ts)}
-    worst = 0.0
-    for share in np.linspace(0.01, 0.99, 99):  # of the limit to row 0, the rest to row 1; unseen rows at their worst
-        p, q = 1 - np.exp(-limit * share / 2), 1 - np.exp(-limit * (1 - share))
-        rows[:] = 0.0
-        for (s, t), value in {
-            (0, 4): p, (0, 6): 1 - p, (1, 3): q, (1, 0): 1 - q, (2, 2): 1.0, (3, 2): 1.0, (4, 1): 1.0, (5, 4): 1.0, (6, 6): 1.0,
-        }.items():  # fmt: skip
-            rows[entries[s, t]] = value
-        worst = min(worst, oee.policy_value(evidence.with_rows(rows), np.ones((7, 1))))
-    assert worst < -1.0
-    assert found.lower <= worst + 1e-9

@@ -86,7 +86,7 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     evidence = gather(problem, PI)
     found = outside_margin(problem, evidence)
     rng = np.random.default_rng(0)
-    base = simulator.with_transitions(evidence.with_rows(evidence.phat).transitions)
+    base = simulator.with_transitions(evidence.fitted.transitions)
     pays, errors = base.transition_rewards, simulator.sampling.reward_error
     values = []
     for _ in range(600):
@@ -120,10 +120,7 @@ def test_moves_met_once_may_lead_anywhere():
 def swayed(simulator, problem, horizon, sign, share):
     """J where a share of each row's unmet moves goes, step by step, to where it is worth most (sign -1: least)."""
     evidence = gather(problem, PI)
-    p = np.zeros((8, 4))
-    p[evidence.rows, simulator.transitions.indices] = evidence.phat
-    pays = np.zeros((8, 4))
-    pays[evidence.rows, simulator.transitions.indices] = simulator.reward_data
+    p, pays = evidence.fitted.transitions.toarray(), evidence.with_rows(evidence.pay).transitions.toarray()
     counts = np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None]) + problem.counts.toarray()
     total = counts.sum(axis=1)
     unmet = np.where(total > 0, (counts == 1).sum(axis=1) / np.maximum(total, 1), 1.0)

@@ -54,7 +54,7 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
         problem = problem_of(P, r, counts, horizon)
         evidence = gather(problem, policy)
         margin = outside_margin(problem, evidence)
-        rows = evidence.with_rows(evidence.phat).transitions.toarray()
+        rows = evidence.fitted.transitions.toarray()
         share = problem.dropped / (problem.dropped + evidence.n)
         for sign, size in ((-1.0, margin.down), (1.0, margin.up)):
             paid = r if r.ndim == 2 else np.where(np.isnan(r), sign * np.nanmax(sign * r), r)
@@ -74,7 +74,7 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
                     values.append(value_of(moved.reshape(P.shape), pay, policy, horizon))
                 every.append(sign * (values[1] - values[0]) / 1e-6)
             assert_allclose(size, max(0.0, *every), rtol=1e-4, atol=1e-7)
-        assert margin.dropped == 2 * EACH
+        assert margin.diagnostics["dropped_moves"] == 2 * EACH
 
 
 @pytest.mark.parametrize("method", ["likelihood", "robust"])
@@ -97,7 +97,7 @@ def test_wherever_they_led_the_value_of_the_frequencies_is_inside(horizon):
     P, r, counts, policy = world(7, "r(s, a)")
     problem = problem_of(P, r, counts, horizon)
     found, evidence = oee.interval(problem, policy), gather(problem, policy)
-    rows = evidence.with_rows(evidence.phat).transitions.toarray()
+    rows = evidence.fitted.transitions.toarray()
     share = (problem.dropped / (problem.dropped + evidence.n))[:, None]
     rng = np.random.default_rng(0)
     for _ in range(100):
