@@ -232,7 +232,7 @@ def _ratio_fit(
     squares: bool = False, **rest: Any,
 ) -> RatioFit:  # fmt: skip
     """What every fit says of g on the cells ``pair``; least squares estimate no KL divergence."""
-    risk = dual.risk(*pair, g, squares)
+    risk = dual.Coordinates(*pair, *pair, squares).risk(g)
     status = "optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}"
     return RatioFit(
         objective=risk + penalty, dual_bound=risk + penalty - gap, gap=gap, p_total=totals[0], q_total=totals[1],

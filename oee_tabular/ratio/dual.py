@@ -9,7 +9,6 @@ The kernels solve q g - p log g - pull g + a/2 g^2; gaps are those of the progra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,15 @@ class Coordinates(NamedTuple):
     center: Array
     squares: bool = False
 
+    def risk(self, g: Array) -> float:
+        """sum q g - p log g, or sum q g^2 / 2 - p g."""
+        if self.squares:
+            return 0.5 * float(self.q @ g**2) - float(self.p @ g)
+        seen = self.p > 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = self.p @ np.log(g) if seen.all() else self.p[seen] @ np.log(g[seen])
+        return float(self.q @ g) - float(logs)
+
     def penalty(self, g: Array) -> float:
         """sum curvature/2 (g - center)^2."""
         return 0.5 * float(self.curvature @ (g - self.center) ** 2) if self.curvature.any() else 0.0
@@ -40,12 +48,11 @@ class Coordinates(NamedTuple):
         pull = self.curvature * self.center
         if self.squares:
             pull, a = self.p + pull + self.q, self.q + self.curvature
-            return _dual.Form(np.zeros_like(self.p), self.q, a, pull, lower, upper)
-        return _dual.Form(self.p, self.q, self.curvature, pull, lower, upper)
+            return _dual.Form(np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper))
+        return _dual.Form(self.p, self.q, self.curvature, pull, float(lower), float(upper))
 
 
-@dataclass(frozen=True, eq=False)
-class RowSolution:
+class RowSolution(NamedTuple):
     """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
 
     ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright.
@@ -78,16 +85,17 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     cannot fail.
     """
     rows = indptr.astype(np.int64)
-    form, ratio = program.kernel_form(float(lower), float(upper)), np.empty(len(program.p))
+    form, ratio = program.kernel_form(lower, upper), np.empty(len(program.p))
     left, right, m = np.empty((3, len(rows) - 1))
     _dual.solve_rows(form, rows, ratio, left, right, m)
-    gap = _certificate.row_gaps(program, Box(form.lower, form.upper), rows, ratio, m, True)
-    return RowSolution(ratio, m, gap, left, right, form, rows)
+    return RowSolution(ratio, m, row_gaps(program, ratio, m, lower, upper, rows), left, right, form, rows)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
-    return np.asarray(_dual.solve_free(program.kernel_form(float(lower), float(upper))))
+    g = np.empty(len(program.p))
+    _dual.minimisers(np.ones(1), program.kernel_form(lower, upper), np.array([0, len(g)]), g)
+    return g
 
 
 def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:
@@ -95,22 +103,10 @@ def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, uppe
 
     From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
     """
-    multiplier = np.ones(len(indptr) - 1) if m is None else m
-    return np.asarray(
-        _certificate.row_gaps(program, Box(float(lower), float(upper)), indptr, g, multiplier, m is not None)
-    )
-
-
-def risk(p: Array, q: Array, g: Array, squares: bool = False) -> float:
-    """sum q g - p log g, or (``squares``) sum q g^2 / 2 - p g."""
-    if squares:
-        return 0.5 * float(q @ g**2) - float(p @ g)
-    seen = p > 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = p @ np.log(g) if seen.all() else p[seen] @ np.log(g[seen])
-    return float(q @ g) - float(logs)
+    multiplier, box = np.ones(len(indptr) - 1) if m is None else m, Box(float(lower), float(upper))
+    return np.asarray(_certificate.row_gaps(program, box, indptr, g, multiplier, m is not None))
 
 
 def objective(g: Array, program: Coordinates) -> float:
     """The program's value."""
-    return risk(program.p, program.q, g, program.squares) + program.penalty(g)
+    return program.risk(g) + program.penalty(g)

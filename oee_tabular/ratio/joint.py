@@ -38,7 +38,7 @@ def joint_program(counts: Array, share: Array, rows: Rows, box: Box, ratio_box: 
 
 def solve_joint(program: JointProgram) -> JointPoint:
     """The structured solver; every (s, a) by a bracketed root. Cost O(entries) times about sixty bisections."""
-    return JointPoint(*_joint.solve_all(program, program.ratio_lower > 0.0 or program.ratio_upper < np.inf))
+    return JointPoint(*_joint.solve_all(program))
 
 
 def joint_gaps(program: JointProgram, point: JointPoint) -> Array:
