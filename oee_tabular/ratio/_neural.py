@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import math
 import os
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -20,14 +19,44 @@ import optax
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._progress import progress_bar
-from oee_tabular.ratio.network import Network, Training
+from oee_tabular.mdp.rows import Rows
+from oee_tabular.ratio.network import Network
 
 EVERY = 100  # iterations between two looks at the held-out risk
 N_CELLS_AT_ONCE = 2**16  # evaluated together
 
 
-@dataclass(frozen=True, eq=False)
-class Trained:
+class Training(NamedTuple):
+    """The cells, their weights (each side's sum to 1), and the risk's other terms.
+
+    ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for one-hot states; ``sizes`` S and A.
+    ``p``, ``q`` : train on; ``held_p``, ``held_q`` : stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which
+    sum P g = 1, whose cells are all there are and q their share of p times P; None: the box is all.
+    """
+
+    cells: tuple[IntArray, ...]
+    sizes: tuple[int, int]
+    places: Array | None
+    p: Array
+    q: Array
+    held_p: Array | None
+    held_q: Array | None
+    lower: float
+    upper: float
+    ridge: Array
+    toward: float
+    rows: Rows | None = None
+
+    def risk(self, g: Array, p: Array, q: Array) -> float:
+        """sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
+        return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
+
+    def held_out_risk(self, g: Array) -> float:
+        """The risk on what is held out; nan without."""
+        return np.nan if self.held_p is None or self.held_q is None else self.risk(g, self.held_p, self.held_q)
+
+
+class Trained(NamedTuple):
     """The ratio kept, of iteration ``kept``; at each ``iteration`` checked the ratio and the held-out risk (nan without)."""
 
     ratio: Array
@@ -97,6 +126,14 @@ class Program(eqx.Module):  # type: ignore[misc]
     widest: int = eqx.field(static=True, default=0)
     span: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
 
+    @classmethod
+    def of(cls, training: Training) -> Program:
+        p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
+        if rows is None:
+            return cls(p, q, span=(math.log(training.lower), math.log(training.upper)))
+        row, indptr = jnp.asarray(rows.spread(np.arange(len(rows)))), jnp.asarray(rows.indptr)
+        return cls(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
+
     def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
         """log g from f on the batch."""
         if self.row is None:
@@ -125,14 +162,6 @@ class Program(eqx.Module):  # type: ignore[misc]
         known = jnp.where(inside, self.known[index], 0.0)
         row = jnp.repeat(jnp.arange(len(drawn)), self.widest)
         return Batch(index.ravel(), p.ravel(), known.ravel() / len(drawn), row, known.ravel())
-
-
-def _program(training: Training) -> Program:
-    p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
-    if rows is None:
-        return Program(p, q, span=(math.log(training.lower), math.log(training.upper)))
-    row, indptr = jnp.asarray(rows.spread(np.arange(len(rows)))), jnp.asarray(rows.indptr)
-    return Program(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
 
 
 @functools.lru_cache(maxsize=16)
@@ -170,11 +199,6 @@ def _outputs(model: Any, places: Any, cells: Any) -> Any:
     return model(places, cells)
 
 
-@eqx.filter_jit  # type: ignore[untyped-decorator]
-def _ratio(program: Any, f: Any) -> Any:
-    return jnp.exp(program.log_ratio(f, program.whole()))
-
-
 @functools.cache
 def _cpu() -> Any:
     """The processor, as a device with one thread (the variable is read where the device is made)."""
@@ -200,12 +224,16 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     state = optimizer.init(eqx.filter(model, eqx.is_array))
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
-    program, ridge = _program(training), jnp.asarray(training.ridge)
+    program, ridge = Program.of(training), jnp.asarray(training.ridge)
     start = training.risk(np.ones(len(training.p)), training.p, training.q)
     iterations, ratios = [0], [_ratio_everywhere(model, places, cells, program, training)]
-    held = [training.held_out_risk(ratios[0])]
+    held: list[float] = []
     bar = progress_bar("training", total=network.n_iterations)
-    while iterations[-1] < network.n_iterations and len(held) - 1 - _best_check(held) < network.patience:
+    while True:
+        held.append(training.held_out_risk(ratios[-1]))
+        kept = len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))  # the last where nothing is held out
+        if iterations[-1] == network.n_iterations or len(held) - 1 - kept >= network.patience:
+            break
         count = min(EVERY, network.n_iterations - iterations[-1])
         drawn = _draw(network.batch_size, program, generator, count)
         model, state, values = _iterate(
@@ -214,27 +242,18 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
         _refuse_divergence(np.asarray(values), start, iterations[-1], network.step_size)
         iterations.append(iterations[-1] + count)
         ratios.append(_ratio_everywhere(model, places, cells, program, training))
-        held.append(training.held_out_risk(ratios[-1]))
         bar.update(count)
     bar.close()
-    kept = _best_check(held)
     return Trained(ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held))
 
 
-def _best_check(held: list[float]) -> int:
-    """The check of least held-out risk; the last where nothing is held out (nan)."""
-    return len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))
-
-
-def _ratio_everywhere(
-    model: Perceptron, places: Any, cells: tuple[Any, ...], program: Program, training: Training
-) -> Array:
+def _ratio_everywhere(model: Any, places: Any, cells: Any, program: Program, training: Training) -> Array:
     """g on all cells."""
-    parts = [
-        _outputs(model, places, tuple(column[low : low + N_CELLS_AT_ONCE] for column in cells))
-        for low in range(0, len(cells[0]), N_CELLS_AT_ONCE)
-    ]
-    return np.asarray(np.clip(np.asarray(_ratio(program, jnp.concatenate(parts))), training.lower, training.upper))
+    n = len(cells[0])
+    parts = [slice(low, low + N_CELLS_AT_ONCE) for low in range(0, n, N_CELLS_AT_ONCE)]
+    f = jnp.concatenate([_outputs(model, places, tuple(column[part] for column in cells)) for part in parts])
+    g = jnp.exp(program.log_ratio(f, program.whole()))
+    return np.asarray(np.clip(np.asarray(g), training.lower, training.upper))
 
 
 def _draw(size: int | None, program: Program, generator: np.random.Generator, count: int) -> Any:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -21,7 +20,7 @@ from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import check_box, check_ridge
-from oee_tabular.ratio.features import feature_array, warn_of_rank
+from oee_tabular.ratio.features import count_rank, feature_array
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.directions import add_values, make_directions, own_directions, values_in
@@ -32,6 +31,7 @@ from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.trained import fit_rows
 
 Ridge = float | str | Callable[[float], float]
+SMALLEST = np.finfo(float).tiny  # in place of a weight of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,76 +95,67 @@ class Conditional(Method):
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
+        box, prior = check_box(self.lower, self.upper, normalized=True), self.prior
         if self.functions is not None:
-            self._check_network()
-        if self.prior in (None, "average"):  # "average": what the first edition called its default
-            object.__setattr__(self, "prior", "ridge")
-        _checks.one_of(self.prior, "prior", tuple(PRIORS))
-        if self.features is not None and self.prior in ("simulator", "none"):
-            raise ValueError(f"features must be left out with prior {self.prior!r}, which does not use them")
-        check_box(self.lower, self.upper, normalized=True)
-
-    def _check_network(self) -> None:
-        """A network has no prior, no box and no solver: a ValueError that names what is there."""
-        check_network(self.functions, solver=self.solver)
-        if self.prior is None:
-            object.__setattr__(self, "prior", "none")
-        if self.prior != "none":
-            raise ValueError(
-                f"prior must be left out with functions=Network(...), which has none; got {_checks.show(self.prior)}"
-            )
-        box = check_box(self.lower, self.upper, normalized=True)
-        if box != (0.0, np.inf):
-            raise ValueError(
-                "lower and upper must be left out with functions=Network(...), whose rows sum to 1 without a box; "
-                f"it is [{box.lower:g}, {box.upper:g}]"
-            )
+            check_network(self.functions, solver=self.solver)
+            if prior not in (None, "none"):
+                raise ValueError(
+                    f"prior must be left out with functions=Network(...), which has none; got {_checks.show(prior)}"
+                )
+            if box != (0.0, np.inf):
+                raise ValueError(
+                    "lower and upper must be left out with functions=Network(...), whose rows sum to 1 without a box; "
+                    f"it is [{box.lower:g}, {box.upper:g}]"
+                )
+            prior = "none"
+        if prior in (None, "average"):  # "average": what the first edition called its default
+            prior = "ridge"
+        object.__setattr__(self, "prior", prior)
+        _checks.one_of(prior, "prior", tuple(PRIORS))
+        if self.features is not None and PRIORS[str(prior)] is _no_tilt:
+            raise ValueError(f"features must be left out with prior {prior!r}, which does not use them")
 
     @property
     def uses(self) -> frozenset[str]:
         """The policies' values are directions of the default."""
-        return self.USES if PRIORS[str(self.prior)] is _along_all else frozenset()
+        return self.USES if PRIORS[str(self.prior)] is _tilt_along_all else frozenset()
 
-    @property
-    def refuses(self) -> str:
-        """What is said of the others."""
-        return f"must be left out with prior {self.prior!r}, which does not use them"
+    def _refusal(self, name: str) -> str:
+        rule = f"must be left out with prior {self.prior!r}, which does not use them"
+        return rule if name in self.USES else super()._refusal(name)
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""
         fitted = super(Conditional, replace(self, functions=None)).limit(population)
-        plain = self.lower is None and self.upper is None and self.ridge == 0.0
-        return _with_exact_rows(population, fitted) if plain else fitted
+        if self.lower is not None or self.upper is not None or self.ridge != 0.0:
+            return fitted
+        matrix = population.simulator.transitions
+        exact = align(population.target.transitions, matrix)[0] / np.where(matrix.data > 0, matrix.data, 1.0)
+        seen = population.support[row_of_entry(matrix)]
+        return csr_on_pattern(matrix, np.where(seen, exact, fitted.on(population.simulator)))
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, rows = given.observed, given.rows
-        box = check_box(self.lower, self.upper, normalized=True)
-        n_row = rows.sums(observed)
-        prior = PRIORS[str(self.prior)](given, self)
-        weight = n_row + prior.kappa
-        known = weight > 0
-        details: dict[str, object] = dict(prior.details)
-        if isinstance(self.ridge, str):
-            lam = self._chosen_ridge(given, n_row, details)
-        else:
-            sizes, index = np.unique(n_row, return_inverse=True)
-            lam = np.array([check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
+        box, n_row = check_box(self.lower, self.upper, normalized=True), rows.sums(observed)
+        tilt, details = PRIORS[str(self.prior)](given, self)
+        kappa = self._choose_kappa(given, tilt, details)
+        lam = self._choose_ridge(given, n_row, details)
         center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
+        share = np.divide(n_row, n_row + kappa, out=np.zeros_like(n_row), where=n_row > 0)
         zeta, curvature, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
-        gaps = [0.0 if prior.tilt is None else prior.tilt.gap]
+        gaps = [0.0 if tilt is None else tilt.gap]
         whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
         for some in (rows,) if whole else rows.blocks():
-            number, at, spread, m = some.number, some.entries, some.spread, prior.at(some)
-            smoothed = observed[at] + spread(prior.kappa[number]) * m
-            p = np.where(spread(n_row[number] == 0), m, smoothed / spread(np.where(known, weight, 1.0)[number]))
-            ridge_curvature = np.asarray(
-                spread(lam[number]) if self.toward is None else spread(lam[number]) * some.weights
-            )
-            program = dual.Coordinates(p, some.weights, ridge_curvature, np.full(len(p), center))
+            number, at, spread = some.number, some.entries, some.spread
+            m = some.weights if tilt is None else tilt.at(some)
+            weight = np.maximum(n_row[number] + kappa[number], SMALLEST)
+            p = np.where(spread(n_row[number] == 0), m, (observed[at] + spread(kappa[number]) * m) / spread(weight))
+            bend = spread(lam[number]) * (1.0 if self.toward is None else some.weights)
+            program = dual.Coordinates(p, some.weights, bend, np.full(len(p), center))
             if self.functions is not None:
-                fit = fit_rows(self.functions, observed, program, rows, seed=given.seed)
-                return given.ratio(fit.ratio, "conditional", fit.gap, details | fit.details)
+                fit, excess, more = fit_rows(self.functions, observed, program, rows, seed=given.seed)
+                return given.ratio(fit, "conditional", excess, details | more)
             if self.solver == "dual":
                 found = dual.solve_rows(program, *box, some.indptr)
                 zeta[at], gap, (ends[0][at], ends[1][at]) = found.ratio, found.gap, found.enclosure()
@@ -174,69 +165,65 @@ class Conditional(Method):
             gaps.append(float(gap.max()))
             inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
             safe = np.where(inside, zeta[at], 1.0)
-            curvature[at] = np.where(inside, (p / safe) / safe + ridge_curvature, 0.0)
+            curvature[at] = np.where(inside, (p / safe) / safe + bend, 0.0)
         if ends:
             details["enclosure"] = tuple(ends)
-        share = np.divide(n_row, weight, out=np.zeros_like(n_row), where=known)
-        influence = Influence(rows, observed, zeta, curvature, share, tilt=prior.tilt)
-        return given.ratio(zeta, "conditional", max(gaps), details, influence)
+        return given.ratio(
+            zeta, "conditional", max(gaps), details, Influence(rows, observed, zeta, curvature, share, tilt)
+        )
 
-    def _chosen_ridge(self, given: RatioInput, n_row: Array, details: dict[str, Any]) -> Array:
-        """kappa / n_sa of each row, kappa chosen on the data: the quadratic form, to second order, of a Dirichlet prior."""
-        assert isinstance(self.ridge, str)
-        _checks.one_of(self.ridge, "ridge", CRITERIA)
-        choice = choose_strength(given.observed, given.rows.weights, given.rows, self.ridge)
-        details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
-        return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
+    def _choose_kappa(self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]) -> Array:
+        """kappa of each row as ``strength`` says, 0 without a prior; ``details`` get the choice."""
+        if self.prior == "none" or not isinstance(self.strength, str):
+            kappa = 0.0 if self.prior == "none" else _checks.number_in(self.strength, "strength", 0.0, np.inf)
+            details["strength"] = kappa
+            return np.full(len(given.rows), kappa)
+        _checks.one_of(self.strength, "strength", CRITERIA)
+        rows, kind = given.visited, given.get_or_compute(_kinds)
+        counts, prior = given.observed[rows.entries], rows.weights if tilt is None else tilt.at(rows)
+        choice = choose_strength(counts, prior, rows, self.strength, kind=kind[rows.number])
+        details |= {
+            "strength": choice.strength,
+            "strength_by": choice.criterion,
+            "strength_score": choice.score,
+            "strength_curve": (choice.grid, choice.curve),
+            "strength_kinds": choice.kinds,
+            "meaning": meaning(choice, rows.sums(counts), "simulator" if tilt is None else "tilt"),
+        }
+        return np.asarray(choice.by_kind[kind])
 
-
-def _with_exact_rows(population: Population, fitted: TransitionRatio) -> sparse.csr_array:
-    """``fitted`` with the exact P_target / P_simulator on the rows that have data."""
-    matrix = population.simulator.transitions
-    inside, _ = align(population.target.transitions, matrix)
-    seen = population.support[row_of_entry(matrix)]
-    safe = np.where(matrix.data > 0, matrix.data, 1.0)
-    return csr_on_pattern(matrix, np.where(seen, inside / safe, fitted.on(population.simulator)))
-
-
-class _Prior(NamedTuple):
-    """What rows are shrunk to (of any rows, (entries,)), the transitions that it is worth in each, its tilt, details."""
-
-    at: Callable[[Rows], Array]
-    kappa: Array
-    tilt: Tilt | None
-    details: dict[str, Any]
-
-
-_simulated = attrgetter("weights")
-
-
-def _none(given: RatioInput, method: Conditional) -> _Prior:
-    """Nothing: maximum likelihood, the simulator where there are no data."""
-    return _Prior(_simulated, np.zeros(given.rows.number.shape), None, {"strength": 0.0})
+    def _choose_ridge(self, given: RatioInput, n_row: Array, details: dict[str, Any]) -> Array:
+        """lambda of each row with data; chosen on them, kappa / n_sa: to second order that of a Dirichlet prior."""
+        if isinstance(self.ridge, str):
+            _checks.one_of(self.ridge, "ridge", CRITERIA)
+            choice = choose_strength(given.observed, given.rows.weights, given.rows, self.ridge)
+            details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
+            return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
+        sizes, index = np.unique(n_row, return_inverse=True)
+        return np.array([check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
 
 
-def _simulator(given: RatioInput, method: Conditional) -> _Prior:
-    return _of_strength(given, method, _simulated, None, {}, "simulator")
+def _no_tilt(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
+    """The simulator's own rows."""
+    return None, {}
 
 
-def _along_features(given: RatioInput, method: Conditional) -> _Prior:
+def _tilt_along_features(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
     """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
     features, details = _features(given, method)
-    if not len(given.get_or_compute(_informative)):
-        return _simulator(given, method)
+    rows: Rows = given.get_or_compute(_informative)
+    if not len(rows):
+        return None, {}
     directions = own_directions(given.simulator, features)
-    rows = given.get_or_compute(_informative)
     tilt = fit_ridge(directions, rows, given.observed[rows.entries], None, by_evidence=False, solver=method.solver)
-    details |= {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
-    return _of_strength(given, method, tilt.at, tilt, details, "tilt")
+    return tilt, details | {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
 
 
-def _along_all(given: RatioInput, method: Conditional) -> _Prior:
+def _tilt_along_all(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
     """The tilt along all directions, shrunk by evidence."""
     rows: Rows = given.get_or_compute(_informative)
     if not len(rows):
-        return _simulator(given, method)
+        return None, {}
     features, details = _features(given, method)
     tilt = _without_values(given, features) if features is not None else given.get_or_compute(_without_values)
     values = values_in(given.simulator, given.policies, given.horizon)
@@ -244,8 +231,11 @@ def _along_all(given: RatioInput, method: Conditional) -> _Prior:
         directions = add_values(tilt.directions, values) if values else tilt.directions
         kappa = _choice_of_kappa(given)
         tilt = fit_ridge(directions, rows, given.observed[rows.entries], kappa, start=tilt, solver=method.solver)
-    details |= {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
-    return _of_strength(given, method, tilt.at, tilt, details, "tilt")
+    found = {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
+    return tilt, details | found
+
+
+PRIORS = {"ridge": _tilt_along_all, "tilt": _tilt_along_features, "simulator": _no_tilt, "none": _no_tilt}
 
 
 def _without_values(given: RatioInput, features: Array | None = None) -> Tilt:
@@ -268,6 +258,11 @@ def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
     return lambda model: choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
 
 
+def _kinds(given: RatioInput) -> IntArray:
+    """The kind of each row; those that none of the log's are of have the first's."""
+    return kinds_of_rows(given.observed, given.rows)
+
+
 def _features(given: RatioInput, method: Conditional) -> tuple[Array | None, dict[str, Any]]:
     """The user's features on the simulator's entries, and their rank; a warning where they are collinear within rows."""
     if method.features is None:
@@ -276,44 +271,4 @@ def _features(given: RatioInput, method: Conditional) -> tuple[Array | None, dic
     centred = np.sqrt(given.rows.weights)[:, None] * given.rows.center(features)
     rounding = 1e-12 * np.abs(features).max(axis=0) * np.sqrt(len(features))
     centred = np.where((centred**2).sum(axis=0) > rounding**2, centred, 0.0)
-    return features, {"feature_rank": warn_of_rank(centred, where=" within rows")}
-
-
-PRIORS = {
-    "ridge": _along_all,
-    "tilt": _along_features,
-    "simulator": _simulator,
-    "none": _none,
-}
-
-
-def _of_strength(
-    given: RatioInput,
-    method: Conditional,
-    at: Callable[[Rows], Array],
-    tilt: Tilt | None,
-    details: dict[str, Any],
-    name: str,
-) -> _Prior:
-    """kappa of each row as ``strength`` says; ``name`` is what its meaning calls the prior."""
-    if not isinstance(method.strength, str):
-        kappa = _checks.number_in(method.strength, "strength", 0.0, np.inf)
-        return _Prior(at, np.full(len(given.rows), kappa), tilt, details | {"strength": kappa})
-    _checks.one_of(method.strength, "strength", CRITERIA)
-    rows, kind = given.visited, given.get_or_compute(_kinds)
-    counts = given.observed[rows.entries]
-    choice = choose_strength(counts, at(rows), rows, method.strength, kind=kind[rows.number])
-    chosen = {
-        "strength": choice.strength,
-        "strength_by": choice.criterion,
-        "strength_score": choice.score,
-        "strength_curve": (choice.grid, choice.curve),
-        "strength_kinds": choice.kinds,
-        "meaning": meaning(choice, rows.sums(counts), name),
-    }
-    return _Prior(at, choice.by_kind[kind], tilt, chosen | details)
-
-
-def _kinds(given: RatioInput) -> IntArray:
-    """The kind of each row; those that none of the log's are of have the first's."""
-    return kinds_of_rows(given.observed, given.rows)
+    return features, {"feature_rank": count_rank(centred, where=" within rows")}

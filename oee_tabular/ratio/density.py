@@ -19,8 +19,8 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge, check_weights
-from oee_tabular.ratio.features import Kernel
-from oee_tabular.ratio.linear import N_CENTERS, class_features, fit_cells
+from oee_tabular.ratio.features import Kernel, class_features
+from oee_tabular.ratio.linear import N_CENTERS, fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 
 ACCURATE = 1e-8  # nats
@@ -172,48 +172,47 @@ def density_ratio(
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = check_box(lower, upper, normalized=normalized)
     strength = check_ridge(ridge, totals[0])
-    if features is not None or kernel is not None:
-        if toward is not None or loss != "kl":
-            raise ValueError(
-                "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
-            )
-        if sgd is not None:
-            raise ValueError('solver "sgd" must be left out with features or kernel: Algorithm 1 is for tables')
-        _checks.positive_integer(n_centers, "n_centers")
-        matrix, details = class_features(features, kernel, coordinates, n_centers, n)
-        ps, qs = weights[0] / totals[0], weights[1] / totals[1]
-        fit = fit_cells(ps, qs, matrix, box, strength, normalized, str(solver))
-        penalty = 0.5 * strength * float(fit.weights @ fit.weights)
-        return _ratio_fit(
-            (ps, qs), totals, fit.ratio, fit.gap, penalty, ratio=_checks.freeze(fit.ratio), normalizer=fit.eta,
-            n_undetermined=0, weights=fit.weights, details=details, _ends=box,
-        )  # fmt: skip
-    if coordinates is not None:
+    in_class = features is not None or kernel is not None
+    if in_class and (toward is not None or loss != "kl"):
+        raise ValueError(
+            "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
+        )
+    if in_class and sgd is not None:
+        raise ValueError('solver "sgd" must be left out with features or kernel: Algorithm 1 is for tables')
+    if coordinates is not None and not in_class:
         raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known: Any = (weights[0] > 0) | (weights[1] > 0)
-    known = slice(None) if known.all() else known
+    known = slice(None) if in_class or known.all() else known
     ps, qs = weights[0][known] / totals[0], weights[1][known] / totals[1]
-    curvature = np.full(len(ps), strength) if toward is None else strength * qs
-    _refuse_unbounded(np.arange(n)[known], ps, qs, curvature, box)
+    curvature = np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
     program = dual.Coordinates(ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2")
-    whole, m, trace = np.array([0, len(ps)]), 1.0, None
+    m = 1.0
     ends: Any = box
-    if sgd is not None:
-        _check_sgd(box, normalized, loss)
-        g, trace = descend(program, *box, sgd, seed)
-    elif solver != "dual":
-        g, eta = statements.solve_rows(program, *box, whole if normalized else None, solver=str(solver))
-        m += float(eta.sum())
-    elif normalized:
-        ends = dual.solve_rows(program, *box, whole)
-        g, m = ends.ratio, float(ends.m[0])
+    rest: dict[str, Any] = {}
+    if in_class:
+        _checks.positive_integer(n_centers, "n_centers")
+        matrix, rest["details"] = class_features(features, kernel, coordinates, n_centers, n)
+        w, g, eta, gap = fit_cells(ps, qs, matrix, box, strength, normalized, str(solver))
+        m, rest["weights"], penalty = 1.0 + eta, w, 0.5 * strength * float(w @ w)
     else:
-        g = dual.solve_free(program, *box)
-        ends = (g, g)
-    gap = float(dual.row_gaps(program, g, np.array([m]) if normalized else None, *box, whole)[0])
-    with np.errstate(over="ignore", invalid="ignore"):
-        penalty = program.penalty(g)
+        _refuse_unbounded(np.arange(n)[known], program, box)
+        whole = np.array([0, len(ps)])
+        if sgd is not None:
+            _check_sgd(box, normalized, loss)
+            g, rest["trace"] = descend(program, *box, sgd, seed)
+        elif solver != "dual":
+            g, multiplier = statements.solve_rows(program, *box, whole if normalized else None, solver=str(solver))
+            m += float(multiplier.sum())
+        elif normalized:
+            ends = dual.solve_rows(program, *box, whole)
+            g, m = ends.ratio, float(ends.m[0])
+        else:
+            g = dual.solve_free(program, *box)
+            ends = g, g
+        gap = float(dual.row_gaps(program, g, np.array([m]) if normalized else None, *box, whole)[0])
+        with np.errstate(over="ignore", invalid="ignore"):
+            penalty = program.penalty(g)
     if not (np.isfinite(g).all() and np.isfinite([gap, penalty]).all()):
         raise ValueError(
             f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
@@ -221,28 +220,27 @@ def density_ratio(
         )
     ratio = np.full(n, min(max(1.0 if toward is None else center, box.lower), box.upper))
     ratio[known] = g
-    return _ratio_fit(
-        (ps, qs), totals, g, gap, penalty, squares=program.squares, ratio=_checks.freeze(ratio), normalizer=m - 1.0,
-        n_undetermined=n - len(ps), trace=trace, _known=known, _ends=ends,
-    )  # fmt: skip
-
-
-def _ratio_fit(
-    pair: tuple[Array, Array], totals: tuple[float, float], g: Array, gap: float, penalty: float, *,
-    squares: bool = False, **rest: Any,
-) -> RatioFit:  # fmt: skip
-    """What every fit says of g on the cells ``pair``; least squares estimate no KL divergence."""
-    risk = dual.Coordinates(*pair, *pair, squares).risk(g)
-    status = "optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}"
+    risk = program.risk(g)
     return RatioFit(
-        objective=risk + penalty, dual_bound=risk + penalty - gap, gap=gap, p_total=totals[0], q_total=totals[1],
-        divergence=float("nan") if squares else 1.0 - risk, status=status, **rest,
-    )  # fmt: skip
+        ratio=_checks.freeze(ratio),
+        objective=risk + penalty,
+        dual_bound=risk + penalty - gap,
+        gap=gap,
+        normalizer=m - 1.0,
+        divergence=float("nan") if program.squares else 1.0 - risk,  # least squares estimate no KL divergence
+        n_undetermined=n - len(ps),
+        p_total=totals[0],
+        q_total=totals[1],
+        status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
+        _known=known,
+        _ends=ends,
+        **rest,
+    )
 
 
-def _refuse_unbounded(index: Any, p: Array, q: Array, curvature: Array, box: Box) -> None:
+def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
     """q = 0 < p, where only a bound or a ridge keeps g finite."""
-    bad = np.flatnonzero((q == 0) & (p > 0) & (curvature == 0))
+    bad = np.flatnonzero((program.q == 0) & (program.p > 0) & (program.curvature == 0))
     if bad.size and not np.isfinite(box.upper):
         named = ", ".join(str(int(i)) for i in index[bad[:5]])
         raise ValueError(

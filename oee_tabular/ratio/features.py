@@ -13,19 +13,19 @@ Applied Numerical Mathematics 62, 2012.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows, distinct_rows
 
 Kernel = Callable[[Array, Array], Any]
+N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram matrix
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
@@ -49,55 +49,33 @@ def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
     return kernel
 
 
-def gram(kernel: Kernel, x: Array, centers: Array) -> Array:
-    """kernel(x, centers), checked: finite, of shape (n, m)."""
-    array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
-    if array.shape != (len(x), len(centers)):
-        raise ValueError(f"kernel must give an array of shape {(len(x), len(centers))}; it gives {array.shape}")
-    _checks.require_finite(array, "kernel")
-    return array
-
-
-@dataclass(frozen=True, eq=False)
-class KernelFeatures:
+class KernelFeatures(NamedTuple):
     """``matrix`` (n, r) with K = matrix matrix^T up to ``residual`` on the diagonal; ``pivots`` are the r points used."""
 
     matrix: Array
-    pivots: Array
+    pivots: IntArray
     residual: float
 
 
-def kernel_features(
-    points: Array,
-    kernel: Kernel,
-    *,
-    n_centers: int,
-    tolerance: float = 1e-12,
-    center: Callable[[Array], Array] | None = None,
-) -> KernelFeatures:
+def kernel_features(points: Array, kernel: Kernel, n_centers: int) -> KernelFeatures:
     """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with r kernel columns evaluated.
 
-    ``center`` is a linear map that is applied to functions on the points (a projection, as the subtraction of row means): the
-    features are then those of the functions after it, of the same norm. Raises ValueError where the kernel is not
-    positive semidefinite on these points.
+    Raises ValueError where the kernel is not positive semidefinite on these points.
     """
-    n = len(points)
-    limit = min(n, n_centers)
-    factor = np.zeros((n, limit))
-    diagonal = _diagonal(kernel, points)
-    if not (diagonal >= 0).all():
-        bad = int(np.argmin(diagonal))
-        raise ValueError(f"kernel must be positive semidefinite; k(x, x) is {diagonal[bad]:g} at point {bad}")
-    scale = float(diagonal.max(initial=0.0))
+    parts = np.split(points, np.arange(N_DIAGONAL, len(points), N_DIAGONAL))
+    left = np.concatenate([np.diag(_gram(kernel, part, part)) for part in parts])
+    if not (left >= 0).all():
+        bad = int(np.argmin(left))
+        raise ValueError(f"kernel must be positive semidefinite; k(x, x) is {left[bad]:g} at point {bad}")
+    scale = float(left.max(initial=0.0))
     if scale == 0.0:
         raise ValueError("kernel must not be 0 at every point")
-    left = diagonal.copy()
-    pivots: list[int] = []
-    for j in range(limit):
+    factor, pivots = np.zeros((len(points), min(len(points), n_centers))), []
+    for j in range(factor.shape[1]):
         pivot = int(np.argmax(left))
-        if left[pivot] <= tolerance * scale:
+        if left[pivot] <= 1e-12 * scale:
             break
-        column = gram(kernel, points, points[[pivot]])[:, 0] - factor[:, :j] @ factor[pivot, :j]
+        column = _gram(kernel, points, points[[pivot]])[:, 0] - factor[:, :j] @ factor[pivot, :j]
         factor[:, j] = column / np.sqrt(left[pivot])
         pivots.append(pivot)
         left = left - factor[:, j] ** 2
@@ -108,47 +86,65 @@ def kernel_features(
                 f"kernel must be symmetric and positive semidefinite; given the points {pivots[-3:]} point {bad} has the "
                 f"variance {left[bad]:g}"
             )
-    matrix = factor[:, : len(pivots)]
-    if center is not None:
-        matrix = center(matrix)
-    return KernelFeatures(matrix, np.array(pivots), float(np.maximum(left, 0.0).max()))
+    return KernelFeatures(factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max()))
 
 
-def _diagonal(kernel: Kernel, points: Array) -> Array:
-    """k(x, x) of every point, in blocks so that no more than 64 columns are made at a time."""
-    size = 64
-    blocks = [np.diag(gram(kernel, points[i : i + size], points[i : i + size])) for i in range(0, len(points), size)]
-    return np.concatenate(blocks)
+def _gram(kernel: Kernel, x: Array, centers: Array) -> Array:
+    """kernel(x, centers), checked: finite, of shape (n, m)."""
+    array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
+    if array.shape != (len(x), len(centers)):
+        raise ValueError(f"kernel must give an array of shape {(len(x), len(centers))}; it gives {array.shape}")
+    _checks.require_finite(array, "kernel")
+    return array
 
 
-def rank_of(features: Array) -> int:
-    """The number of independent columns, each scaled to length 1, up to 1e-10."""
-    lengths = np.sqrt((features**2).sum(axis=0))
+def standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
+    """Gaussian in units of each coordinate's standard deviation over the points."""
+    size, base = points.std(axis=0), gaussian(bandwidth)
+    size = np.where(size > 0, size, 1.0)
+    return lambda x, c: base(x / size, c / size)
+
+
+def check_kernel(kernel: object) -> None:
+    """A function, or "gaussian"."""
+    if not callable(kernel):
+        _checks.one_of(kernel, "kernel", ("gaussian",))
+
+
+def class_features(
+    features: object, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
+) -> tuple[Array, dict[str, Any]]:
+    """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates; and what is said of them."""
+    if features is not None:
+        for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
+            if value is not None:
+                raise ValueError(f"{name} must not be given with features; the two are different classes")
+        array = _checks.float_array(features, "features", ndim=(1, 2))
+        if len(array) != n or array.size == 0:
+            raise ValueError(f"features must have {n} rows, one for each entry of p; they have shape {array.shape}")
+        _checks.require_finite(array, "features")
+        array = array.reshape(n, -1)
+        return array, {"feature_rank": count_rank(array)}
+    if coordinates is None:
+        raise ValueError("coordinates must be given with kernel: the points that the entries of p and q stand for")
+    points = _check_points(coordinates, n, "one for each entry of p")
+    check_kernel(kernel)
+    space = kernel_features(points, kernel if callable(kernel) else standard_gaussian(points), n_centers)
+    return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
+
+
+def count_rank(features: Array, *, where: str = "") -> int:
+    """The number of independent columns, each scaled to length 1, up to 1e-10; warns where some are collinear."""
+    lengths, d = np.sqrt((features**2).sum(axis=0)), features.shape[1]
     used = features[:, lengths > 0] / lengths[lengths > 0]
-    if used.shape[1] == 0:
-        return 0
     values = np.linalg.eigvalsh(used.T @ used)
-    return int(np.sum(values > 1e-10 * values[-1]))
-
-
-def warn_of_rank(features: Array, *, where: str = "") -> int:
-    """The rank; warns where the columns are collinear."""
-    rank, d = rank_of(features), features.shape[1]
+    rank = int(np.sum(values > 1e-10 * values.max(initial=0.0)))
     if rank < d:
         _checks.warn(
             f"features should be linearly independent{where}; they have rank {rank} of {d} (the smallest parameters "
             "that fit are taken)"
         )
     return rank
-
-
-def cell_features(features: object, n: int) -> Array:
-    """User's features of n cells as an (n, d) array of finite numbers."""
-    array = _checks.float_array(features, "features", ndim=(1, 2))
-    if len(array) != n or array.size == 0:
-        raise ValueError(f"features must have {n} rows, one for each entry of p; they have shape {array.shape}")
-    _checks.require_finite(array, "features")
-    return array.reshape(n, -1)
 
 
 def feature_array(features: object, simulator: FiniteMDP) -> Array:
@@ -180,13 +176,20 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     return array.reshape(matrix.nnz, -1)
 
 
-def check_places(coordinates: object, simulator: FiniteMDP) -> Array:
-    """(S, c): where each state is, from (S,) or (S, c) finite numbers."""
-    places = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
-    _checks.require_finite(places, "coordinates")
-    if len(places) != simulator.n_states:
-        raise ValueError(f"coordinates must have {simulator.n_states} rows, one a state; they have {len(places)}")
-    return places.reshape(simulator.n_states, -1)
+def _check_points(coordinates: object, n: int, rule: str) -> Array:
+    """(n, c) finite numbers from (n,) or (n, c)."""
+    points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
+    _checks.require_finite(points, "coordinates")
+    if len(points) != n:
+        raise ValueError(f"coordinates must have {n} rows, {rule}; they have {len(points)}")
+    return points.reshape(n, -1)
+
+
+def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
+    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
+    places, rows = _check_points(coordinates, simulator.n_states, "one a state"), Rows.of(simulator)
+    start = rows.spread(places[rows.state])
+    return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
 
 
 def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
@@ -208,10 +211,9 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     [0.0, 1.0, 0.0, 1.0, 0.0]
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
-    places = check_places(coordinates, simulator)
-    rows = Rows.of(simulator)
-    steps = places[rows.arrival] - rows.spread(places[rows.state])
-    keys = np.column_stack([rows.spread(rows.action), np.round(steps, 9)])
+    points = move_points(simulator, coordinates)
+    n_coordinates = points.shape[1] // 2
+    keys = np.column_stack([points[:, 0], np.round(points[:, 1 + n_coordinates :], 9)])
     kinds, kind = distinct_rows(keys)
     mass = np.bincount(kind, weights=simulator.transitions.data)
     reference = [

@@ -20,29 +20,26 @@ are none of them negative.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.rows import Rows
+from oee_tabular._checks import Array
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import (
     Kernel,
-    cell_features,
-    check_places,
+    check_kernel,
+    count_rank,
     feature_array,
-    gaussian,
     kernel_features,
-    warn_of_rank,
+    move_points,
+    standard_gaussian,
 )
 from oee_tabular.ratio.method import Method, RatioInput
-from oee_tabular.ratio.result import Influence, Part, TransitionRatio
+from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 
 N_CENTERS = 200
@@ -54,8 +51,7 @@ LARGEST_RATIO = 1e6  # that the certificate considers where p = 0 and nothing el
 USELESS_GAP = 1.0  # nats
 
 
-@dataclass(frozen=True, eq=False)
-class ClassFit:
+class ClassFit(NamedTuple):
     """w, g = offset + Phi w clipped to the box, eta, and the gap, what constraints are missed by included."""
 
     weights: Array
@@ -70,20 +66,16 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     Without a ridge the features are first reduced to an orthonormal basis of their span, and the smallest w is given.
     ValueError where no function of the class meets the constraints, RuntimeError where the solver reaches none that does.
     """
-    solver = "CLARABEL" if solver == "dual" else solver
-    back = None
-    if program.penalty == 0.0:
-        basis, back = orthonormal_basis(program.features)
-        program = replace(program, features=basis)
-    best, violation = None, np.inf
+    solver, back, best = "CLARABEL" if solver == "dual" else solver, np.eye(program.features.shape[1]), None
+    if program.penalty == 0.0:  # Phi = Q S R: w = R^T S^-1 c is the smallest with Phi w = Q c
+        basis, values, right = np.linalg.svd(program.features, full_matrices=False)
+        kept = values > 1e-10 * values.max(initial=0.0)
+        program, back = program._replace(features=basis[:, kept]), right[kept].T / values[kept]
     for fraction in STEP_FRACTIONS if solver == "CLARABEL" else (1.0,):
         solution = statements.solve_linear(program, solver=solver, step_fraction=fraction)
-        if solution is None:
-            continue
-        fit, missed = certify(program, *solution)
-        if missed <= VIOLATION_TOLERANCE and fit.gap < (USELESS_GAP if best is None else best.gap):
+        fit = None if solution is None else certify(program, *solution)
+        if fit is not None and fit.gap < (USELESS_GAP if best is None else best.gap):
             best = fit
-        violation = min(violation, missed)
         if best is not None and best.gap <= GAP_TOLERANCE:
             break
     if best is None:
@@ -91,61 +83,44 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
         if program.penalty > 1e100:
             raise ValueError(f"ridge must leave a program that double precision holds; it is {program.penalty:g}")
         raise RuntimeError(
-            f"{solver} found no minimum (it ended {violation:.1e} away from the constraints); the program may be unbounded, "
-            "where q = 0 < p; give a ridge or a finite upper bound"
+            f"{solver} found no minimum; the program may be unbounded, where q = 0 < p; give a ridge or a finite upper bound"
         )
-    return best if back is None else replace(best, weights=back @ best.weights)
+    return best._replace(weights=back @ best.weights)
 
 
-def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> tuple[ClassFit, float]:
-    """The fit that w and the multipliers of the constraints make, and by how much w misses these.
+def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> ClassFit:
+    """The fit that w and the multipliers of the constraints make; its gap is infinite where w misses them by much.
 
     gap = sum_x [l(g) - min l] + ridge/2 |w - Phi^T v / ridge|^2 + |eta (sum q g - 1)|,   l(g) = (q + v + eta q) g - p log g.
+
+    Any v gives a bound; the one that is taken is near ``tie``, but has Phi^T v = ridge w, and q + v + eta q >= 0 where nothing
+    else bounds an entry, so that it is not spoilt by the rounding of a solver. Entries with p > 0 take the change: there it
+    costs its square.
     """
-    p, q, phi = program.p, program.q, program.features
+    p, q, phi, ridge = program.p, program.q, program.features, program.penalty
     g = program.offset + phi @ weights
     ratio = np.clip(g, np.maximum(program.lower, np.where(p > 0, np.finfo(float).tiny, 0.0)), program.upper)
     off = float(q @ ratio) - 1.0 if program.normalized else 0.0
     violation = max(abs(off), float(np.abs(g - ratio).max()))
     top = np.minimum(program.upper, program.ceiling)
-    tie = _repair(program, weights, ratio, tie, eta, np.isfinite(top))
-    top = np.maximum(np.where((p == 0) & (top == np.inf), LARGEST_RATIO, top), ratio)
-    gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
-    rest = program.penalty * weights - phi.T @ tie
-    if program.penalty > 0.0:
-        gap += 0.5 / program.penalty * float(rest @ rest)
-    else:  # what Phi^T v = 0 is missed by counts as it is
-        gap += float(np.abs(rest).sum()) * max(1.0, float(np.abs(weights).max(initial=0.0)))
-    return ClassFit(weights, ratio, eta, gap), violation
-
-
-def _repair(program: LinearProgram, w: Array, g: Array, tie: Array, eta: float, bounded: BoolArray) -> Array:
-    """A multiplier v near ``tie`` with Phi^T v = ridge w, and q + v + eta q >= 0 where nothing else bounds an entry.
-
-    Any v gives a bound; this one is not spoilt by the rounding of a solver. Entries with p > 0 take the change: there it costs
-    its square.
-    """
-    p, phi = program.p, program.features
-    slope = (1.0 + eta) * program.q + tie
-    tie = tie + np.where((p == 0) & ~bounded, np.maximum(LEAST_SLOPE - slope, 0.0), 0.0)
-    weight = np.where(p > 0, p / np.maximum(g, 1e-100) ** 2, 1e-6)
+    free = (p == 0) & (top == np.inf)
+    tie = tie + np.where(free, np.maximum(LEAST_SLOPE - (1.0 + eta) * q - tie, 0.0), 0.0)
+    weight = np.where(p > 0, p / np.maximum(ratio, 1e-100) ** 2, 1e-6)
     curvature = phi.T @ (weight[:, None] * phi)
     for _ in range(2):  # twice for rounding's sake
-        rest = program.penalty * w - phi.T @ tie
-        tie = tie + weight * (phi @ np.linalg.lstsq(curvature, rest)[0])
-    return tie
-
-
-def orthonormal_basis(features: Array) -> tuple[Array, Array]:
-    """An orthonormal basis Q of the features' span, and B with features @ (B c) = Q c, B c the smallest such w."""
-    left, values, right = np.linalg.svd(features, full_matrices=False)
-    kept = values > 1e-10 * values.max(initial=0.0)
-    return left[:, kept], right[kept].T / values[kept]
+        tie = tie + weight * (phi @ np.linalg.lstsq(curvature, ridge * weights - phi.T @ tie)[0])
+    rest, top = ridge * weights - phi.T @ tie, np.maximum(np.where(free, LARGEST_RATIO, top), ratio)
+    gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
+    if ridge > 0.0:
+        gap += 0.5 / ridge * float(rest @ rest)
+    else:  # what Phi^T v = 0 is missed by counts as it is
+        gap += float(np.abs(rest).sum()) * max(1.0, float(np.abs(weights).max(initial=0.0)))
+    return ClassFit(weights, ratio, eta, gap if violation <= VIOLATION_TOLERANCE else np.inf)
 
 
 def _refuse_class_without_room(program: LinearProgram) -> None:
     """ValueError where the class has no function strictly within the bounds, with sum q g = 1 where it is asked for."""
-    miss = nearest_miss(program)
+    miss = statements.nearest_miss(program)
     if miss <= -1e-9:
         return
     above, below = ("at least", "at most") if miss > 1e-9 else ("above", "below")
@@ -156,65 +131,6 @@ def _refuse_class_without_room(program: LinearProgram) -> None:
         f"features must span a function that is {above} {program.lower:g}{upper}{one}; {nearest} "
         "(a constant feature makes one)"
     )
-
-
-def nearest_miss(program: LinearProgram) -> float:
-    """How far the class stays from the bounds at best, sum q g = 1 held; inf: nowhere. Below 0 where it has room.
-
-    A linear program: minimise t over lower - t <= offset + Phi w <= upper + t.
-    """
-    from scipy.optimize import linprog  # a tenth of a second
-
-    d, phi = program.features.shape[1], program.features
-    sides = [(-phi, program.offset - program.lower)]
-    if np.isfinite(program.upper):
-        sides.append((phi, program.upper - program.offset))
-    total = 1.0 - program.offset * float(program.q.sum())
-    found = linprog(
-        np.append(np.zeros(d), 1.0),
-        A_ub=np.vstack([np.column_stack([side, -np.ones(len(phi))]) for side, _ in sides]),
-        b_ub=np.repeat([room for _, room in sides], len(phi)),
-        A_eq=np.append(phi.T @ program.q, 0.0)[None, :] if program.normalized else None,
-        b_eq=[total] if program.normalized else None,
-        bounds=[(None, None)] * d + [(-1.0, None)],
-    )
-    return float(found.x[-1]) if found.status == 0 else np.inf
-
-
-def class_features(
-    features: object, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
-) -> tuple[Array, dict[str, Any]]:
-    """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates."""
-    if features is not None:
-        for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
-            if value is not None:
-                raise ValueError(f"{name} must not be given with features; the two are different classes")
-        array = cell_features(features, n)
-        return array, {"feature_rank": warn_of_rank(array)}
-    if coordinates is None:
-        raise ValueError("coordinates must be given with kernel: the points that the entries of p and q stand for")
-    points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
-    _checks.require_finite(points, "coordinates")
-    if len(points) != n:
-        raise ValueError(f"coordinates must have {n} rows, one for each entry of p; they have {len(points)}")
-    chosen = _standard_gaussian(points.reshape(n, -1)) if isinstance(kernel, str) else kernel
-    _check_kernel(kernel)
-    assert callable(chosen)
-    space = kernel_features(points.reshape(n, -1), chosen, n_centers=n_centers)
-    return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
-
-
-def _check_kernel(kernel: object) -> None:
-    if not callable(kernel):
-        _checks.one_of(kernel, "kernel", ("gaussian",))
-
-
-def _standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
-    """Gaussian in units of each coordinate's standard deviation over the points."""
-    size = points.std(axis=0)
-    size = np.where(size > 0, size, 1.0)
-    base = gaussian(bandwidth)
-    return lambda x, c: base(x / size, c / size)
 
 
 def fit_cells(p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str) -> ClassFit:
@@ -234,19 +150,6 @@ def _refuse_thin_box(box: Box, normalized: bool) -> None:
     if not box.lower < box.upper or (normalized and not box.lower < 1.0 < box.upper):
         rule = "lower < 1 < upper" if normalized else "lower < upper"
         raise ValueError(f"the box of a linear class must have {rule}; it is [{box.lower:g}, {box.upper:g}]")
-
-
-def move_points(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
-    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
-    places, rows = check_places(coordinates, simulator), Rows.of(simulator)
-    start = rows.spread(places[rows.state])
-    return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
-
-
-def _move_kernel(points: Array, bandwidth: float) -> Kernel:
-    """1[same action] times a Gaussian in the standardised coordinates and displacements."""
-    smooth = _standard_gaussian(points[:, 1:], bandwidth)
-    return lambda x, c: (x[:, :1] == c[:, 0]) * smooth(x[:, 1:], c[:, 1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +206,7 @@ class InClass(Method):
         else:
             if self.features is not None:
                 raise ValueError("features must be left out with a kernel: the two are different classes")
-            _check_kernel(self.kernel)
+            check_kernel(self.kernel)
             if self.coordinates is None:
                 raise ValueError('coordinates must be given with method "kernel": (S,) or (S, c), where each state is')
         _checks.positive_integer(self.n_centers, "n_centers")
@@ -313,18 +216,24 @@ class InClass(Method):
     def _name(self) -> str:
         return "linear" if self.kernel is None else "kernel"
 
+    def _kernel_of_moves(self, points: Array) -> Kernel:
+        """The user's, or 1[same action] times a Gaussian in the standardised coordinates and displacements."""
+        if callable(self.kernel):
+            return self.kernel
+        smooth = standard_gaussian(points[:, 1:], self.bandwidth)
+        return lambda x, c: (x[:, :1] == c[:, 0]) * smooth(x[:, 1:], c[:, 1:])
+
     def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, simulator, rows = given.observed, given.simulator, given.rows
         box, q = check_box(self.lower, self.upper, normalized=True), rows.weights
         details: dict[str, object] = {}
         if self.kernel is None:
             phi = rows.center(feature_array(self.features, simulator))
-            details["feature_rank"] = warn_of_rank(phi, where=" within rows")
+            details["feature_rank"] = count_rank(phi, where=" within rows")
         else:
             points = move_points(simulator, self.coordinates)
-            chosen = _move_kernel(points, self.bandwidth) if isinstance(self.kernel, str) else self.kernel
-            space = kernel_features(points, chosen, n_centers=self.n_centers, center=rows.center)
-            phi = space.matrix
+            space = kernel_features(points, self._kernel_of_moves(points), self.n_centers)
+            phi = rows.center(space.matrix)
             details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
@@ -336,6 +245,6 @@ class InClass(Method):
         safe = np.maximum(zeta, 1e-12)
         details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
-        part = Part(zeta * q, phi / safe[:, None], information)
-        influence = Influence(rows, observed, zeta, q / safe, np.zeros(len(rows)), part)
+        scores, share = phi / safe[:, None], np.zeros(len(rows))
+        influence = Influence(rows, observed, zeta, q / safe, share, scores=scores, information=information)
         return given.ratio(zeta, self._name, found.gap, details, influence)

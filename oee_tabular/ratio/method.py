@@ -116,11 +116,6 @@ class Population:
         return policy_value(model, self.policy, horizon=self.horizon)
 
 
-def not_used(method: str) -> str:
-    """The rule that an option of another method breaks."""
-    return f"must not be given with method {method!r}, which does not use it"
-
-
 class Method:
     """A way from counts to zeta. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``.
 
@@ -142,11 +137,6 @@ class Method:
         return self.USES
 
     @property
-    def refuses(self) -> str:
-        """What is said of the others of ``USES``."""
-        return "must be left out with these options, which do not use it"
-
-    @property
     def _name(self) -> str:
         """As errors and results call it."""
         return type(self).__name__.lower()
@@ -155,8 +145,11 @@ class Method:
         """ValueError that names an input that is given and that ``fit`` would not look at."""
         for name, value in inputs.items():
             if value is not None and name not in self.uses:
-                reason = self.refuses if name in self.USES else not_used(self._name)
-                raise ValueError(f"{name} {reason}; got {_checks.show(value)}")
+                raise ValueError(f"{name} {self._refusal(name)}; got {_checks.show(value)}")
+
+    def _refusal(self, name: str) -> str:
+        """The rule that an input without a use breaks."""
+        return f"must not be given with method {self._name!r}, which does not use it"
 
     @one_thread
     def fit(
@@ -182,8 +175,12 @@ class Method:
         if isinstance(log_or_counts, Transitions):
             log = log_or_counts.numbered(simulator)
             counts = log.counts(simulator.n_states, simulator.n_actions, discount=discount)
+        elif not sparse.issparse(log_or_counts):
+            raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
+        elif discount is not None:
+            raise ValueError("discount must be left out where counts are given: they have no timesteps")
         else:
-            counts = _check_counts(log_or_counts, simulator, discount)
+            counts = checked_counts(log_or_counts, simulator)
         if Rows not in made:
             made[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
@@ -204,17 +201,14 @@ class Method:
         )
         found = self._fit(given)
         if not found.finite:
+            options = {option.name: getattr(self, option.name) for option in fields(self)}  # type: ignore[arg-type]
+            numbers = [f"{name} {x:g}" for name, x in options.items() if isinstance(x, int | float)]
+            functions = [name for name, x in options.items() if callable(x)]
             raise ValueError(
                 f"the options of method {self._name!r} must make a program that double precision holds; they are "
-                f"{self._numbers()}"
+                f"{', '.join(numbers + functions)}"
             )
         return found
-
-    def _numbers(self) -> str:
-        """The options that may be too large, as an error lists them."""
-        numbers = {option.name: getattr(self, option.name) for option in fields(self)}  # type: ignore[arg-type]
-        given = {name: x for name, x in numbers.items() if isinstance(x, int | float) or callable(x)}
-        return ", ".join(f"{name} {x:g}" if isinstance(x, int | float) else name for name, x in given.items())
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """zeta as the number of moves grows, recorded as ``population`` says."""
@@ -234,15 +228,7 @@ class Method:
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
     several = split_policies(values_of, simulator) if isinstance(values_of, list | tuple) else None
-    given = list(several.values()) if several else [values_of]
-    names = [f"values_of[{k}]" for k in range(len(given))] if several else ["values_of"]
-    return tuple(check_policy(policy, simulator, name=name) for policy, name in zip(given, names, strict=True))
-
-
-def _check_counts(counts: object, simulator: FiniteMDP, discount: float | None) -> sparse.csr_array:
-    """A user's own counts, checked."""
-    if not sparse.issparse(counts):
-        raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(counts).__name__}")
-    if discount is not None:
-        raise ValueError("discount must be left out where counts are given: they have no timesteps")
-    return checked_counts(counts, simulator)
+    named = (
+        {f"values_of[{k}]": each for k, each in enumerate(several.values())} if several else {"values_of": values_of}
+    )
+    return tuple(check_policy(policy, simulator, name=name) for name, policy in named.items())

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
-from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.arguments import check_box
 
 ACTIVATIONS = ("relu", "tanh", "gelu", "silu", "softplus")
@@ -95,37 +93,6 @@ class Network:
         if _checks.number_in(self.held_out, "held_out", 0.0, 1.0) == 1.0:
             raise ValueError("held_out must leave moves to train on; it is 1")
         _checks.positive_integer(self.patience, "patience")
-
-
-@dataclass(frozen=True, eq=False)
-class Training:
-    """What ``_neural.train`` gets: the cells, their weights (each side's sum to 1), and the risk's other terms.
-
-    ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for one-hot states; ``sizes`` S and A.
-    ``p``, ``q`` : train on; ``held_p``, ``held_q`` : stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which
-    sum P g = 1, whose cells are all there are and q their share of p times P; None: the box is all.
-    """
-
-    cells: tuple[IntArray, ...]
-    sizes: tuple[int, int]
-    places: Array | None
-    p: Array
-    q: Array
-    held_p: Array | None
-    held_q: Array | None
-    lower: float
-    upper: float
-    ridge: Array
-    toward: float
-    rows: Rows | None = None
-
-    def risk(self, g: Array, p: Array, q: Array) -> float:
-        """sum q g - sum p log g + ridge/2 sum q (g - toward)^2."""
-        return float(q @ (g + self.ridge / 2 * (g - self.toward) ** 2) - p @ np.log(g))
-
-    def held_out_risk(self, g: Array) -> float:
-        """The risk on what is held out; nan without."""
-        return np.nan if self.held_p is None or self.held_q is None else self.risk(g, self.held_p, self.held_q)
 
 
 def check_network(network: object, *, solver: object) -> None:

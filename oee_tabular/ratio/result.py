@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -122,10 +122,10 @@ class TransitionRatio:
     @property
     def finite(self) -> bool:
         """Whether zeta, its gap and what its errors are computed from are finite numbers."""
-        known = [self.values.data, np.asarray(self.gap)]
+        known = [self.values.data, self.gap]
         if self._influence is not None:
-            part, tilt = self._influence.part, self._influence.tilt
-            known += [] if part is None else [part.information]
+            tilt, information = self._influence.tilt, self._influence.information
+            known += [] if information is None else [information]
             known += [] if tilt is None else [tilt.theta, tilt.covariances]
         return all(np.isfinite(x).all() for x in known)
 
@@ -138,11 +138,8 @@ class TransitionRatio:
         given; parameters of a tilt have their posterior variance, so that rows without data add what they share with others.
         The error that a wrong prior makes is not in it. None where no formula is known.
         """
-        gradient = self._aligned(gradient)
-        if self._influence is None:
-            return None
-        shift = exponent(gradient)
-        return float(np.ldexp(self._influence.standard_error(_shifted(gradient, shift)), shift))
+        scaled, shift = self._scale(gradient)
+        return None if self._influence is None else float(np.ldexp(self._influence.standard_error(scaled), shift))
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
@@ -152,26 +149,21 @@ class TransitionRatio:
         that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single move has none under its own frequencies.
         """
-        gradient = self._aligned(gradient)
+        scaled, shift = self._scale(gradient)
         if self._influence is None:
             return None
-        shift = exponent(gradient)
-        step = self._influence.one_step(_shifted(gradient, shift))
-        parts = step.change, step.standard_error, step.unseen, step.change_error
-        return OneStep(*(float(np.ldexp(part, shift)) for part in parts))
+        return OneStep(*(float(np.ldexp(part, shift)) for part in astuple(self._influence.one_step(scaled))))
 
-    def _aligned(self, gradient: ArrayLike) -> Array:
+    def _scale(self, gradient: ArrayLike) -> tuple[Array, int]:
+        """A checked gradient divided by the power of two 2^shift that makes its squares numbers, and shift."""
         array = _checks.float_array(gradient, "gradient", ndim=1)
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
             raise ValueError(
                 f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"
             )
-        return array
-
-
-def _shifted(gradient: Array, shift: int) -> Array:
-    return gradient if shift == 0 else np.ldexp(gradient, -shift)
+        shift = exponent(array)
+        return array if shift == 0 else np.ldexp(array, -shift), shift
 
 
 @dataclass(frozen=True)
@@ -193,21 +185,6 @@ class OneStep:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Parameters of a class of ratios that all rows share.
-
-    Attributes
-    ----------
-    probabilities : (entries,) zeta P; scores : (entries, d) d log zeta / d parameters
-    information : (d, d) the Hessian of the class's risk
-    """
-
-    probabilities: Array
-    scores: Array
-    information: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Influence:
     """How a row's frequencies move the entries of zeta * P, by differentiating the conditions that determine them.
 
@@ -216,7 +193,8 @@ class Influence:
     rows : the simulator's; counts : n_x on their entries; ratio : zeta
     curvature : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
     share : of the data in a row, n_sa / (n_sa + kappa)
-    part : the parameters of a class of ratios; tilt : what the prior's rows are, where it is fitted
+    tilt : what the prior's rows are, where it is fitted
+    scores, information : of a class that all rows share, d log zeta / d parameters (entries, d) and its risk's Hessian (d, d)
 
     What is computed of them goes over the rows block by block.
     """
@@ -226,8 +204,9 @@ class Influence:
     ratio: Array
     curvature: Array
     share: Array
-    part: Part | None = None
     tilt: Ridge | None = None
+    scores: Array | None = None
+    information: Array | None = None
 
     @cached_property
     def n(self) -> Array:
@@ -241,14 +220,17 @@ class Influence:
         + p' H^-1 p), d = d value / d frequencies, p and H the derivative in the tilt's parameters, through what the rows
         have of it, and their information. Variances are those under the frequencies.
         """
-        visited = self.rows.select(self.n > 0)
-        if self.part is not None:
-            return self._class_error(gradient, self.part, visited)
-        total = 0.0
-        for rows in visited.blocks():
-            share, n = self.share[rows.number], self.n[rows.number]
-            frequencies = rows.frequencies(self.counts[rows.entries])
-            total += float(np.sum(share**2 / n * rows.variance(frequencies, self._by_probability(gradient, rows))))
+        total, step = 0.0, None
+        if self.scores is not None:
+            assert self.information is not None
+            free = self._by_probability(gradient, self.rows) * self.rows.spread(1.0 - self.share)
+            step = np.linalg.lstsq(self.information, (free * self.ratio * self.rows.weights) @ self.scores)[0]
+        for rows in self.rows.select(self.n > 0).blocks():
+            n = self.n[rows.number]
+            psi = rows.spread(self.share[rows.number] / n) * self._by_probability(gradient, rows)
+            if step is not None and self.scores is not None:
+                psi += self.scores[rows.entries] @ step
+            total += float(np.sum(n * rows.variance(rows.frequencies(self.counts[rows.entries]), psi)))
         if self.tilt is not None:
             pull: Any = 0.0
             for rows in self.rows.blocks():
@@ -256,15 +238,6 @@ class Influence:
                 pull = pull + self.tilt.pull(rows, free * self.tilt.at(rows))
             total += self.tilt.variance(pull)
         return float(np.sqrt(total))
-
-    def _class_error(self, gradient: Array, part: Part, visited: Rows) -> float:
-        """The first of the two."""
-        free = self._by_probability(gradient, self.rows) * self.rows.spread(1.0 - self.share)
-        step = np.linalg.lstsq(part.information, (free * part.probabilities) @ part.scores)[0]
-        n, at = self.n[visited.number], visited.entries
-        each = visited.spread(self.share[visited.number] / n) * self._by_probability(gradient, visited)
-        each = each + part.scores[at] @ step
-        return float(np.sqrt(np.sum(n * visited.variance(visited.frequencies(self.counts[at]), each))))
 
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
@@ -283,12 +256,8 @@ class Influence:
             change += float(slope[seen] @ (rows.frequencies(self.counts[rows.entries]) - kernel)[seen])
         visited = self.n > 0
         each = np.where(visited, variance / np.maximum(self.n, 1.0), 0.0)
-        return OneStep(
-            change,
-            float(np.sqrt(each.sum())),
-            float(np.sqrt(variance[~visited].sum())),
-            float(np.sqrt(np.sum((1.0 - self.share) ** 2 * each))),
-        )
+        squares = each.sum(), variance[~visited].sum(), np.sum((1.0 - self.share) ** 2 * each)
+        return OneStep(change, *(float(np.sqrt(x)) for x in squares))
 
     def _by_probability(self, gradient: Array, rows: Rows) -> Array:
         """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each of the rows."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,16 +16,8 @@ from oee_tabular.ratio import dual
 from oee_tabular.ratio.arguments import check_ridge
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import Coordinates
-from oee_tabular.ratio.network import Network, Training
+from oee_tabular.ratio.network import Network
 from oee_tabular.ratio.sgd import SgdTrace
-
-
-class RowFit(NamedTuple):
-    """zeta on the simulator's entries; ``gap`` : its risk above the optimum over all rows, nats a move of the log."""
-
-    ratio: Array
-    gap: float
-    details: dict[str, Any]
 
 
 def fit_network(
@@ -46,15 +38,13 @@ def fit_network(
     ``trace`` has excess and error against the optimum over all functions in the box; ``details`` the iteration kept and the
     held-out risk at each check.
     """
-    train, generator = _trainer(), _checks.generator(seed)
+    neural, generator = _require_neural(), _checks.generator(seed)
     best = density_ratio(p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False)
-    (p_train, p_held), (q_train, q_held) = (
-        _split(w, name, network.held_out, generator) for w, name in ((p, "p"), (q, "q"))
-    )
-    lam = np.full(len(p), check_ridge(ridge, float(p.sum())))
-    places = _places(network, sizes[0])
-    training = Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
-    found = train(network, training, generator)
+    p_train, p_held = _split(p, "p", network.held_out, generator)
+    q_train, q_held = _split(q, "q", network.held_out, generator)
+    lam, places = np.full(len(p), check_ridge(ridge, float(p.sum()))), _places(network, sizes[0])
+    training = neural.Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
+    found = neural.train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
     g, value = found.ratio, training.risk(found.ratio, pk, qk)
     risks = [training.risk(each, pk, qk) for each in found.checked]
@@ -72,48 +62,50 @@ def fit_network(
     )
 
 
-def fit_rows(network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Seed) -> RowFit:
+def fit_rows(
+    network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Seed
+) -> tuple[Array, float, dict[str, Any]]:
     """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
 
-    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. ``details``:
-    the ``trace`` against the optimum over all rows, ``iterations``, the one kept, the held-out risk at each check.
+    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. Returns zeta on the
+    simulator's entries, its risk above the optimum over all rows (nats a move of the log), and details: the ``trace`` against
+    that optimum, ``iterations``, the one kept, the held-out risk at each check.
     """
-    train, generator = _trainer(), _checks.generator(seed)
+    neural, generator = _require_neural(), _checks.generator(seed)
     p_train, p_held = _split(counts, "p", network.held_out, generator)
-
-    def of_rows(p: Array) -> Array:
-        return np.asarray(rows.spread(rows.sums(p)) * rows.weights)
-
-    p, share = counts / counts.sum(), rows.spread(rows.sums(counts)) / counts.sum()
-    training = Training(
-        rows.transitions, (rows.n_states, rows.n_actions), _places(network, rows.n_states), p_train, of_rows(p_train),
-        p_held, None if p_held is None else of_rows(p_held), 0.0, np.inf, program.curvature / rows.weights,
+    p, share = counts / counts.sum(), rows.spread(rows.sums(counts / counts.sum()))
+    q_train = rows.spread(rows.sums(p_train)) * rows.weights
+    q_held = None if p_held is None else rows.spread(rows.sums(p_held)) * rows.weights
+    sizes, places = (rows.n_states, rows.n_actions), _places(network, rows.n_states)
+    training = neural.Training(
+        rows.transitions, sizes, places, p_train, q_train, p_held, q_held, 0.0, np.inf, program.curvature / rows.weights,
         float(program.center[0]), rows,
     )  # fmt: skip
-    found = train(network, training, generator)
+    found = neural.train(network, training, generator)
     best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
-    weighted = program._replace(p=p, q=of_rows(p), curvature=share * program.curvature)
+    weighted = program._replace(p=p, q=share * rows.weights, curvature=share * program.curvature)
     least = dual.objective(best.ratio, weighted)
-    bound = least - float(rows.sums(p) @ best.gap)
-    risks = [dual.objective(each, weighted) for each in found.checked]
+    excess = dual.objective(found.ratio, weighted) - least
     details = {
-        "trace": _trace(found, risks, least, best.ratio, share > 0),
+        "trace": _trace(
+            found, [dual.objective(each, weighted) for each in found.checked], least, best.ratio, share > 0
+        ),
         "iterations": int(found.iteration[-1]),
         "kept": found.kept,
         "held_out_risk": found.held_out,
     }
-    return RowFit(found.ratio, max(dual.objective(found.ratio, weighted) - bound, 0.0), details)  # but for rounding
+    return found.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details  # but for rounding
 
 
-def _trainer() -> Any:
-    """``_neural.train``: an ImportError in one sentence without the extra."""
+def _require_neural() -> Any:
+    """``_neural``: an ImportError in one sentence without the extra."""
     try:
         from oee_tabular.ratio import _neural
     except ImportError:
         raise ImportError(
             "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
         ) from None
-    return _neural.train
+    return _neural
 
 
 def _trace(found: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from dataclasses import fields
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from scipy import sparse
 
@@ -18,30 +16,22 @@ from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.conditional import Conditional
 from oee_tabular.ratio.joint import Joint
 from oee_tabular.ratio.linear import InClass
-from oee_tabular.ratio.method import Method, RatioInput, SimulatorData, not_used
+from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.ties import Tied
 
-
-class _Named(NamedTuple):
-    """What a method's name stands for: a class, those of its fields that are no options, and those that the name settles."""
-
-    make: Any
-    without: Collection[str] = ()
-    settled: Mapping[str, Any] = MappingProxyType({})
-
-
-METHODS = {
-    "conditional": _Named(Conditional),
-    "tied": _Named(Tied),
-    "linear": _Named(InClass, without=("kernel", "coordinates", "bandwidth", "n_centers")),
-    "kernel": _Named(InClass, without=("features",), settled={"kernel": "gaussian"}),
-    "ratio_of_ratios": _Named(Quotient),
-    "joint": _Named(Joint),
+# What a method's name stands for: a class, those of its fields that are no options, and those that the name settles
+METHODS: dict[str, tuple[Any, set[str], dict[str, Any]]] = {
+    "conditional": (Conditional, set(), {}),
+    "tied": (Tied, set(), {}),
+    "linear": (InClass, {"kernel", "coordinates", "bandwidth", "n_centers"}, {}),
+    "kernel": (InClass, {"features"}, {"kernel": "gaussian"}),
+    "ratio_of_ratios": (Quotient, set(), {}),
+    "joint": (Joint, set(), {}),
 }
-OPTIONS = {name: {each.name for each in fields(named.make)} - set(named.without) for name, named in METHODS.items()}
+OPTIONS = {name: {each.name for each in fields(make)} - without for name, (make, without, _) in METHODS.items()}
 
 
 def method_named(name: str, **options: Any) -> Method:
@@ -51,14 +41,17 @@ def method_named(name: str, **options: Any) -> Method:
     InClass(kernel=None, bandwidth=1.0, n_centers=200, lower=None, upper=None, ridge=None, solver='dual')
     """
     _checks.one_of(name, "method", tuple(METHODS))
+    make, _, settled = METHODS[name]
     known = sorted(set().union(*OPTIONS.values()))
     given = {option: value for option, value in options.items() if value is not None or option == "toward"}
     for option, value in given.items():
         if option not in known:
             raise TypeError(f"{option} must be an option of a method: {', '.join(known)}; got {_checks.show(value)}")
         if option not in OPTIONS[name]:
-            raise ValueError(f"{option} {not_used(name)}; got {_checks.show(value)}")
-    made: Method = METHODS[name].make(**{**METHODS[name].settled, **given})
+            raise ValueError(
+                f"{option} must not be given with method {name!r}, which does not use it; got {_checks.show(value)}"
+            )
+    made: Method = make(**{**settled, **given})
     return made
 
 
@@ -124,10 +117,8 @@ def transition_ratio(
             raise TypeError(f"{next(iter(options))} must be given to the method object; the method is {method!r}")
         chosen = method
     else:
-        _checks.one_of(method, "method", tuple(METHODS))
-        if method == "conditional" and options.get("tie") is not None:
-            method = "tied"
-        chosen = method_named(method, **options)
+        pooled = method == "conditional" and options.get("tie") is not None
+        chosen = method_named("tied" if pooled else method, **options)
     inputs: dict[str, Any] = {
         "values_of": values_of,
         "horizon": horizon,

@@ -59,11 +59,11 @@ def test_certificates_hold_and_are_tight(rng, box):
 
 
 @given(rngs, st.sampled_from([{}, {"lower": 0.1, "upper": 5.0}, {"ridge": 3.0, "toward": 1.0}, {"normalized": False}]))
-def test_equal_distributions_have_ratio_one_exactly(rng, options):
+def test_equal_distributions_have_ratio_one(rng, options):
     p = rng.integers(0, 9, size=int(rng.integers(1, 40))) + 0.0
     p[0] = 1.0
     for scale in (1.0, 3.0):
-        assert_array_equal(oee.density_ratio(p, scale * p, **options).ratio, np.ones(len(p)))
+        assert_allclose(oee.density_ratio(p, scale * p, **options).ratio, np.ones(len(p)), rtol=1e-15)
 
 
 @given(rngs)
