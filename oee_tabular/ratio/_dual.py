@@ -3,8 +3,8 @@
 In a row: minimise sum_x [q g - p log g - pull g + a/2 g^2] over lower <= g <= upper, subject to sum_x q g = sum_x q; a and
 pull differ between entries (``ratio.dual`` says how ridges and least squares come to this form). With the multiplier eta of
 the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels) each coordinate has the closed form of
-``coordinate``, and the miss sum_x q (g_x(m) - 1) is nonincreasing in m: a bracketed root, by Newton's method in 1/m, in which
-the miss is linear where a = pull = 0 and the same entries are inside the box.
+``coordinate``, and the miss sum_x q (g_x(m) - 1) is nonincreasing in m: a bracketed root, by Newton's method. Where a = 0 it
+is Newton's in 1/m, in which the miss is linear as long as the same entries are inside the box.
 """
 
 from typing import Any, NamedTuple
@@ -72,8 +72,8 @@ def fill_row(m, form, low, high, g):
 
 
 @njit(cache=True, error_model="numpy")
-def solve_row(form, low, high, g):
-    """Solve one row into ``g``; returns m and its bracket, left = right where g is known outright.
+def solve_row(form, low, high, g, below, above):
+    """Solve one row into ``g``, with the minimisers at the ends of m's bracket, below <= g <= above; returns m.
 
     Needs lower <= 1 <= upper. The bracket has miss(left) >= 0 >= miss(right); from m = 1 it shrinks by Newton's steps, each a
     little too long near the root so that both ends come within rounding of it, by doubled steps where it has no end, and by
@@ -87,26 +87,28 @@ def solve_row(form, low, high, g):
     if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():  # every feasible g is a minimiser
         for x in range(low, high):
             g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
-        return 0.0, 0.0, 0.0
-    left, right, at_left, at_right = -np.inf, np.inf, np.nan, np.nan
+        below[low:high], above[low:high] = g[low:high], g[low:high]
+        return 0.0
+    left, right = -np.inf, np.inf
     if not curved:  # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
         left = mass if form.upper == np.inf else -TINY
     m, width, reach = 1.0, 1.0, ROUNDING
     for step in range(1, N_STEPS):
         miss, slope = fill_row(m, form, low, high, g)
         if miss == 0.0:
-            return m, m, m
+            below[low:high], above[low:high] = g[low:high], g[low:high]
+            return m
         if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):  # numbers that double precision does not hold
             g[low:high] = np.nan
-            return np.nan, np.nan, np.nan
+            return np.nan
         if miss > 0.0:
-            left, at_left = m, miss
+            left = m
         else:
-            right, at_right = m, miss
+            right = m
         if right - left <= max(4.0 * reach * abs(m), TINY):
             break
         share = miss / (slope * m) if slope > 0.0 else np.nan
-        trial = m / (1.0 - share) if m > 0.0 and share < 0.5 else m + miss / slope
+        trial = m / (1.0 - share) if not curved and share < 0.5 else m * (1.0 + share)
         if abs(share) <= 1e-10:
             trial += np.copysign(reach * m, miss)
             reach *= 2.0
@@ -119,25 +121,24 @@ def solve_row(form, low, high, g):
             if not left < trial < right:
                 break
         m = trial
-    if np.isnan(at_left):  # a bound that was never tried
-        at_left, slope = fill_row(left, form, low, high, g)
+    at_left, at_right = fill_row(left, form, low, high, above)[0], fill_row(right, form, low, high, below)[0]
     share = min(max(-at_right / (at_left - at_right), 0.0), 1.0) if at_left > at_right else 1.0
     for x in range(low, high):
-        above, below = minimiser(left, form, x), minimiser(right, form, x)
-        g[x] = below + share * (above - below) if above > below else above
-    return left if share >= 0.5 else right, left, right
+        g[x] = below[x] + share * (above[x] - below[x]) if above[x] > below[x] else above[x]
+    return left if share >= 0.5 else right
 
 
 @njit(cache=True, error_model="numpy")
-def solve_rows(form, indptr, g, left, right, m):
-    """Every row by itself: the ratios, the bracket of m and m of each."""
+def solve_rows(form, indptr, g, below, above, m):
+    """Every row by itself: the ratios, what encloses them, and m of each row."""
     for k in range(len(m)):
-        m[k], left[k], right[k] = solve_row(form, indptr[k], indptr[k + 1], g)
+        m[k] = solve_row(form, indptr[k], indptr[k + 1], g, below, above)
 
 
 @njit(cache=True, error_model="numpy")
-def minimisers(m, form, indptr, g):
-    """g(m) of each row with a number m; the others keep what ``g`` has."""
-    for k in range(len(m)):
-        if not np.isnan(m[k]):
-            fill_row(m[k], form, indptr[k], indptr[k + 1], g)
+def solve_free(form):
+    """Without the equality: m = 1."""
+    g = np.empty(len(form.p))
+    for x in range(len(g)):
+        g[x] = minimiser(1.0, form, x)
+    return g

@@ -158,7 +158,7 @@ class Conditional(Method):
                 return given.ratio(fit, "conditional", excess, details | more)
             if self.solver == "dual":
                 found = dual.solve_rows(program, *box, some.indptr)
-                zeta[at], gap, (ends[0][at], ends[1][at]) = found.ratio, found.gap, found.enclosure()
+                zeta[at], gap, ends[0][at], ends[1][at] = found.ratio, found.gap, found.below, found.above
             else:
                 zeta[at], eta = statements.solve_rows(program, *box, some.indptr, solver=self.solver)
                 gap = dual.row_gaps(program, zeta[at], 1.0 + eta, *box, some.indptr)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,8 @@ class RatioFit:
     Attributes
     ----------
     ratio : (n,) array, beta = dP/dQ
-    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry; made when asked for
+    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry: from the bracket of the
+        multiplier with "dual", else the box
     objective : value of the program at ``ratio``, p and q scaled to sum to 1
     dual_bound : a lower bound on the program's optimum, from the multiplier
     gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
@@ -66,16 +66,7 @@ class RatioFit:
     trace: SgdTrace | None = None
     weights: Array | None = None
     details: dict[str, Any] = field(default_factory=dict)
-    _known: Any = field(default=..., repr=False)  # the entries that are part of the program
-    _ends: Any = field(default=(0.0, np.inf), repr=False)  # bounds on the minimiser there, or what computes them
-
-    @cached_property
-    def enclosure(self) -> tuple[Array, Array]:
-        """From the bracket of the multiplier with "dual", else the box."""
-        below, above = self.ratio.copy(), self.ratio.copy()
-        ends = self._ends.enclosure() if isinstance(self._ends, dual.RowSolution) else self._ends
-        below[self._known], above[self._known] = ends
-        return below, above
+    enclosure: tuple[Array, Array] = field(default=(np.empty(0), np.empty(0)), repr=False)
 
     def __str__(self) -> str:
         low, high = (self.ratio.min(), self.ratio.max()) if len(self.ratio) else (np.nan, np.nan)
@@ -188,7 +179,7 @@ def density_ratio(
     curvature = np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
     program = dual.Coordinates(ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2")
     m = 1.0
-    ends: Any = box
+    ends: tuple[Any, Any] = box
     rest: dict[str, Any] = {}
     if in_class:
         _checks.positive_integer(n_centers, "n_centers")
@@ -205,8 +196,8 @@ def density_ratio(
             g, multiplier = statements.solve_rows(program, *box, whole if normalized else None, solver=str(solver))
             m += float(multiplier.sum())
         elif normalized:
-            ends = dual.solve_rows(program, *box, whole)
-            g, m = ends.ratio, float(ends.m[0])
+            g, multipliers, _, *enclosure = dual.solve_rows(program, *box, whole)
+            m, ends = float(multipliers[0]), (enclosure[0], enclosure[1])
         else:
             g = dual.solve_free(program, *box)
             ends = g, g
@@ -219,8 +210,8 @@ def density_ratio(
             f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
         )
     ratio = np.full(n, min(max(1.0 if toward is None else center, box.lower), box.upper))
-    ratio[known] = g
-    risk = program.risk(g)
+    below, above, risk = ratio.copy(), ratio.copy(), program.risk(g)
+    ratio[known], below[known], above[known] = g, *ends
     return RatioFit(
         ratio=_checks.freeze(ratio),
         objective=risk + penalty,
@@ -232,8 +223,7 @@ def density_ratio(
         p_total=totals[0],
         q_total=totals[1],
         status="optimal" if gap <= ACCURATE else f"inaccurate: the gap is {gap:.1e}",
-        _known=known,
-        _ends=ends,
+        enclosure=(below, above),
         **rest,
     )
 

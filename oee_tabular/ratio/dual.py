@@ -55,27 +55,15 @@ class Coordinates(NamedTuple):
 class RowSolution(NamedTuple):
     """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
 
-    ``left`` <= the exact m <= ``right`` (up to the rounding of the sums); equal where g is known outright.
+    below <= the exact minimiser <= above, entry by entry: the minimisers at the two ends of the bracket of m, equal, up to
+    rounding, but where a jump leaves the minimiser free (inf where nothing bounds it).
     """
 
     ratio: Array
     m: Array
     gap: Array
-    left: Array
-    right: Array
-    form: _dual.Form
-    indptr: IntArray
-
-    def enclosure(self) -> tuple[Array, Array]:
-        """(below, above) with below <= the exact minimiser <= above, entry by entry.
-
-        They are the coordinates' minimisers at the two ends of the bracket of m: equal, up to rounding, but where a jump
-        leaves the minimiser free (inf where nothing bounds it).
-        """
-        below, above = self.ratio.copy(), self.ratio.copy()
-        for ends, values in ((self.right, below), (self.left, above)):
-            _dual.minimisers(np.where(self.left < self.right, ends, np.nan), self.form, self.indptr, values)
-        return below, above
+    below: Array
+    above: Array
 
 
 def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray) -> RowSolution:
@@ -84,18 +72,15 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
     cannot fail.
     """
-    rows = indptr.astype(np.int64)
-    form, ratio = program.kernel_form(lower, upper), np.empty(len(program.p))
-    left, right, m = np.empty((3, len(rows) - 1))
-    _dual.solve_rows(form, rows, ratio, left, right, m)
-    return RowSolution(ratio, m, row_gaps(program, ratio, m, lower, upper, rows), left, right, form, rows)
+    rows, m = indptr.astype(np.int64), np.empty(len(indptr) - 1)
+    ratio, below, above = np.empty((3, len(program.p)))
+    _dual.solve_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
+    return RowSolution(ratio, m, row_gaps(program, ratio, m, lower, upper, rows), below, above)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
-    g = np.empty(len(program.p))
-    _dual.minimisers(np.ones(1), program.kernel_form(lower, upper), np.array([0, len(g)]), g)
-    return g
+    return np.asarray(_dual.solve_free(program.kernel_form(lower, upper)))
 
 
 def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:

@@ -19,31 +19,13 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.mdp.rows import Rows
+from oee_tabular._checks import PolicyLike
 from oee_tabular.ratio import _certificate, _joint, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
-
-
-def joint_program(counts: Array, share: Array, rows: Rows, box: Box, ratio_box: Box, ridge: float) -> JointProgram:
-    """From counts on the simulator's entries and d(s, a) ``share`` (rows,); the paper's ridge, towards 0."""
-    p, q = counts / counts.sum(), rows.spread(share) * rows.weights
-    # r is d(s, a) to the last bit as the constraint has it: neither ratio can run away alone
-    return JointProgram(p, q, rows.sums(p), rows.sums(q), rows.indptr, *box, *ratio_box, ridge)
-
-
-def solve_joint(program: JointProgram) -> JointPoint:
-    """The structured solver; every (s, a) by a bracketed root. Cost O(entries) times about sixty bisections."""
-    return JointPoint(*_joint.solve_all(program))
-
-
-def joint_gaps(program: JointProgram, point: JointPoint) -> Array:
-    """(rows,) duality gaps of any point, from the program as stated, by code that no solver uses."""
-    return np.asarray(_certificate.joint_gaps(program, point))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +85,9 @@ class Joint(Method):
         box, ratio_box = check_box(self.lower, self.upper, normalized=True), self._ratio_box()
         share = rows.sums(simulator_weights(given, self.data, self.behavior_policy))
         lam = check_ridge(self.ridge, float(counts.sum()))
-        program = joint_program(counts, share / share.sum(), rows, box, ratio_box, lam)
+        p, q = counts / counts.sum(), rows.spread(share / share.sum()) * rows.weights
+        # r is d(s, a) to the last bit as the constraint has it: neither ratio can run away alone
+        program = JointProgram(p, q, rows.sums(p), rows.sums(q), rows.indptr, *box, *ratio_box, lam)
         lost = (program.s > 0) & (share == 0)
         if lost.any() and not np.isfinite(box.upper) and lam == 0:
             raise ValueError(
@@ -111,13 +95,13 @@ class Joint(Method):
                 f"{int(lost.sum())} of them"
             )
         if self.solver == "dual":
-            point = solve_joint(program)
-            gap = float(joint_gaps(program, point).sum())
+            point = JointPoint(*_joint.solve_all(program))
+            gap = float(_certificate.joint_gaps(program, point).sum())
         else:
             point = statements.solve_joint(program, solver=self.solver)
             # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a bound
             signs = (point, point._replace(theta=-point.theta))
-            gap = min(float(joint_gaps(program, each).sum()) for each in signs)
+            gap = min(float(_certificate.joint_gaps(program, each).sum()) for each in signs)
         known = rows.spread((share > 0) & (point.pairs > 0))
         zeta = np.where(known, point.moves / np.where(known, rows.spread(point.pairs), 1.0), 1.0)
         details = {

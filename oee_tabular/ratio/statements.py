@@ -85,19 +85,14 @@ class TiltProgram(NamedTuple):
     indptr: IntArray
 
 
-class Statement(NamedTuple):
-    """A cvxpy problem, its variable, and its equality constraint with the rows that it stands for (None: free)."""
-
-    problem: Any
-    variable: Any
-    equality: Any
-    rows: IntArray
-
-
-def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray | None) -> Statement:
+def solve_rows(
+    program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
+) -> tuple[Array, Array]:
     """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free).
 
-    Least squares: q g^2 / 2 - p g in place of the first two terms.
+    Least squares: q g^2 / 2 - p g in place of the first two terms. Returns g inside the box, and the multipliers of the
+    equalities (one a row). Raises SolverStatusError (a RuntimeError) for any status but "optimal", ValueError for a solver
+    that is not installed. Cost: a conic program with an exponential cone an entry.
     """
     import cvxpy as cp
 
@@ -116,35 +111,20 @@ def state_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
             height = cp.Variable(curved.size)
             constraints.append(cp.square(g[curved] - center[curved]) <= height)
             cost = cost + 0.5 * (weight[curved] @ height)
-    equality = None
-    filled = np.zeros(0, dtype=np.int64)
-    if indptr is not None:
-        filled = np.flatnonzero(np.diff(indptr) > 0)
+    filled = np.flatnonzero(np.diff([0, 0] if indptr is None else indptr) > 0)
+    if filled.size and indptr is not None:
         rows = _sums_over_rows(q, indptr)[filled]
-        equality = rows @ g == rows.sum(axis=1)
-        constraints.append(equality)
-    return Statement(cp.Problem(cp.Minimize(cost), constraints), g, equality, filled)
+        constraints.append(rows @ g == rows.sum(axis=1))
+    _require_optimal(run(cp.Problem(cp.Minimize(cost), constraints), solver), solver)
+    multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
+    if filled.size:
+        multiplier[filled] = np.ravel(constraints[-1].dual_value)
+    return np.clip(g.value, max(lower, SMALLEST), upper), multiplier
 
 
 def _sums_over_rows(weights: Array, indptr: IntArray) -> sparse.csr_array:
     """The matrix that takes (entries,) values to their weighted sums over the rows."""
     return sparse.csr_array((weights, np.arange(len(weights)), indptr), shape=(len(indptr) - 1, len(weights)))
-
-
-def solve_rows(
-    program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
-) -> tuple[Array, Array]:
-    """The statement above, solved by ``solver``: g inside the box, and the multipliers of the equalities (one a row).
-
-    Raises SolverStatusError (a RuntimeError) for any status but "optimal", ValueError for a solver that is not
-    installed. Cost: a conic program with an exponential cone an entry.
-    """
-    statement = state_rows(program, lower, upper, indptr)
-    _require_optimal(run(statement.problem, solver), solver)
-    multiplier = np.zeros(0 if indptr is None else len(indptr) - 1)
-    if statement.equality is not None:
-        multiplier[statement.rows] = np.ravel(statement.equality.dual_value)
-    return np.clip(statement.variable.value, max(lower, SMALLEST), upper), multiplier
 
 
 def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:

@@ -51,8 +51,7 @@ def fit_network(
     return replace(
         best,
         ratio=_checks.freeze(g),
-        _known=...,
-        _ends=(lower, upper),
+        enclosure=(np.full(len(p), lower), np.full(len(p), upper)),
         objective=value,
         gap=value - best.dual_bound,
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),
