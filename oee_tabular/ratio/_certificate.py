@@ -85,29 +85,23 @@ def excesses(slope, p, g, lower, upper):
 
 
 @njit(cache=True, error_model="numpy")
-def joint_gap(f, k, moves, b, theta, eta, xi):
-    """The gap of B (``moves``), b and multipliers in the (s, a) ``k`` of the program ``f`` of ``ratio.joint``."""
-    gap, mass, miss, slope = 0.0, 0.0, 0.0, f.r[k]
-    for x in range(f.indptr[k], f.indptr[k + 1]):
-        mass += f.q[x]
-        miss += f.q[x] * (moves[x] - b)
-        gap += excess((1.0 + theta) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
-        above = moves[x] - f.ratio_lower * b
-        gap += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
-        slope += f.ratio_lower * eta[x]
-        if f.ratio_upper < np.inf:
-            below = f.ratio_upper * b - moves[x]
-            gap += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
-            slope -= f.ratio_upper * xi[x]
-    gap += excess(slope - theta * mass, f.lam, f.s[k], b, f.nu, f.mu)
-    return gap + equality_gap(miss, theta, f.indptr[k + 1] - f.indptr[k])
-
-
-@njit(cache=True, error_model="numpy")
 def joint_gaps(f, point):
-    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``)."""
+    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in the program ``f`` of ``ratio.joint``."""
     moves, pairs, theta, eta, xi = point
-    gaps = np.empty(len(f.s))
+    gaps = np.zeros(len(f.s))
     for k in range(len(gaps)):
-        gaps[k] = joint_gap(f, k, moves, pairs[k], theta[k], eta, xi)
+        b, mass, miss, slope = pairs[k], 0.0, 0.0, f.r[k]
+        for x in range(f.indptr[k], f.indptr[k + 1]):
+            mass += f.q[x]
+            miss += f.q[x] * (moves[x] - b)
+            gaps[k] += excess((1.0 + theta[k]) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
+            above = moves[x] - f.ratio_lower * b
+            gaps[k] += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
+            slope += f.ratio_lower * eta[x]
+            if f.ratio_upper < np.inf:
+                below = f.ratio_upper * b - moves[x]
+                gaps[k] += xi[x] * abs(below) + (f.p[x] + f.q[x]) * max(-below, 0.0)
+                slope -= f.ratio_upper * xi[x]
+        gaps[k] += excess(slope - theta[k] * mass, f.lam, f.s[k], b, f.nu, f.mu)
+        gaps[k] += equality_gap(miss, theta[k], f.indptr[k + 1] - f.indptr[k])
     return gaps

@@ -76,18 +76,11 @@ def solve(f, k, moves, at_left, at_right):
     n = f.indptr[k + 1] - f.indptr[k]
     if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:  # equal up to the rounding of the sums themselves
         return b, 0.0
-    left, right, width = 0.0, 0.0, 0.5
-    while phi > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
-        left = right
-        right += width
+    side, left, right, width = np.sign(phi), 0.0, 0.0, 0.5
+    while phi * side > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
+        left, right = (right, right + width) if side > 0.0 else (left - width, left)
         width *= 2.0
-        b, phi = minimise(right, f, k, moves)
-    if right == 0.0:
-        while phi < 0.0 and width < 1e300:
-            right = left
-            left -= width
-            width *= 2.0
-            b, phi = minimise(left, f, k, moves)
+        b, phi = minimise(right if side > 0.0 else left, f, k, moves)
     theta = 0.5 * (left + right)
     while left < theta < right:
         b, phi = minimise(theta, f, k, moves)

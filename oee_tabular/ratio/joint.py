@@ -4,9 +4,8 @@
     subject to  lower <= B, b <= upper,   sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
                 ratio_lower b <= B <= ratio_upper b  where the ratio has a box of its own,
 
-p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's. Since
-d(s, a, s') = d(s, a) P, the constraint says sum_s' P B / b = 1. It decouples into one root for each (s, a). The data of the
-simulator enter through d(s, a) alone: P is known.
+p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's, whose data enter
+through d(s, a) alone. The constraint says sum_s' P B / b = 1. Each (s, a) is solved by itself (``_joint``).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from oee_tabular._checks import PolicyLike
 from oee_tabular.ratio import _certificate, _joint, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
-from oee_tabular.ratio.quotient import check_simulator_data, refuse_words, simulator_weights
+from oee_tabular.ratio.quotient import check_simulator_data, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
 
@@ -68,7 +67,7 @@ class Joint(Method):
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
-        refuse_words(self.ridge, self._name)
+        self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=True)
         self._ratio_box()
         check_simulator_data(self.data)

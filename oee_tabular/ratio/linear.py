@@ -194,10 +194,7 @@ class InClass(Method):
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
-        if isinstance(self.ridge, str):
-            raise ValueError(
-                f"ridge must be a number or a function of n with method {self._name!r}; got {_checks.show(self.ridge)}"
-            )
+        self._refuse_words(self.ridge)
         if self.kernel is None:
             if self.features is None:
                 raise ValueError('features must be given with method "linear"')

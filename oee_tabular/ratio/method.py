@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,7 +44,7 @@ class RatioInput:
     seed: Seed = None
     made: dict[Any, Any] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def visited(self) -> Rows:
         """The rows that the log has, the same object for all fits that share ``made``."""
         rows: Rows = self.get_or_compute(_visited)
@@ -150,6 +149,13 @@ class Method:
     def _refusal(self, name: str) -> str:
         """The rule that an input without a use breaks."""
         return f"must not be given with method {self._name!r}, which does not use it"
+
+    def _refuse_words(self, ridge: object) -> None:
+        """A ridge chosen on the data is the conditional program's alone."""
+        if isinstance(ridge, str):
+            raise ValueError(
+                f"ridge must be a number or a function of n with method {self._name!r}; got {_checks.show(ridge)}"
+            )
 
     @one_thread
     def fit(

@@ -84,7 +84,7 @@ class Quotient(Method):
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
             raise ValueError(f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}")
-        refuse_words(self.ridge, self._name)
+        self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
@@ -100,9 +100,8 @@ class Quotient(Method):
         return super(Quotient, exact).limit(population)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        given = replace(
-            given, seed=_checks.generator(given.seed)
-        )  # one stream: the simulator's data, then the training
+        # one stream: the simulator's data, then the training
+        given = replace(given, seed=_checks.generator(given.seed))
         observed, rows = given.observed, given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
         moves = self._beta(observed, expected, (rows.spread(rows.number), rows.arrival), given)
@@ -138,19 +137,6 @@ class Quotient(Method):
         return fit_network(self.functions, p, q, columns, (given.simulator.n_states, n_actions), **options)
 
 
-def refuse_words(ridge: object, method: str) -> None:
-    """A ridge chosen on the data is the conditional program's alone."""
-    if isinstance(ridge, str):
-        raise ValueError(f"ridge must be a number or a function of n with method {method!r}; got {_checks.show(ridge)}")
-
-
-def estimated_behavior(given: RatioInput) -> Array:
-    """(S, A): the share of each action in the counts of its state; uniform in states without counts."""
-    pairs = given.rows.sums(given.observed).reshape(given.simulator.n_states, given.simulator.n_actions)
-    total = pairs.sum(axis=1, keepdims=True)
-    return np.where(total > 0, pairs / np.where(total > 0, total, 1.0), 1.0 / given.simulator.n_actions)
-
-
 def check_simulator_data(value: object) -> None:
     """Transitions, "exact" or None."""
     if not (value is None or isinstance(value, Transitions) or (isinstance(value, str) and value == "exact")):
@@ -165,17 +151,20 @@ def simulator_weights(given: RatioInput, data: SimulatorData, behavior_policy: P
     observed, simulator, discount = given.observed, given.simulator, given.discount
     simulator_data = given.simulator_data if data is None else data
     check_simulator_data(simulator_data)
-    if behavior_policy is not None:
-        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-    else:
-        behavior = estimated_behavior(given) if given.behavior_policy is None else given.behavior_policy
-    steps = _LONGEST_EPISODE
-    if given.log is not None and given.log.timestep is not None:
-        steps = int(given.log.timestep.max()) + 1
     if isinstance(simulator_data, Transitions):
         numbered = simulator_data.numbered(simulator, "simulator_data")
         counts = numbered.counts(simulator.n_states, simulator.n_actions, discount=discount)
         return aligned_counts(counts, simulator)
+    if behavior_policy is not None:
+        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+    elif given.behavior_policy is not None:
+        behavior = given.behavior_policy
+    else:  # the share of each action in the counts of its state; uniform in states without counts
+        pairs = given.rows.sums(observed).reshape(simulator.n_states, simulator.n_actions)
+        total = pairs.sum(axis=1, keepdims=True)
+        behavior = np.where(total > 0, pairs / np.maximum(total, 1e-300), 1.0 / simulator.n_actions)
+    timestep = None if given.log is None else given.log.timestep
+    steps = _LONGEST_EPISODE if timestep is None else int(timestep.max()) + 1
     if simulator_data is not None:
         weighted = simulator.with_discount(1.0 if discount is None else discount)
         share = occupancy(weighted, behavior, horizon=steps, of="transition")

@@ -181,8 +181,8 @@ def test_corrupted_rows_are_found_out(monkeypatch, ridge):
     """A kernel that leaves one entry of one row half a percent off."""
     solve = _dual.solve_rows
 
-    def wrong(form, indptr, g, *ends):
-        solve(form, indptr, g, *ends)
+    def wrong(form, indptr, g, *rest):
+        solve(form, indptr, g, *rest)
         g[7] *= 1.005
 
     options = {"prior": "simulator", "lower": 0.01, "upper": 10.0, "ridge": ridge, "toward": 1.0}

@@ -5,9 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from ratio.problem import FEATURES, SIMULATOR, fit
 
-import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.ratio.features import action_displacement, feature_array, gaussian, kernel_features, rank_of
+from oee_tabular.ratio.features import action_displacement, count_rank, feature_array, gaussian, kernel_features
 
 
 def test_features_of_every_shape():
@@ -36,36 +35,35 @@ def test_displacements_of_a_walk():
     assert_array_equal(flat, found)
 
 
-def test_collinear_features_of_a_class_are_named():
-    text = r"^features should be linearly independent within rows; they have rank 1 of 2 \(the smallest parameters that fit"
-    with pytest.warns(UserWarning, match=text):
-        fit(method="linear", features=FEATURES[:, [0, 0]])
-    text = r"^features should be linearly independent; they have rank 1 of 2 \(the smallest parameters that fit"
-    with pytest.warns(UserWarning, match=text):
-        oee.density_ratio([1, 2, 3], [2, 2, 2], features=[[1, 2], [1, 2], [1, 2]])
-
-
 def test_kernels_and_their_features():
     x = np.array([[0.0, 0.0], [3.0, 4.0], [1.0, 0.0]])
+    gram = gaussian(1.0)(x, x)
     assert_allclose(gaussian(2.0)(x, x[:2])[:, 1], np.exp(-np.array([25.0, 0.0, 20.0]) / 8))
-    made = kernel_features(x, gaussian(1.0), n_centers=3)
-    assert_allclose(made.matrix @ made.matrix.T, gaussian(1.0)(x, x), atol=1e-12)
+    made, few = (kernel_features(x, gaussian(1.0), n) for n in (3, 2))
+    assert_allclose(made.matrix @ made.matrix.T, gram, atol=1e-12)
     assert made.residual < 1e-12
     assert sorted(made.pivots.tolist()) == [0, 1, 2]
-    few = kernel_features(x, gaussian(1.0), n_centers=2)
-    gram = gaussian(1.0)(x, x)
-    left = np.diag(gram) - (few.matrix**2).sum(axis=1)
-    assert_allclose(few.residual, left.max(), rtol=1e-9)
-    assert few.matrix.shape == (3, 2)
-    centred = kernel_features(x, gaussian(1.0), n_centers=3, center=lambda m: m - m.mean(axis=0))
-    assert_allclose(centred.matrix, made.matrix - made.matrix.mean(axis=0))
+    assert_allclose(few.residual, (np.diag(gram) - (few.matrix**2).sum(axis=1)).max(), rtol=1e-9)
     many = np.linspace(0, 5, 150)[:, None]  # more than two blocks of the diagonal
-    whole = kernel_features(many, lambda a, c: (1 + a @ c.T) ** 2, n_centers=150)
+    whole = kernel_features(many, lambda a, c: (1 + a @ c.T) ** 2, 150)
     assert whole.matrix.shape == (150, 3)
     assert_allclose(whole.matrix @ whole.matrix.T, (1 + many @ many.T) ** 2, rtol=1e-6)
 
 
-def test_ranks():
-    assert rank_of(np.zeros((4, 2))) == 0
-    assert rank_of(np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1e-9]])) == 2
-    assert rank_of(np.array([[1.0, 1.0], [0.0, 1e-9]])) == 1
+@pytest.mark.parametrize(
+    ("features", "rank"),
+    [
+        (np.zeros((4, 2)), 0),
+        (np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1e-9]]), 2),
+        (np.array([[1.0, 1.0], [0.0, 1e-9]]), 1),
+    ],
+)
+def test_collinear_features_are_counted_with_a_warning(features, rank):
+    with pytest.warns(UserWarning, match=f"^features should be linearly independent; they have rank {rank} of "):
+        assert count_rank(features) == rank
+
+
+def test_collinear_features_within_rows_are_named():
+    text = r"^features should be linearly independent within rows; they have rank 1 of 2 \(the smallest parameters that fit"
+    with pytest.warns(UserWarning, match=text):
+        fit(method="linear", features=FEATURES[:, [0, 0]])
