@@ -40,15 +40,13 @@ def check_ridge(value: object, n: float) -> float:
 
 def check_weights(p: object, q: object) -> tuple[Array, Array]:
     """Return p and q, counts or probabilities of the same cells, nonnegative and each with a positive sum."""
-    weights = []
-    for value, name in ((p, "p"), (q, "q")):
-        array = _checks.float_array(value, name, ndim=1)
+    weights = [_checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))]
+    for array, name in zip(weights, ("p", "q"), strict=True):
         _checks.require_nonnegative(array, name)
         with np.errstate(over="ignore"):
             total = float(array.sum())
         if not 0.0 < total < np.inf:
             raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
-        weights.append(array)
     if len(weights[0]) != len(weights[1]):
         raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
     return weights[0], weights[1]

@@ -51,12 +51,10 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     if bad.size == 0:
         return
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
-    named = "; ".join(
-        f"{name_transition(moves, int(k), simulator.n_actions, simulator.names)} ({moves.data[k]:g})" for k in heaviest
-    )
+    names = [name_transition(moves, int(k), simulator.n_actions, simulator.names) for k in heaviest]
+    named = "; ".join(f"{name} ({moves.data[k]:g})" for name, k in zip(names, heaviest, strict=True))
     share = moves.data[bad].sum()
-    probability = align(simulator.transitions, moves)[0][bad].max()
-    faint = "0" if probability == 0.0 else f"0 or below {LEAST_PROBABILITY:g}"
+    faint = f"0 or below {LEAST_PROBABILITY:g}" if align(simulator.transitions, moves)[0][bad].any() else "0"
     raise ValueError(
         f"{what} must stay where the simulator has probability: it gives probability {faint} to {bad.size} different "
         f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "
@@ -145,24 +143,22 @@ def without_impossible(counts: sparse.csr_array, simulator: FiniteMDP) -> tuple[
     return canonical(kept, drop_zeros=True), dropped
 
 
-def checked_counts(counts: Any, simulator: FiniteMDP, name: str = "counts") -> sparse.csr_array:
+def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
     """Counts as a canonical csr of the simulator's shape; errors for shape, sign and size that name the place."""
     shape = simulator.transitions.shape
     if not sparse.issparse(counts):
-        raise ValueError(f"{name} must be sparse, of shape {shape}; got {type(counts).__name__}")
+        raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
     if counts.shape != shape:
-        raise ValueError(f"{name} must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
+        raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
     if counts.dtype.kind not in "fiub":
-        raise ValueError(f"{name} must be real numbers; they are {counts.dtype}")
-    matrix = canonical(check_csr(counts, name), drop_zeros=True)
-    for fine, rule in (
-        (np.isfinite(matrix.data) & (matrix.data >= 0), "finite and nonnegative"),
-        (matrix.data <= LARGEST_COUNT, "at most 2**53"),
-    ):
+        raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
+    matrix = canonical(check_csr(counts, "counts"), drop_zeros=True)
+    is_count = np.isfinite(matrix.data) & (matrix.data >= 0)
+    for fine, rule in ((is_count, "finite and nonnegative"), (matrix.data <= LARGEST_COUNT, "at most 2**53")):
         if not fine.all():
             k = int(np.flatnonzero(~fine)[0])
             where = name_transition(matrix, k, simulator.n_actions, simulator.names)
-            raise ValueError(f"{name} must be {rule}; at {where} there is {matrix.data[k]:g}")
+            raise ValueError(f"counts must be {rule}; at {where} there is {matrix.data[k]:g}")
     return matrix
 
 
@@ -181,14 +177,12 @@ def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
 
 def require_pair(target: object, simulator: object) -> None:
     """Two MDPs with the same states and actions."""
-    for value, name in ((target, "target"), (simulator, "simulator")):
-        _checks.instance(value, FiniteMDP, name)
-    assert isinstance(target, FiniteMDP)
-    assert isinstance(simulator, FiniteMDP)
-    if target.transitions.shape != simulator.transitions.shape:
+    first = _checks.instance(target, FiniteMDP, "target").transitions
+    second = _checks.instance(simulator, FiniteMDP, "simulator").transitions
+    if first.shape != second.shape:
         raise ValueError(
             f"target and simulator must have the same states and actions; their transitions have shapes "
-            f"{target.transitions.shape} and {simulator.transitions.shape}"
+            f"{first.shape} and {second.shape}"
         )
 
 
@@ -249,8 +243,7 @@ def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float)
     nu = _checks.number_in(lower, "lower", 0.0, np.inf)
     mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     ratio = ps[qs > 0] / qs[qs > 0]
-    unsupported = int(np.sum((qs == 0) & (ps > 0)))
-    below, above = int(np.sum(ratio < nu)), int(np.sum(ratio > mu))
+    unsupported, below, above = (int(np.sum(x)) for x in ((qs == 0) & (ps > 0), ratio < nu, ratio > mu))
     return Assumptions(
         box_contains_one=nu < 1.0 < mu,
         inside=below == above == 0,

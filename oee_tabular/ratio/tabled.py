@@ -5,9 +5,8 @@ Columns state, action, next_state, and beside them one for each feature, or one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,65 +90,58 @@ def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Colu
     return [columns[label] for label in own], entry
 
 
-@dataclass(frozen=True, eq=False)
-class _Column:
+class _Column(NamedTuple):
     """A column of a data frame; its errors name it, its table and the first bad row."""
 
     label: str
     source: str
     series: Any
 
-    @property
-    def values(self) -> NDArray[Any]:
-        return np.asarray(self.series.to_numpy())
-
     def refuse(self, bad: BoolArray, rule: str, found: Any) -> None:
         """A ValueError where a row is ``bad``."""
         if bad.any():
             row = int(np.argmax(bad))
-            told = "none or nan" if found is None else found[row]
-            raise ValueError(f"column {self.label!r} of {self.source} must {rule}; row {row} has {told}")
+            shown = "none or nan" if found is None else found[row]
+            raise ValueError(f"column {self.label!r} of {self.source} must {rule}; row {row} has {shown}")
 
     def finite(self) -> Array:
         """Finite numbers."""
-        rule, values = "have a finite number in every row", self.values
+        rule, values = "have a finite number in every row", np.asarray(self.series.to_numpy())
         self.refuse(self.series.is_null().to_numpy(), rule, None)
+        numbers: Any = values
         if values.dtype.kind not in "biuf":
             import pandas as pd
 
-            numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").to_numpy(dtype=np.float64)
-        else:
-            numbers = values.astype(np.float64)
+            numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").to_numpy()
+        numbers = np.asarray(numbers, dtype=np.float64)
         self.refuse(~np.isfinite(numbers), rule, values)
         return np.asarray(numbers)
 
     def integers(self) -> NDArray[Any]:
         """Whole numbers, as integers."""
-        if self.values.dtype.kind in "iu":
-            return self.values
+        values = np.asarray(self.series.to_numpy())
+        if values.dtype.kind in "iu":
+            return values
         numbers = self.finite()
         self.refuse((numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE), "have an integer in every row", numbers)
         return numbers.astype(np.int64)
 
     def numbered(self, names: tuple[Name, ...] | None, size: int) -> IntArray:
         """States or actions: integers in 0..size-1, or the simulator's names where it has some."""
-        if names is not None and self.values.dtype.kind not in "biuf":
-            return self._by_name(names, size)
-        numbers = self.integers()
-        self.refuse((numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers)
-        return numbers.astype(np.int64)
-
-    def _by_name(self, names: tuple[Name, ...], size: int) -> IntArray:
+        values = np.asarray(self.series.to_numpy())
+        if names is None or values.dtype.kind in "biuf":
+            numbers = self.integers()
+            self.refuse((numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers)
+            return numbers.astype(np.int64)
         self.refuse(self.series.is_null().to_numpy(), "have a name in every row", None)
-        items = [tuple(item) if isinstance(item, list | np.ndarray) else item for item in self.values]
-        row = {item: k for k, item in reversed(list(enumerate(items)))}  # of each, the first row
-        code = {
-            item: number_of(item, names, size, f"column {self.label!r} of {self.source}, row {k},", "the simulator's")
-            for item, k in sorted(row.items(), key=lambda found: found[1])
-        }
+        source, code = f"column {self.label!r} of {self.source}", {}
+        items = [tuple(item) if isinstance(item, list | np.ndarray) else item for item in values]
+        for k, item in enumerate(items):
+            if item not in code:
+                code[item] = number_of(item, names, size, f"{source}, row {k},", "the simulator's")
         return np.array([code[item] for item in items], dtype=np.int64)
 
 
-def words(names: Sequence[object] | Any) -> str:
+def words(names: Iterable[object]) -> str:
     """Names in a sentence."""
     return ", ".join(str(name) for name in names) or "none"

@@ -26,7 +26,8 @@ from oee_tabular._checks import IntArray
 from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.density import density_ratio
+from oee_tabular.ratio import dual
+from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import TransitionRatio
 
@@ -91,19 +92,16 @@ class Tied(Method):
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
         seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
-        groups, group = _groups(rows, keys, n_keys)
-        ratio, gap, visited = np.ones(n_keys), 0.0, 0
-        order = np.argsort(group, kind="stable")
-        for members in np.split(order, np.cumsum(np.bincount(group, minlength=groups))[:-1]):
-            total = float(foreseen[members].sum())
-            known = members[foreseen[members] > 0]
-            if total == 0.0:
-                continue
-            visited += 1
-            share = foreseen[known] / total
-            fit = density_ratio(seen[known] + kappa * share, share)
-            ratio[known] = fit.ratio
-            gap = max(gap, fit.gap)
+        n_groups, group = _groups(rows, keys, n_keys)
+        known = np.flatnonzero(foreseen > 0)
+        known = known[np.argsort(group[known], kind="stable")]
+        size = np.bincount(group, foreseen, n_groups)[group[known]]
+        share = foreseen[known] / size
+        p, zero = (seen[known] + kappa * share) / (size + kappa), np.zeros(len(known))
+        ends = np.append(np.flatnonzero(np.diff(group[known], prepend=-1)), len(known))
+        fit = dual.solve_rows(Coordinates(p, share, zero, zero), 0.0, np.inf, ends)
+        ratio = np.ones(n_keys)
+        ratio[known] = fit.ratio
         zeta = ratio[keys]
         sums = rows.sums(zeta * matrix.data)
         empty = np.flatnonzero(~(sums > 0))
@@ -117,12 +115,12 @@ class Tied(Method):
         used = sums[visits > 0] if (visits > 0).any() else sums
         details: dict[str, object] = {
             "n_keys": n_keys,
-            "n_groups": groups,
-            "groups_visited": visited,
+            "n_groups": n_groups,
+            "groups_visited": len(fit.gap),
             "pooled_row_sums": (float(used.min()), float(used.max())),
             "strength": kappa,
         }
-        return replace(given.ratio(zeta, "tied", gap, details), tied=True)
+        return replace(given.ratio(zeta, "tied", float(fit.gap.max()), details), tied=True)
 
 
 def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
