@@ -20,15 +20,16 @@ otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up
                         d_m / d_P, or A^T theta = -(1 - gamma) E phi_0 (Katdare et al. 2023)     marginalized
     DualDice            w = nu - gamma f^pi nu at the least of a quadratic (Nachum et al. 2019)  marginalized
 
-Exact limits. ``estimator.limit(simulator, target, policy, ...)`` is what the value tends to as the log (and its rollouts) grow,
-bias included. Where the log covers the policy it is J_P* for all but the simulator, DoublyRobust(weights="beta") (an error of
-second order), clipped ratios, and features whose class lacks d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment),
-the fallback's (ModelBased), the simulator's (DoublyRobust, DualDice), or count nothing (Marginalized).
+``estimator.limit(simulator, target, policy, ...)`` is what the value tends to as the log (and its rollouts)
+grow, bias included. Where the log covers the policy it is J_P* for all but the simulator,
+DoublyRobust(weights="beta") (an error of second order), clipped ratios, and features whose class lacks
+d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's (ModelBased), the simulator's
+(DoublyRobust, DualDice), or count nothing (Marginalized).
 
-Standard errors are those of the log by the delta method, sum over recorded pairs of Var_f(G) / n with G = dJ / dP(s' | s, a)
-(``exact.transition_gradient``), or of independent episodes or rollouts. ``base`` has what all share, ``problem`` checks what is
-known (``rewards``: what the log pays), ``findings`` words what to know before a value is used, ``names`` the short names,
-``calibrated`` takes out what a discretised task has put in.
+Standard errors are those of the log by the delta method, sum over recorded pairs of Var_f(G) / n with
+G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. ``base`` has what
+all share, ``problem`` checks what is known (``rewards``: what the log pays), ``findings`` words what to know
+before a value is used, ``names`` the short names, ``calibrated`` takes out what a discretised task has put in.
 """
 
 from __future__ import annotations

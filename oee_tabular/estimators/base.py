@@ -1,7 +1,8 @@
-"""What an estimator is, what it returns, and its exact limit; means with standard errors."""
+"""What an estimator is and returns, its exact limit, its option ``ratio``; means with standard errors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -15,11 +16,14 @@ from oee_tabular._sparse import row_variances
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
+from oee_tabular.exact import ReweightedModel, reweight
 from oee_tabular.exact.linear import DivergentKernelError, exponent
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
+from oee_tabular.ratio.transition import method_named
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
@@ -192,9 +196,10 @@ def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
     d, n, missed = shares[visited], counts[visited], np.where(visited, 0.0, shares)
     share = float(missed.sum())
     spread = float(np.sum(d * d / n))
-    first = [divmod(int(k), shares.shape[1]) for k in np.argsort(-missed, axis=None, kind="stable")[:3]]
+    longest = np.argsort(-missed, axis=None, kind="stable")[:3]
+    pairs = [divmod(int(k), shares.shape[1]) for k in longest if missed.flat[k] > 0]
     return {
-        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in first if missed[s, a] > 0),
+        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in pairs),
         "coverage": 1.0 - share,
         "fallback_share": share,
         "effective_sample_size": float(d.sum()) ** 2 / spread if spread > 0 else 0.0,
@@ -257,8 +262,8 @@ class TabularEstimator:
         if data_distribution is not None:
             share = _checks.distribution(data_distribution, "data_distribution", share.shape)
         support = share.reshape(-1) > 0
-        recorded = sparse.csr_array(sparse.diags_array(support.astype(np.float64), format="csr") @ target.transitions)
-        refuse_unsupported(recorded, simulator, what="target")
+        keep = sparse.diags_array(support.astype(np.float64), format="csr")
+        refuse_unsupported(sparse.csr_array(keep @ target.transitions), simulator, what="target")
         if behavior_policy is not None:
             behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
         steps = optional_horizon_length(horizon, simulator)
@@ -268,3 +273,67 @@ class TabularEstimator:
     def limit_of(self, population: Population) -> float:
         """The limit in a checked population."""
         raise NotImplementedError
+
+
+RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
+_SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
+NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
+    "conditional": OF_COUNTS | {"consistent", "shift"},
+    "ratio_of_ratios": _SAMPLED,  # its rows have any sum
+    "joint": _SAMPLED | {"shift"},
+}
+
+
+class RatioEstimator(TabularEstimator):
+    """An estimator with a zeta: given, or fitted as ``ratio`` says."""
+
+    ratio: RatioOption
+
+    def __post_init__(self) -> None:
+        if isinstance(self.ratio, str):
+            _checks.one_of(self.ratio, "ratio", tuple(NAMED))
+        elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
+            raise ValueError(
+                f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}"
+            )
+
+    def fit(self, problem: Problem, policy: Array, generator: np.random.Generator) -> TransitionRatio:
+        """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of "conditional"."""
+        if isinstance(self.ratio, TransitionRatio):
+            zeta = self.ratio
+        elif callable(self.ratio):
+            zeta = self.ratio(problem.observed, problem.simulator)
+        else:
+            return self._method.fit(
+                problem.observed,
+                problem.simulator,
+                values_of=policy,
+                horizon=problem.horizon,
+                simulator_data=problem.simulator_data,
+                behavior_policy=problem.behavior_policy,
+                seed=generator,
+                made=problem.made,
+            )
+        zeta.on(problem.simulator)  # or an error
+        return zeta
+
+    @property
+    def _method(self) -> Method:
+        assert isinstance(self.ratio, str | Method)
+        return method_named(self.ratio) if isinstance(self.ratio, str) else self.ratio
+
+    def limit_model(self, population: Population) -> ReweightedModel:
+        """zeta * P with the zeta that infinitely many transitions would give."""
+        simulator = population.simulator
+        if isinstance(self.ratio, TransitionRatio):
+            return reweight(simulator, self.ratio)
+        if callable(self.ratio):
+            return reweight(simulator, self.ratio(population.counts(), simulator))
+        return reweight(simulator, self._method.limit(population))
+
+    @property
+    def model_claims(self) -> frozenset[str]:
+        """What the exact value of zeta * P claims; a zeta that is given is right for one pair only."""
+        if isinstance(self.ratio, TransitionRatio):
+            return OF_COUNTS | {"shift"} if self.ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
+        return NAMED[self.ratio] if isinstance(self.ratio, str) else frozenset({"scale"})

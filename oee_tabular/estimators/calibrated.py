@@ -1,14 +1,14 @@
 """Calibration: taking out of an estimate what discretising has put into it.
 
-A task's FiniteMDP values a policy at J_d, the task itself at J_c (Monte Carlo, which a simulator gives away). The difference is
-the discretisation's, and an estimate in the same finite states carries much the same:
+A task's FiniteMDP values a policy at J_d, the task itself at J_c (by Monte Carlo). The difference is the
+discretisation's, and an estimate in the same finite states carries much the same:
 
     ratio        J_hat * J_c / J_d        where returns have one sign, and the error is one of scale
     difference   J_hat + J_c - J_d        where they change sign
 
-A calibrated value stands beside the raw one and never replaces it. It helps as far as the estimate and J_d see the cells
-alike: the simulator must be discretised at the log's own places (``GridInterpolation.build(task, at=log)``), or else the
-estimate differs from J_d by where in its cell a log's state lies.
+A calibrated value stands beside the raw one and never replaces it. It helps as far as the estimate and J_d
+see the cells alike: the simulator must be discretised at the log's own places
+(``GridInterpolation.build(task, at=log)``), or the estimate differs from J_d by where in its cell a state lies.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ from oee_tabular.estimators.base import (
     OF_COUNTS,
     ROUNDING,
     Estimate,
+    RatioEstimator,
+    RatioOption,
     coverage,
     delta_error,
     effective_sample_size,
@@ -23,7 +25,6 @@ from oee_tabular.estimators.base import (
 )
 from oee_tabular.estimators.importance_sampling import Episodes
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
 from oee_tabular.exact import Model, policy_value, reweight, state_values, transition_gradient
 from oee_tabular.exact.efficiency import require_action_support
@@ -97,19 +98,24 @@ class DoublyRobust(RatioEstimator):
         if self.data == "rollouts":
             return self._average_rollouts(problem, policy, zeta, generator)
         terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=self.self_normalized)
-        return terms.estimate(zeta, terms.total, mean_and_error(len(terms.partial) * terms.partial[:, -1])[1])
+        _, error = mean_and_error(len(terms.partial) * terms.partial[:, -1])
+        return terms.estimate(zeta, terms.total, error)
 
     @property
     def claims(self) -> frozenset[str]:
         """Words of ``testing.CLAIMS``."""
         known = self.model_claims
-        if self.data == "transitions":  # with "beta" no zeta is fitted
-            return known | {"shift"} if self.weights == "occupancy" else OF_COUNTS | {"identical", "shift"}
         if self.data == "rollouts":
             return known | {"random"}
+        if self.data == "transitions":
+            if self.weights == "beta":  # no zeta is fitted
+                return OF_COUNTS | {"identical", "shift"}
+            return known | {"shift"}
         if self.self_normalized:
             return known - {"after_end"} | {"consistent"}
-        return known | ({"consistent", "unbiased"} if isinstance(self.ratio, TransitionRatio) else {"consistent"})
+        if isinstance(self.ratio, TransitionRatio):
+            return known | {"consistent", "unbiased"}
+        return known | {"consistent"}
 
     def _correct_by_transitions(self, problem: Problem, policy: Array, zeta: TransitionRatio | None) -> Estimate:
         """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r + gamma V_sim)."""
@@ -127,17 +133,13 @@ class DoublyRobust(RatioEstimator):
             gradient = transition_gradient(model, policy, horizon=horizon)
         noise = delta_error(simulator.transitions, frequency, total, gradient)
         error = error_or_none(noise, gradient, simulator.transitions.indptr)
+        about = {} if zeta is None else {"gap": zeta.gap}
         shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))
         time = coverage(problem, shares, total.reshape(shares.shape))
         return Estimate(
             base + change,
             error,
-            diagnostics={
-                "standard_error_of": "log",
-                "simulator_value": base,
-                **({} if zeta is None else {"gap": zeta.gap}),
-                **time,
-            },
+            diagnostics={"standard_error_of": "log", "simulator_value": base, **about, **time},
             measured=time["coverage"],
         )
 
@@ -145,7 +147,6 @@ class DoublyRobust(RatioEstimator):
         self, problem: Problem, policy: Array, zeta: TransitionRatio, generator: np.random.Generator
     ) -> Estimate:
         model = problem.model
-        zeta.on(model)  # or an error
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
         drawn = draw(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=True, name="n_rollouts")
@@ -165,14 +166,14 @@ class DoublyRobust(RatioEstimator):
         the policy (None: it does), else what the model makes of the rest (self-normalised: an error).
         """
         simulator, target, policy = population.simulator, population.target, population.policy
-        horizon, model = population.horizon, self.limit_model(population)
+        horizon = population.horizon
         if self.data == "rollouts":
-            return population.value(model)
+            return population.value(self.limit_model(population))
         if self.data == "episodes":
             if self.self_normalized and population.behavior is not None:
                 require_action_support(target, population.behavior, policy, horizon)
-            return _episode_limit(population, model)
-        where: Model = model if self.weights == "occupancy" else simulator
+            return _episode_limit(population, self.limit_model(population))
+        where: Model = simulator if self.weights == "beta" else self.limit_model(population)
         gradient = transition_gradient(where, policy, horizon=horizon, values_of=simulator)
         inside, _ = align(target.transitions, simulator.transitions)
         recorded = population.support[row_of_entry(simulator.transitions)]
@@ -228,7 +229,8 @@ class Magic(RatioEstimator):
             return Estimate(float("nan"), status="the blend needs at least 2 episodes")
         if np.isnan(terms.total):
             return Estimate(terms.total, status=weight_status(terms.total))
-        lengths = np.unique(np.round(np.linspace(0, columns - 1, min(self.n_lengths, columns))).astype(int))
+        lengths = np.linspace(0, columns - 1, min(self.n_lengths, columns))
+        lengths = np.unique(np.round(lengths).astype(int))
         parts = terms.partial[:, lengths]
         totals = parts.sum(axis=0)
         covariance = n / (n - 1.0) * (parts - totals / n).T @ (parts - totals / n)
@@ -236,11 +238,9 @@ class Magic(RatioEstimator):
         low, high = np.nanquantile(terms.resample(draws), [0.25, 0.75])
         bias = np.maximum(np.maximum(totals - high, low - totals), 0.0)
         weights = _minimize_on_simplex(covariance + np.outer(bias, bias))
-        error = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
-        varies = error > ROUNDING * float(np.abs(n * parts).max())
-        return terms.estimate(
-            zeta, float(weights @ totals), error if varies else None, share_of_model=float(weights[0])
-        )
+        spread = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+        error = spread if spread > ROUNDING * float(np.abs(n * parts).max()) else None
+        return terms.estimate(zeta, float(weights @ totals), error, share_of_model=float(weights[0]))
 
     @property
     def claims(self) -> frozenset[str]:
@@ -282,9 +282,11 @@ class EpisodeTerms:
         factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
         residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])  # carries W_{t+1}
         value = factor * v[t, state]  # carries W_t
-        arrival = np.where(used == 0, log.state[first], log.next_state[first + np.maximum(used, 1) - 1])
+        before = first + np.maximum(used, 1) - 1
+        arrival = np.where(used == 0, log.state[first], log.next_state[before])
         ended = (used == lengths) & episodes.is_over
-        rest = np.where(ended, 0.0, gamma**used * v[used, arrival])  # of the model after ``used`` steps
+        # what the model says of the rest, after ``used`` steps
+        rest = np.where(ended, 0.0, gamma**used * v[used, arrival])
         with np.errstate(invalid="ignore"):
             shares = weights / (weights.sum(axis=1, keepdims=True) if self_normalized else n)
         gains = np.zeros((steps + 1, n))
@@ -335,8 +337,12 @@ class EpisodeTerms:
 
 def _model_values(model: Model, policy: Array, horizon: int | None, steps: int) -> tuple[Array, Array]:
     """V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
-    v = state_values(model, policy)[None] if horizon is None else values_to_go(model, policy, horizon)[: steps + 1]
-    ahead = (model.transitions @ (v if horizon is None else v[1:]).T).T
+    if horizon is None:
+        v = following = state_values(model, policy)[None]
+    else:
+        v = values_to_go(model, policy, horizon)[: steps + 1]
+        following = v[1:]
+    ahead = (model.transitions @ following.T).T
     q = model.rewards + model.discount * ahead.reshape(-1, *model.rewards.shape)
     return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(q, (steps, *q.shape[1:]))
 
@@ -359,16 +365,16 @@ def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
 
     ``values`` (T + 1, S) are V; those after the last step change no mean.
     """
-    matrix, by_transition = model.transitions, model.reward_data is not None
-    kernel, rows = drawn.ratio * matrix.data, row_of_entry(matrix)
-    pay = row_sums(matrix, kernel * model.reward_data) if by_transition else model.rewards.reshape(-1)
-    ahead, previous = np.zeros(len(drawn.lengths)), None
-    constant = values[0] if values.strides[0] == 0 else None
-    for t in range(int(drawn.lengths.max()) - 1, -1, -1):
-        following = values[t + 1] if constant is None else constant
-        if following is not previous:
-            going = model.discount * following
-            known, previous = pay + row_sums(matrix, kernel * going[matrix.indices]), following
+    matrix, rows = model.transitions, row_of_entry(model.transitions)
+    kernel, pay = drawn.ratio * matrix.data, model.rewards.reshape(-1)
+    if model.reward_data is not None:
+        pay = row_sums(matrix, kernel * model.reward_data)
+    last, is_constant = int(drawn.lengths.max()) - 1, values.strides[0] == 0
+    ahead = np.zeros(len(drawn.lengths))
+    for t in range(last, -1, -1):
+        if t == last or not is_constant:
+            going = model.discount * values[t + 1]
+            known = pay + row_sums(matrix, kernel * going[matrix.indices])
         alive = np.flatnonzero(drawn.lengths > t)
         entry = drawn.path[drawn.starts[alive] + t]
         change = model.discount * ahead[alive] - going[matrix.indices[entry]]

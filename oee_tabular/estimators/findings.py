@@ -19,13 +19,15 @@ MAX_ERROR_BOUND = 1e-6  # of the value
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to know about a value; findings of one kind and text about several policies are told in one sentence.
+    """Something to know about a value; findings of one kind and text about policies make one sentence.
 
     Attributes
     ----------
     kind : a word for it
-    severity : the larger the worse, among findings of one kind; of a problem's data 0 where no model's value depends on it
-    text : a sentence that may hold ``{}``, where the figure stands; "": nothing is said of a value that has an interval
+    severity : the larger the worse, among findings of one kind
+        Of a problem's data 0 where no model's value depends on it.
+    text : a sentence that may hold ``{}``, where the figure stands
+        "": nothing is said of a value that has an interval.
     figure : what differs from policy to policy
     alone : the sentence where the value has no interval, if that is another
 
@@ -147,7 +149,7 @@ MADE_FROM_LOG = Finding(
 
 
 def conflict_with_centre(likeliest: float, distance: float) -> Findings:
-    """The value rests on the corrected simulator against the log, ``distance`` standard errors of their difference away."""
+    """The value rests on the corrected simulator, ``distance`` standard errors from the log's."""
     text = (
         f"The value rests on the corrected simulator. The log's frequencies alone say {likeliest:.4g}, {{}} standard errors of "
         "the difference away. If you know what may differ, say it: features of transitions (features=, on the command line "
@@ -157,7 +159,7 @@ def conflict_with_centre(likeliest: float, distance: float) -> Findings:
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
-    """The log rules the estimator's own value out; ``end`` is the interval's "lower" or "upper"."""
+    """The log rules the estimator's own value out; ``end`` is "lower" or "upper"."""
     text = (
         f"The estimator's own value, {value}, lies outside the interval that the log allows. The interval's {end} end stands "
         "in its place."
@@ -166,7 +168,7 @@ def outside(value: str, severity: float, end: str) -> Finding:
 
 
 def missing_support(share: float, largest: float, nats: float) -> Findings:
-    """Transitions of the log that only the defensive share of a continuous simulator makes possible."""
+    """Transitions that only the defensive share of a continuous simulator makes possible."""
     text = (
         "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "
         f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
@@ -196,7 +198,7 @@ def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
 
 
 def moves_dropped(dropped: Array, kept: float) -> Findings:
-    """Transitions that the simulator calls impossible, left out: ``dropped`` of each pair, beside ``kept`` in all."""
+    """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside ``kept`` in all."""
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
     text = (
         f"{number:g} of the log's {number + kept:g} moves, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "

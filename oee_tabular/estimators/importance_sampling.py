@@ -54,7 +54,8 @@ class Episodes(NamedTuple):
         starts = np.concatenate([[0], np.cumsum(lengths)])
         rows = np.repeat(log.episode_starts[:-1], lengths) + step_numbers(starts)
         final = rows[starts[1:] - 1]
-        return cls(log, rows, starts, log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]])
+        is_over = log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]]
+        return cls(log, rows, starts, is_over)
 
     @property
     def lengths(self) -> IntArray:
@@ -161,13 +162,15 @@ class ImportanceSampling(TabularEstimator):
         weight = episodes.weights(problem, policy, is_estimated=self.behavior == "estimated")
         beyond = np.flatnonzero(~(weight <= LARGEST_WEIGHT))
         if beyond.size:
-            row = int(rows[beyond[0]])
-            reason = f"overflows in row {row} of the log, step {int(step[beyond[0]])} of its episode"
-            return Estimate(
-                float("nan"), status=f"the product of policy / behaviour {reason}: shorten the horizon, or use oee"
+            k = beyond[0]
+            status = (
+                f"the product of policy / behaviour overflows in row {rows[k]} of the log, step {step[k]} of its episode: "
+                "shorten the horizon, or use oee"
             )
+            return Estimate(float("nan"), status=status)
         last = weight[starts[1:] - 1]
-        reward = problem.simulator.discount ** step.astype(np.float64) * problem.rewards_of(log)[rows]
+        discount = problem.simulator.discount ** step.astype(np.float64)
+        reward = discount * problem.rewards_of(log)[rows]
         if self.kind == "trajectory":
             weight = np.repeat(last, episodes.lengths)
         totals = np.add.reduceat(weight * reward, starts[:-1])
@@ -179,7 +182,8 @@ class ImportanceSampling(TabularEstimator):
             value, error = normalize_by_step(reward, weight, starts, last, keep_last=self.ragged == "pad")
         effective = effective_sample_size(last)
         n_cut, bound = _truncation_bound(problem, episodes, last, self_normalized=self.self_normalized)
-        foreign = float((problem.simulator.initial[log.state[rows[starts[:-1]]]] == 0).mean())
+        first_state = log.state[rows[starts[:-1]]]
+        foreign = float((problem.simulator.initial[first_state] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
             error = None  # one episode decides: its value has no spread to show
         told = (*findings.truncation(n_cut, n, bound, value, error), *findings.foreign_starts(foreign))
@@ -238,7 +242,8 @@ class ImportanceSampling(TabularEstimator):
         paid = reached @ (taken * target.rewards).sum(axis=1)
         alive = reached[:, going] @ taken.sum(axis=1)[going]
         kept = alive > 1e-300
-        return float(np.sum((target.discount ** np.arange(steps, dtype=np.float64) * paid)[kept] / alive[kept]))
+        paid *= target.discount ** np.arange(steps, dtype=np.float64)
+        return float(np.sum(paid[kept] / alive[kept]))
 
 
 def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool) -> tuple[int, float]:
@@ -247,21 +252,18 @@ def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self
     A missing reward is at most the largest of the log and the simulator, and carries in expectation the
     episode's last weight.
     """
-    lengths, is_over = episodes.lengths, episodes.is_over
-    simulator, horizon, gamma = problem.simulator, problem.horizon, problem.simulator.discount
-    missing = ~is_over if horizon is None else ~is_over & (lengths < horizon)
+    lengths, gamma = episodes.lengths.astype(np.float64), problem.simulator.discount
+    end = np.inf if problem.horizon is None else float(problem.horizon)
+    missing = ~episodes.is_over & (lengths < end)
     if not missing.any():
         return 0, 0.0
-    paid = simulator.rewards if simulator.reward_data is None else simulator.reward_data
+    tail = end - lengths if gamma == 1.0 else (gamma**lengths - gamma**end) / (1.0 - gamma)
+    paid = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
     largest = max(float(np.abs(problem.rewards_of(episodes.log)).max()), float(np.abs(paid).max()))
-    if gamma == 1.0:
-        tail = np.asarray((np.inf if horizon is None else horizon) - lengths, dtype=np.float64)
-    else:
-        tail = (gamma ** lengths.astype(np.float64) - (0.0 if horizon is None else gamma**horizon)) / (1.0 - gamma)
     counted = missing & (last > 0)
     mass = float(last.sum()) if self_normalized else float(len(last))
     with np.errstate(over="ignore"):
         bound = float(np.sum(last[counted] / mass * tail[counted])) * largest if mass > 0 else 0.0
-    if gamma < 1.0 or horizon is not None:
+    if gamma < 1.0 or end < np.inf:
         bound = min(bound, float(np.finfo(float).max))  # there is one, even where no float holds it
     return int(missing.sum()), bound

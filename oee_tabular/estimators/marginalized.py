@@ -11,10 +11,17 @@ from scipy import linalg, sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_sums
-from oee_tabular.estimators.base import OF_COUNTS, Estimate, TabularEstimator, coverage, learnable_shares
+from oee_tabular.estimators.base import (
+    OF_COUNTS,
+    Estimate,
+    RatioEstimator,
+    RatioOption,
+    TabularEstimator,
+    coverage,
+    learnable_shares,
+)
 from oee_tabular.estimators.model_based import ModelBased
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
 from oee_tabular.estimators.rewards import mean_rewards
 from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.linear import solve_policy_system
@@ -34,9 +41,8 @@ RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
 class Marginalized(RatioEstimator):
     """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
 
-    beta = d_sim / d_log, by ``density_ratio`` (direct supervision: the simulator's occupancy against the log's pairs), and
-    w = d_target / d_sim: the exact tabular solution (the occupancy in zeta * P over the simulator's), or with ``features``
-    the published saddle point in the class w = phi theta,
+    beta = d_sim / d_log, by ``density_ratio``, and w = d_target / d_sim: the occupancy in zeta * P over the
+    simulator's, or with ``features`` the published saddle point in the class w = phi theta,
 
         A = E_log[beta phi (gamma phi'_pi - phi)^T],    A^T theta = -(1 - gamma) E phi_0,
 
@@ -45,23 +51,23 @@ class Marginalized(RatioEstimator):
     Parameters
     ----------
     ratio : as in ``OffEnvironment``: where zeta is from; not with ``features``, which need none
-    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; then beta is exact there)
-    features : phi(s, a), which need no zeta and no density of the target: an array of shape (S, A), (S, A, d) or (S*A, d), or
-        a function of (s, a) arrays. Without a horizon only. They are 0 where the episode is over; those that are 0 in every
-        recorded pair are left out
+    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; beta is then exact there)
+    features : phi(s, a), an array of shape (S, A), (S, A, d) or (S*A, d), or a function of (s, a) arrays
+        Without a horizon only. They are 0 where the episode is over; those that are 0 in every recorded pair
+        are left out.
 
     Notes
     -----
-    Pairs that the log never visited pay nothing: their share of the policy's time is in the diagnostics. One-hot features of
-    the pairs give maximum likelihood on the recorded pairs. Limit: exact, with ``features`` that of the class, which depends
-    on how the pairs are recorded unless the class contains d_target / d_sim. Source: [1] P. Katdare, N. Jiang and
-    K. Driggs-Campbell, Marginalized importance sampling for off-environment policy evaluation, CoRL 2023.
+    Pairs that the log never visited pay nothing. One-hot features give maximum likelihood on the recorded
+    pairs. Limit: exact; with ``features`` that of the class, which depends on how pairs are recorded unless the
+    class contains d_target / d_sim. Source: [1] P. Katdare, N. Jiang and K. Driggs-Campbell, Marginalized
+    importance sampling for off-environment policy evaluation, CoRL 2023.
 
     Raises
     ------
     ValueError
-        When called: features of another shape, all constant, or linearly dependent (the columns are named); a horizon, or
-        discount 1, with features.
+        When called: features of another shape, all constant, or linearly dependent (the columns are named);
+        a horizon, or discount 1, with features.
 
     Examples
     --------
@@ -111,7 +117,7 @@ class Marginalized(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``: pairs that the log never visited pay nothing, so that rewards cannot be shifted."""
+        """Words of ``testing.CLAIMS``. Unrecorded pairs pay nothing: rewards cannot be shifted."""
         if self.features is not None:
             return frozenset({"scale", "infinite"})
         known = self.model_claims - {"shift"}
@@ -119,7 +125,7 @@ class Marginalized(RatioEstimator):
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
     def limit_of(self, population: Population) -> float:
-        """sum over the data's support of (box-clipped beta) * w * d_log * r, w in the limit of zeta * P, or of the class."""
+        """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or the class have it."""
         simulator, policy, horizon = population.simulator, population.policy, population.horizon
         share, target = population.distribution.reshape(-1), population.target.transitions
         beta, _ = self._fit_beta(simulator, policy, horizon, share)
@@ -153,7 +159,7 @@ class Marginalized(RatioEstimator):
         return beta, gap
 
     def _solve_class(self, simulator: FiniteMDP, policy: Array, transitions: sparse.csr_array, beta: Array) -> Array:
-        """w = phi theta on (S*A,) by the saddle point; ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
+        """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
         gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
         phi, names = _pair_features(self.features, simulator)
         share = row_sums(transitions)
@@ -177,13 +183,13 @@ class Marginalized(RatioEstimator):
 
 
 def _occupancy_ratio(model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None) -> Array:
-    """The policy's occupancy in the model over that in the simulator, (S*A,), 0 where the simulator has none."""
+    """(S*A,) the policy's occupancy in the model over the simulator's; 0 where the simulator has none."""
     here, there = (occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model))
     return np.divide(there, here, out=np.zeros_like(there), where=here > 0)
 
 
 def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntArray]:
-    """phi as (S*A, d), 0 where the episode is over, and the numbers of the columns that are not 0 then."""
+    """phi (S*A, d), 0 where the episode is over, and the numbers of the columns that are not 0 then."""
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
     array = features(*np.divmod(np.arange(size), shape[1])) if callable(features) else features
@@ -208,7 +214,7 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
 
 
 def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
-    """A ValueError that names columns of which one is a combination of the others: they make A singular."""
+    """A ValueError that names columns of which one is a combination of the others."""
     lengths = np.sqrt((phi**2).sum(axis=0))
     scaled = phi / np.where(lengths > 0, lengths, 1.0)
     triangle, order = linalg.qr(scaled, mode="r", pivoting=True)
@@ -227,16 +233,17 @@ def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
 
 @dataclass(frozen=True)
 class DualDice(TabularEstimator):
-    """Tabular DualDICE [1] for a shift of the environment, with the simulator's occupancy as its base distribution.
+    """Tabular DualDICE [1] for a shift of the environment; the simulator's occupancy is its base distribution.
 
-    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies (the simulator's
-    rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim, and J = E_{d_sim}[w r] / (1 - gamma).
+    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies
+    (the simulator's rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim, and
+    J = E_{d_sim}[w r] / (1 - gamma).
 
     Notes
     -----
-    Without a horizon only. Identical to the model-based value with ``fallback="simulator"``: both are the maximum-likelihood
-    model's. ``diagnostics`` has the largest |nu| and w. Source: [1] O. Nachum et al., DualDICE: behavior-agnostic estimation of
-    discounted stationary distribution corrections, NeurIPS 2019.
+    Without a horizon only. Identical to the model-based value with ``fallback="simulator"``. Source: [1]
+    O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted stationary distribution corrections,
+    NeurIPS 2019.
 
     Examples
     --------
@@ -252,8 +259,8 @@ class DualDice(TabularEstimator):
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
         """Exact given the log.
 
-        With B = I - gamma P^pi on (s, a) the normal equations are B^T D B nu = (1 - gamma) mu_0 pi: first y = D w from B^T y,
-        then nu from B nu = w.
+        With B = I - gamma P^pi on pairs the normal equations are B^T D B nu = (1 - gamma) mu_0 pi: first
+        y = D w from B^T y, then nu from B nu = w.
         """
         if problem.horizon is not None:
             raise ValueError(
@@ -273,7 +280,6 @@ class DualDice(TabularEstimator):
             float((base * weights * model.rewards).sum()) / (1.0 - gamma),
             diagnostics={
                 "largest_weight": float(weights.max()),
-                "largest_nu": float(np.abs(nu).max()),
                 "residual": float(np.abs(residual).max()),
             },
         )

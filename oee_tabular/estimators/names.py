@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Named:
-    """An estimator by its class in ``oee_tabular.estimators`` and its options, and what it is, in a sentence or two.
+    """An estimator by its class and options, and what it is, in a sentence or two.
 
     ``needs_target``: it is made from the target, which only someone who knows it has.
     """

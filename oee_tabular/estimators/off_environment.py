@@ -14,6 +14,8 @@ from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
     Estimate,
+    RatioEstimator,
+    RatioOption,
     coverage,
     effective_sample_size,
     error_or_none,
@@ -21,7 +23,6 @@ from oee_tabular.estimators.base import (
     mean_and_error,
 )
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.ratio_option import RatioEstimator, RatioOption
 from oee_tabular.estimators.rollouts import (
     carried_rewards,
     normalize_by_episode,
@@ -43,9 +44,9 @@ NORMAL = NormalDist().inv_cdf(0.975)
 # that estimate, in standard deviations s [1], interpolated in the logarithm of the ratio; the first, below 1, is a guess.
 VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
 THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
-CONTRADICTION = (
-    2.0  # standard errors of their difference between the value and maximum likelihood's that are worth a word
-)
+# standard errors of their difference between the value and maximum likelihood's that are worth a word
+CONTRADICTION = 2.0
+DETAILS = ("strength", "meaning", "n_keys")  # of a ratio, that are diagnostics of its value
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
@@ -125,15 +126,15 @@ class OffEnvironment(RatioEstimator):
         """Words of ``testing.CLAIMS``. Products move with the rewards only over the sum of their weights."""
         if self.evaluation == "exact":
             return self.model_claims
-        shifts = self.model_claims | {"shift"} if self.self_normalized else self.model_claims - {"shift"}
-        return shifts | {"random"}
+        if self.self_normalized:
+            return self.model_claims | {"shift", "random"}
+        return self.model_claims - {"shift"} | {"random"}
 
     def _average_rollouts(
         self, problem: Problem, zeta: TransitionRatio, policy: Array, generator: np.random.Generator
     ) -> Estimate:
         """J by rollouts of the simulator weighted by products of zeta: the episodes of ``sample_returns``."""
         model, per_decision = problem.model, self.weighting == "per_decision"
-        zeta.on(model)  # or an error
         n_steps = horizon_length(rollout_horizon(model.discount, problem.horizon), model)
         by_step = self.self_normalized and per_decision
         drawn = draw(
@@ -202,7 +203,7 @@ def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimat
         return exact
     time = time_in_pairs(model, policy, problem.horizon)
     shares = coverage(problem, learnable_shares(problem, time), zeta.counts)
-    about = {name: zeta.details[name] for name in ("strength", "meaning", "n_keys") if name in zeta.details}
+    about = {name: zeta.details[name] for name in DETAILS if name in zeta.details}
     exact = replace(
         exact,
         diagnostics=exact.diagnostics | shares | about | {"standard_error_of": None},

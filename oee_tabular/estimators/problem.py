@@ -32,34 +32,36 @@ class Problem:
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target, a path or Minari id of them (``Transitions.load``), a data frame
-        (``Transitions.from_frame``), or episodes as lists of steps (``Transitions.from_episodes``); names of states and actions
-        are matched to the simulator's. Or counts of its moves: ``TransitionCounts``, their file, or a sparse (S*A, S) matrix
+    log : Transitions of the target, or what they are made of
+        A path or Minari id (``Transitions.load``), a data frame (``Transitions.from_frame``), or episodes as
+        lists of steps (``Transitions.from_episodes``); names of states and actions are matched to the
+        simulator's. Or counts: ``TransitionCounts``, their file, or a sparse (S*A, S) matrix.
     horizon : T, the number of rewards; None for the infinite discounted sum
-    behavior_policy : (S, A), the policy that recorded the log, for importance sampling where the log lacks
-        probabilities
+    behavior_policy : (S, A), the policy that recorded the log
+        For importance sampling where the log lacks probabilities.
     simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios only
     rewards : "simulator" | "log"
-        "log": model-based values pay the log's mean reward for each (s, a, s') that it has seen, the simulator's
+        "log": model-based values pay the log's mean reward for each (s, a, s') that it has, the simulator's
         elsewhere. Importance sampling always uses the log's.
     episodes : Transitions, optional
-        Whole episodes for importance sampling, where ``log`` is a draw of moves without episodes.
+        Whole episodes for importance sampling, where ``log`` is a draw of transitions without episodes.
     counts : sparse (S*A, S) of nonnegative numbers, optional
-        Counts of the target's moves in place of the log's, for the estimators that use counts (``Discretization.counts``
-        gives soft ones). Importance sampling and the paper's ratio of ratios keep using the log. Tests and intervals, which
-        need whole and independent moves, are for whole counts.
+        Counts in place of the log's, for the estimators that use counts (``Discretization.counts`` gives soft
+        ones). Importance sampling and the paper's ratio of ratios keep using the log. Tests and intervals
+        need whole counts.
     impossible : "refuse" | "drop"
-        Moves of the log to which the simulator gives probability 0: an error, or left out of ``counts``. Then nothing is said
-        of where they led: likelihood intervals have them lead anywhere (``inference.margins``).
+        Transitions of the log to which the simulator gives probability 0: an error, or left out of
+        ``counts``. Likelihood intervals then have them lead anywhere (``inference.margins``).
 
-    ``log`` has terminated transitions led to the simulator's terminal states, and ``counts`` is csr, without what was dropped.
+    ``log`` has terminated transitions led to the simulator's terminal states, and ``counts`` is csr, without
+    what was dropped.
 
     Raises
     ------
     ValueError
-        States or actions outside the simulator's; moves that the simulator gives probability 0 (the first are named);
-        a terminated move into a state where the simulator goes on; a log reward asked for and not there; counts of another
-        shape, negative, not finite, or without any move.
+        States or actions outside the simulator's; transitions that the simulator gives probability 0 (the
+        first are named); a terminated one into a state where the simulator goes on; a log reward asked for
+        and not there; counts of another shape, negative, not finite, or all 0.
 
     Examples
     --------
@@ -172,12 +174,12 @@ class Problem:
 
     @cached_property
     def made(self) -> dict[Any, Any]:
-        """What fits to this log have made that does not depend on the policy (``Method.fit``)."""
+        """What fits to this log share (``Method.fit``)."""
         return Made()
 
     @cached_property
     def soft(self) -> bool:
-        """Whether the counts are no whole numbers: tests and intervals need whole and independent moves."""
+        """Whether the counts are no whole numbers, which tests and intervals need."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 
@@ -194,12 +196,12 @@ class Problem:
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
-        """Where the log and the simulator pay differently for one move; None where they agree or nothing is known."""
+        """Where the log and the simulator pay differently; None where they agree or nothing is known."""
         return conflict(self.simulator, self.log)
 
     @cached_property
     def behavior_conflict(self) -> int:
-        """In how many rows the log's behaviour probability is not that of ``behavior_policy`` (0 where one is missing)."""
+        """In how many rows the log's behaviour probability is not that of ``behavior_policy``."""
         log = self.recorded
         if self.behavior_policy is None or log.behavior_probability is None:
             return 0
@@ -209,10 +211,9 @@ class Problem:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is odd about the data, whatever the policy."""
-        log, conflict = self.log, self.reward_conflict
-        told: list[Finding] = []
-        if conflict is not None:
-            told.append(findings.rewards_contradict(conflict, log_pays=self.rewards == "log"))
+        log, told = self.log, list[Finding]()
+        if self.reward_conflict is not None:
+            told.append(findings.rewards_contradict(self.reward_conflict, log_pays=self.rewards == "log"))
         told += findings.behavior_contradicts(self.behavior_conflict)
         if isinstance(log, TransitionCounts):
             told += findings.rows_dropped(*log.recording[-2:])
@@ -243,7 +244,7 @@ def require_policy(problem: object, policy: PolicyLike) -> Array:
 
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
-    """The log with terminated moves led to ``simulator.terminal_state``; errors for indices and for termination."""
+    """The log with terminated transitions led to ``simulator.terminal_state``, or an error."""
     sizes = {"state": simulator.n_states, "action": simulator.n_actions, "next_state": simulator.n_states}
     for column, size in sizes.items():
         values: IntArray = getattr(log, column)
@@ -274,7 +275,7 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
 
 
 def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> sparse.csr_array:
-    """Counts that were given, of which there are some, where the simulator has probability unless they may be dropped."""
+    """Counts that were given, checked."""
     matrix = checked_counts(counts, simulator)
     if may_drop:
         return matrix

@@ -1,8 +1,8 @@
 """The two ends of the scale: the simulator as it is, and the oracle that knows the true ratio.
 
-A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error of its own. By the delta method,
-with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``), D(s, a) the discounted time in (s, a), n(s, a) samples
-of each pair and m first states,
+A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error of its own. By the
+delta method, with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``), D(s, a) the discounted time
+in (s, a), n(s, a) samples of each pair and m first states,
 
     Var J = sum_(s, a) Var_(s' ~ P(. | s, a)) G(s, a, s') / (n(s, a) - 1) + Var_mu V / m
             + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of the transition).
@@ -22,10 +22,9 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, TabularEstimator, delta_error
+from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, RatioOption, TabularEstimator, delta_error
 from oee_tabular.estimators.off_environment import NORMAL, OffEnvironment
 from oee_tabular.estimators.problem import Problem
-from oee_tabular.estimators.ratio_option import RatioOption
 from oee_tabular.exact import evaluate_policy, occupancy, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
@@ -41,9 +40,8 @@ MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentenc
 class Simulator(TabularEstimator):
     """J in the simulator as it stands, with its own rewards; the log is not used.
 
-    Of a simulator that was made of samples the value has their standard error and a 95% interval.
-
-    Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
+    Of a simulator that was made of samples the value has their standard error and a 95% interval. Limit:
+    J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
 
     Examples
     --------

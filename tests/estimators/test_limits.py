@@ -181,29 +181,6 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
             assert returns.min() - 1e-9 <= plain <= returns.max() + 1e-9
 
 
-def test_doubly_robust_on_episodes_with_the_truth_needs_no_luck():
-    """With zeta = P'/P the model is the target: every episode's D is V(s_0) plus noise of its own moves only."""
-    simulator, target = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
-    behavior = oee.uniform_policy(simulator)
-    policy = oee.mix(oee.tasks.gridworld_expert(4), behavior, 0.5)
-    log = oee.sample_episodes(target, behavior, 3000, 12, seed=0)
-    truth = oee.policy_value(target, policy, horizon=12)
-    problem = oee.Problem(simulator, log, horizon=12, behavior_policy=behavior)
-    plain = ImportanceSampling()(problem, policy)
-    bound = oee.trajectory_efficiency_bound(target, behavior, policy, horizon=12, model="tree")
-    for self_normalized in (False, True):
-        estimator = DoublyRobust(
-            data="episodes", ratio=oee.true_ratio(target, simulator), self_normalized=self_normalized
-        )
-        estimate = estimator(problem, policy)
-        assert abs(estimate.value - truth) < 4 * estimate.standard_error
-        assert estimate.standard_error < 0.5 * plain.standard_error
-        assert_allclose(estimate.standard_error, np.sqrt(bound / 3000), rtol=0.25)
-    blend = Magic(ratio=oee.true_ratio(target, simulator))(problem, policy, seed=0)
-    assert abs(blend.value - truth) < 4 * np.sqrt(bound / 3000)
-    assert blend.diagnostics["share_of_model"] > 0.5
-
-
 def test_a_ratio_that_diverges_is_a_status():
     simulator, target = oee.tasks.gridworld(6, 0.3), oee.tasks.gridworld(6, 0.1)
     behavior = oee.uniform_policy(simulator)

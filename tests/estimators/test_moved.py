@@ -77,19 +77,6 @@ def test_the_threshold_is_the_published_table():
     assert_allclose(threshold(5**0.25, 1.0), (0.73 + 0.98) / 2, rtol=1e-12)
 
 
-def test_a_row_of_one_move_has_a_variance():
-    """Under its own frequencies it has none."""
-    simulator, _, policy = pair(0)
-    log = oee.Transitions(np.arange(12) // 2, np.arange(12) % 2, np.arange(12) % 6)
-    found = OffEnvironment(HALF)(oee.Problem(simulator, log), policy)
-    assert found.diagnostics["one_step_standard_error"] > 0
-    assert_allclose(found.standard_error, found.diagnostics["one_step_standard_error"])
-    again = OffEnvironment(HALF)(
-        oee.Problem(simulator, oee.Transitions(*np.tile([log.state, log.action, log.next_state], 100))), policy
-    )
-    assert again.diagnostics["one_step_standard_error"] < 0.2 * found.diagnostics["one_step_standard_error"]
-
-
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
 def test_the_change_to_the_log_lies_between_the_two(one_step, likelihood, apart):
     change = change_to_log(one_step, likelihood, apart)
